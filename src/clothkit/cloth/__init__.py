@@ -1,0 +1,1 @@
+"""What a cloth state is: grid topology and equivalents, meshes, voxels, silhouettes."""

@@ -1,0 +1,76 @@
+"""Meshes and probabilistic meshes: whitening, likelihood and distances (sections 4.2.1, 5.2 and 6)."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+from numpy import ndarray
+
+from clothkit.cloth.equivalents import equivalents
+from clothkit.cloth.grid import CLOTH_SIDE
+
+LEAST_SPREAD = 0.005
+"""Floor of the standard deviation that whitening divides by: a flat cloth has none in z."""
+
+Mesh = Float[Array, "*#batch u v 3"] | Float[ndarray, "*#batch u v 3"]
+"""A mesh or a batch of them; functions of two meshes broadcast."""
+
+
+class ProbabilisticMesh(NamedTuple):
+    """An independent normal distribution for each coordinate of each vertex [normalised]."""
+
+    mean: Float[Array, "*#batch u v 3"] | Float[ndarray, "*#batch u v 3"]
+    std: Float[Array, "*#batch u v 3"] | Float[ndarray, "*#batch u v 3"]
+
+
+def _moments(mesh: Mesh) -> tuple[Array, Array]:
+    mean = jnp.mean(mesh, axis=(-3, -2), keepdims=True)
+    # The root of a variance below the floor has no use, and its gradient at zero is not finite.
+    variance = jnp.var(mesh, axis=(-3, -2), keepdims=True)
+    return mean, jnp.sqrt(jnp.maximum(variance, LEAST_SPREAD**2))
+
+
+def whiten(mesh: Mesh) -> Float[Array, "... u v 3"]:
+    """w of eq. (13): the mesh with mean 0 and standard deviation 1 in each Cartesian dimension, no unit."""
+    mean, spread = _moments(mesh)
+    return (jnp.asarray(mesh) - mean) / spread
+
+
+def whiten_probabilistic(mesh: ProbabilisticMesh) -> ProbabilisticMesh:
+    """w of eq. (13): whitened by the moments of the means; the standard deviations are divided by the same spread."""
+    mean, spread = _moments(mesh.mean)
+    return ProbabilisticMesh((mesh.mean - mean) / spread, mesh.std / spread)
+
+
+def nll(mesh: Mesh, probabilistic: ProbabilisticMesh) -> Float[Array, "..."]:
+    """Negative log likelihood of a mesh, the mean over its coordinates (eqs. 8, 12 and 13)."""
+    z = (mesh - probabilistic.mean) / probabilistic.std
+    density = 0.5 * z**2 + jnp.log(probabilistic.std) + 0.5 * jnp.log(2 * jnp.pi)
+    return jnp.mean(density, axis=(-3, -2, -1))
+
+
+def distance(a: Mesh, b: Mesh) -> Float[Array, "..."]:
+    """Mean Euclidean distance between vertices of the same label [cloth length]."""
+    return jnp.mean(jnp.linalg.norm(jnp.asarray(a) - b, axis=-1), axis=(-2, -1)) / CLOTH_SIDE
+
+
+def align(mesh: Mesh, target: Mesh) -> Float[Array, "... u v 3"]:
+    """The mesh, moved so that its mean 3D offset to the target is zero (section 6.3)."""
+    return jnp.asarray(mesh) - jnp.mean(jnp.asarray(mesh) - target, axis=(-3, -2), keepdims=True)
+
+
+def distance_aligned(a: Mesh, b: Mesh) -> Float[Array, "..."]:
+    """`distance` after the mean 3D offset is removed [cloth length]: how planning outcomes are measured."""
+    return distance(align(a, b), b)
+
+
+def error(mesh: Mesh, truth: Mesh, *, aligned: bool = False) -> Float[Array, "..."]:
+    """The smallest distance to any of the truth's eight equivalents [cloth length]."""
+    measure = distance_aligned if aligned else distance
+    return jnp.min(measure(jnp.asarray(mesh)[None], equivalents(truth)), axis=0)
+
+
+def best_label(mesh: Mesh, truth: Mesh, *, aligned: bool = False) -> Int[Array, "..."]:
+    """The k in 0..7 under which the truth comes nearest to the mesh."""
+    measure = distance_aligned if aligned else distance
+    return jnp.argmin(measure(jnp.asarray(mesh)[None], equivalents(truth)), axis=0)

@@ -1,0 +1,74 @@
+"""Voxels: occupancy of the viewport (-1, -1, 0)..(1, 1, height), with occlusion, doubling and noise (section 4.8)."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
+from numpy import ndarray
+
+RESOLUTION = (32, 32, 16)
+HEIGHT = 0.125
+"""Upper end of the viewport [normalised]."""
+
+Points = Float[Array, "*batch points 3"] | Float[ndarray, "*batch points 3"]
+
+
+def double(mesh: Float[Array | ndarray, "*batch u v 3"]) -> Float[Array, "*batch uu vv 3"]:
+    """The mesh at twice its resolution, by midpoints: 63 x 63 vertices from 32 x 32."""
+    mesh = jnp.asarray(mesh)
+    for axis in (-3, -2):
+        ahead = jax.lax.slice_in_dim(mesh, 1, None, axis=axis)
+        behind = jax.lax.slice_in_dim(mesh, 0, -1, axis=axis)
+        pairs = jnp.stack([behind, (ahead + behind) / 2], axis=axis)
+        shape = list(behind.shape)
+        shape[axis] *= 2
+        woven = pairs.reshape(shape)
+        mesh = jnp.concatenate([woven, jax.lax.slice_in_dim(mesh, -1, None, axis=axis)], axis=axis)
+    return mesh
+
+
+def voxelise(points: Points, *, height: float = HEIGHT) -> Bool[Array, "*batch 32 32 16"]:
+    """The voxels that hold at least one point. Points outside are dropped in x and y, clamped in z (design 6.14)."""
+    points = jnp.asarray(points)
+    batch = points.shape[:-2]
+    nx, ny, nz = RESOLUTION
+    xy = jnp.floor((points[..., :2] + 1) * (nx / 2)).astype(jnp.int32)
+    z = jnp.clip(jnp.floor(points[..., 2] * (nz / height)).astype(jnp.int32), 0, nz - 1)
+    inside = jnp.all((xy >= 0) & (xy < nx), axis=-1)
+    cell = jnp.where(inside, (xy[..., 0] * ny + xy[..., 1]) * nz + z, nx * ny * nz)
+    rows = cell.reshape(-1, cell.shape[-1])
+    occupied = jnp.zeros((rows.shape[0], nx * ny * nz), bool)
+    occupied = occupied.at[jnp.arange(rows.shape[0])[:, None], rows].set(True, mode="drop")
+    return occupied.reshape(*batch, nx, ny, nz)
+
+
+def occlude(voxels: Bool[Array, "*batch x y z"]) -> Bool[Array, "*batch x y z"]:
+    """The voxels with every voxel below an occupied one occupied too, as a camera above would see them."""
+    return jax.lax.cummax(voxels.astype(jnp.int8), axis=voxels.ndim - 1, reverse=True).astype(bool)
+
+
+def of_mesh(mesh: Float[Array | ndarray, "*batch u v 3"], *, height: float = HEIGHT) -> Bool[Array, "*batch 32 32 16"]:
+    """The voxels that hold a vertex: undoubled, noise-free and unoccluded, as tables 4 and 7 compare them."""
+    mesh = jnp.asarray(mesh)
+    return voxelise(mesh.reshape(*mesh.shape[:-3], -1, 3), height=height)
+
+
+def observe(mesh: Float[Array | ndarray, "*batch u v 3"], *, height: float = HEIGHT) -> Bool[Array, "*batch 32 32 16"]:
+    """What a camera above sees of a mesh: doubled, occluded, without noise; the input of every evaluation."""
+    dense = double(mesh)
+    return occlude(voxelise(dense.reshape(*dense.shape[:-3], -1, 3), height=height))
+
+
+def observe_noisily(
+    mesh: Float[Array | ndarray, "*batch u v 3"],
+    *,
+    noise: float,
+    noise_z: float,
+    height: float = HEIGHT,
+    key: PRNGKeyArray,
+) -> Bool[Array, "*batch 32 32 16"]:
+    """Training input of section 4.8: doubled, duplicated, each copy with its own noise [normalised], then occluded."""
+    dense = double(mesh)
+    points = dense.reshape(*dense.shape[:-3], -1, 3)
+    scale = jnp.array([noise, noise, noise_z])
+    copies = points[..., None, :, :] + scale * jax.random.normal(key, (*points.shape[:-2], 2, *points.shape[-2:]))
+    return occlude(voxelise(copies.reshape(*points.shape[:-2], -1, 3), height=height))

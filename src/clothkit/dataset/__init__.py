@@ -1,0 +1,1 @@
+"""Raw parquet, regularisation, the zarr store, splits and augmentation."""

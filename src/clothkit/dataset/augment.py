@@ -1,0 +1,72 @@
+"""Null insertion and random turns of the training sequences, as a store that can be inspected (section 4.6)."""
+
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge, Gt, Le
+from jaxtyping import Float
+
+from clothkit.config import config
+from clothkit.dataset.store import STATES, STEPS, Dataset
+from clothkit.manipulation.sampling import SamplingConfig
+from clothkit.manipulation.vector import SHORTEST
+
+
+@config
+class AugmentConfig:
+    """How many variants of each training sequence are written, and how many of them have a null manipulation."""
+
+    variants: Annotated[int, Gt(0)] = 2
+    null_share: Annotated[float, Ge(0), Le(1)] = 0.25
+    seed: Annotated[int, Ge(0)] = 0
+
+
+def augment(training: Dataset, settings: AugmentConfig) -> Dataset:
+    """`variants` copies of every sequence, some with a null inserted, each turned and mirrored at random."""
+    copies = training.take(np.repeat(np.arange(len(training)), settings.variants))
+    rng = np.random.default_rng(settings.seed)
+    fields = {name: getattr(copies, name).copy() for name in ("vertices", "centre", "manipulation", "hands", "length")}
+    for row in range(len(copies)):
+        if rng.random() < settings.null_share:
+            _insert_null(fields, row, rng)
+        _turn(fields, row, rng)
+    return Dataset(**fields, split=copies.split, evaluated=copies.evaluated)
+
+
+def _insert_null(fields: dict[str, np.ndarray], row: int, rng: np.random.Generator) -> None:
+    """(m0, null, m1) with states (s0, s1, s1, s2): what a null displaces moves on by a step, the last one drops out."""
+    length = int(fields["length"][row])
+    step = int(rng.integers(min(length + 1, STEPS)))
+    kept_states = np.insert(np.arange(STATES - 1), step, step)
+    kept_steps = np.insert(np.arange(STEPS - 1), step, step)
+    displaced = fields["manipulation"][row, min(step, length - 1)].copy()
+    hands = int(fields["hands"][row, min(step, length - 1)])
+    for name, kept in (
+        ("vertices", kept_states),
+        ("centre", kept_states),
+        ("manipulation", kept_steps),
+        ("hands", kept_steps),
+    ):
+        fields[name][row] = fields[name][row][kept]
+    if rng.random() < 0.5:
+        hands = 1 if rng.random() < SamplingConfig().single_share else 2
+        first = rng.uniform(-1, 1, 2)
+        displaced[:4] = np.concatenate([first, first if hands == 1 else rng.uniform(-1, 1, 2)])
+    displaced[4:] = null_displacement(rng)
+    fields["manipulation"][row, step], fields["hands"][row, step] = displaced, hands
+    fields["length"][row] = min(length + 1, STEPS)
+
+
+def null_displacement(rng: np.random.Generator) -> Float[np.ndarray, "2"]:
+    """A displacement that is uniform in the disc of null manipulations [normalised]."""
+    angle, radius = rng.uniform(0, 2 * np.pi), SHORTEST * np.sqrt(rng.random())
+    return radius * np.array([np.cos(angle), np.sin(angle)])
+
+
+def _turn(fields: dict[str, np.ndarray], row: int, rng: np.random.Generator) -> None:
+    angle, mirrored = rng.uniform(0, 2 * np.pi), rng.random() < 0.5
+    c, s, sign = np.cos(angle), np.sin(angle), -1 if mirrored else 1
+    matrix = np.array([[c * sign, -s], [s * sign, c]], np.float32)
+    fields["vertices"][row, ..., :2] = fields["vertices"][row, ..., :2] @ matrix.T
+    fields["centre"][row] = fields["centre"][row] @ matrix.T
+    fields["manipulation"][row, :, 4:] = fields["manipulation"][row, :, 4:] @ matrix.T

@@ -1,0 +1,138 @@
+"""From raw states of any topology to normalised, centred 32 x 32 meshes, split for learning (4.2.1 and 4.4)."""
+
+from pathlib import Path
+from typing import Annotated, NamedTuple
+
+import numpy as np
+import pandas as pd
+from annotated_types import Ge, Gt
+from jaxtyping import Float, Int
+from tqdm import tqdm
+
+from clothkit.cloth.grid import CLOTH_SIDE, SIDE, geodesic
+from clothkit.cloth.silhouette import centred
+from clothkit.config import config
+from clothkit.dataset.raw import MANIPULATION_COLUMNS, STATE_COLUMNS, TOPOLOGY_COLUMNS, read_states, read_table
+from clothkit.dataset.store import SPLITS, STATES, STEPS, Dataset
+from clothkit.errors import InputError
+
+
+@config
+class RegulariseConfig:
+    """How many sequences each split takes, and how many of each evaluations use."""
+
+    train: Annotated[int, Gt(0)]
+    validation: Annotated[int, Gt(0)]
+    test: Annotated[int, Gt(0)]
+    evaluated: Annotated[int, Gt(0)] = 100
+    """Test sequences, and as many training sequences, that evaluations use."""
+    seed: Annotated[int, Ge(0)] = 0
+
+
+class Interpolation(NamedTuple):
+    """For each vertex of the grid: three vertices of the topology and their barycentric weights."""
+
+    vertices: Int[np.ndarray, "grid 3"]
+    weights: Float[np.ndarray, "grid 3"]
+
+    def __call__(self, positions: Float[np.ndarray, "vertices 3"]) -> Float[np.ndarray, "u v 3"]:
+        """The grid's vertices, from the topology's."""
+        return np.einsum("gk,gkc->gc", self.weights, positions[self.vertices]).reshape(SIDE, SIDE, 3)
+
+
+def interpolation(
+    material: Float[np.ndarray, "vertices 2"], triangles: Int[np.ndarray, "triangles 3"], *, name: str = "topology"
+) -> Interpolation:
+    """Barycentric interpolation in material space [m]; exact for every map that is linear on each triangle.
+
+    Raises InputError when the triangles don't cover the material's square.
+    """
+    low, high = material.min(0), material.max(0)
+    targets = (geodesic().reshape(-1, 2).astype(float) + 1) / 2 * (high - low) + low
+    a, b, c = (material[triangles[:, k]].astype(float) for k in range(3))
+    edge_b, edge_c = b - a, c - a
+    area = edge_b[:, 0] * edge_c[:, 1] - edge_b[:, 1] * edge_c[:, 0]
+    offset = targets[:, None] - a
+    weight_b = (offset[..., 0] * edge_c[:, 1] - offset[..., 1] * edge_c[:, 0]) / area
+    weight_c = (edge_b[:, 0] * offset[..., 1] - edge_b[:, 1] * offset[..., 0]) / area
+    weights = np.stack([1 - weight_b - weight_c, weight_b, weight_c], axis=-1)
+    best = weights.min(-1).argmax(-1)
+    chosen = weights[np.arange(len(targets)), best]
+    if chosen.min() < -1e-3:
+        raise InputError(f"{name}: its triangles leave part of the material square uncovered")
+    chosen = np.clip(np.where(np.abs(chosen) < 1e-6, 0, chosen), 0, 1)
+    return Interpolation(triangles[best], chosen / chosen.sum(-1, keepdims=True))
+
+
+def regularise(raw: Path, settings: RegulariseConfig) -> Dataset:
+    """The dataset of a folder of raw artifacts. Raises InputError when they are too few, or not as they should be."""
+    states = read_states(raw / "states")
+    manipulations = read_table(raw / "manipulations.parquet", MANIPULATION_COLUMNS)
+    topologies = read_table(raw / "topologies.parquet", TOPOLOGY_COLUMNS).set_index("topology")
+    wanted = settings.train + settings.validation + settings.test
+    sequences = states["sequence"].unique()[:wanted].tolist()
+    if len(sequences) < wanted:
+        raise InputError(f"{raw}: holds {len(sequences)} sequences, params ask for {wanted}; raise simulate.sequences")
+    vertices = np.full((wanted, STATES, SIDE, SIDE, 3), np.nan, np.float32)
+    centres = np.full((wanted, STATES, 2), np.nan, np.float32)
+    meshes = _Mesher(raw, topologies)
+    row_of = {sequence: row for row, sequence in enumerate(sequences)}
+    chosen = states[states["sequence"].isin(row_of)]
+    columns = (chosen[name] for name in STATE_COLUMNS)
+    progress = tqdm(zip(*columns, strict=True), total=len(chosen), desc="regularise", unit="state", mininterval=1)
+    for sequence, state, topology, positions in progress:
+        mesh = meshes(f"{raw}: sequence {sequence}, state {state}", topology, positions)
+        vertices[row_of[sequence], state], centres[row_of[sequence], state] = centred(mesh)
+    manipulation, hands, length = _steps(manipulations, row_of)
+    split, evaluated = assign_splits(settings)
+    return Dataset(vertices, centres, manipulation, hands, length, split, evaluated)
+
+
+def assign_splits(settings: RegulariseConfig) -> tuple[np.ndarray, np.ndarray]:
+    """A split for each sequence (index into SPLITS) and whether evaluations use it, drawn from the seed."""
+    counts = [settings.train, settings.validation, settings.test]
+    split = np.repeat(np.arange(len(SPLITS), dtype=np.int8), counts)
+    split = np.random.default_rng(settings.seed).permutation(split)
+    evaluated = np.zeros(len(split), bool)
+    for name in ("train", "test"):
+        evaluated[np.flatnonzero(split == SPLITS.index(name))[: settings.evaluated]] = True
+    return split, evaluated
+
+
+class _Mesher:
+    """Raw states as normalised meshes; interpolations are made once a topology."""
+
+    def __init__(self, raw: Path, topologies: pd.DataFrame) -> None:
+        self.raw, self.topologies = raw, topologies
+        self.made: dict[int, tuple[Interpolation, float, int]] = {}
+
+    def __call__(self, where: str, topology: int, vertices: np.ndarray) -> Float[np.ndarray, "u v 3"]:
+        if topology not in self.made:
+            self.made[topology] = self._make(where, topology)
+        interpolate, scale, count = self.made[topology]
+        positions = np.asarray(vertices, np.float32).reshape(-1, 3)
+        if len(positions) != count:
+            raise InputError(f"{where}: has {len(positions)} vertices, its topology {topology} has {count}")
+        return (interpolate(positions) * scale).astype(np.float32)
+
+    def _make(self, where: str, topology: int) -> tuple[Interpolation, float, int]:
+        if topology not in self.topologies.index:
+            raise InputError(f"{where}: its topology {topology} is not in topologies.parquet")
+        row = self.topologies.loc[topology]
+        material = np.asarray(row["material"], float).reshape(-1, 2)
+        triangles = np.asarray(row["triangles"], np.int32).reshape(-1, 3)
+        side = float(np.ptp(material, axis=0).mean())
+        name = f"{self.raw}/topologies.parquet: topology {topology}"
+        return interpolation(material, triangles, name=name), CLOTH_SIDE / side, len(material)
+
+
+def _steps(table: pd.DataFrame, row_of: dict[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    count = len(row_of)
+    manipulation = np.full((count, STEPS, 6), np.nan, np.float32)
+    hands = np.zeros((count, STEPS), np.int8)
+    table = table[table["sequence"].isin(row_of)]
+    rows = table["sequence"].map(row_of).to_numpy()
+    steps = table["step"].to_numpy()
+    manipulation[rows, steps] = table[["u1", "v1", "u2", "v2", "dx", "dy"]].to_numpy(np.float32)
+    hands[rows, steps] = table["hands"].to_numpy(np.int8)
+    return manipulation, hands, (hands > 0).sum(-1).astype(np.int8)

@@ -1,0 +1,1 @@
+"""From voxels to a probabilistic mesh to a plausible mesh."""

@@ -1,0 +1,56 @@
+"""From voxels to a mesh: VtM, labels that agree with the prediction, refinement (sections 4.7 and 5.1, design 6.10)."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Shaped
+
+from clothkit.cloth.equivalents import COUNT, relabel_batch
+from clothkit.cloth.mesh import ProbabilisticMesh, nll
+from clothkit.estimation.refine import RefineConfig, refine
+from clothkit.networks import vtm
+from clothkit.networks.net import Net
+
+
+class Estimate(NamedTuple):
+    """What voxels show: VtM's probabilistic mesh and the refined one, under the same labels [normalised]."""
+
+    probabilistic: ProbabilisticMesh
+    mesh: Float[Array, "batch u v 3"]
+
+
+def estimate(
+    net: Net,
+    voxels: Shaped[Array | np.ndarray, "batch x y z"],
+    settings: RefineConfig,
+    *,
+    predicted: Float[Array | np.ndarray, "batch u v 3"] | None = None,
+) -> Estimate:
+    """The estimates of centred voxels, refined from VtM's means or, where there are any, from the predicted means.
+
+    An estimate comes in any of the eight labellings; beside a prediction it takes that under which the prediction's
+    negative log likelihood is least.
+    """
+    probabilistic = _vtm(net, jnp.asarray(voxels))
+    if predicted is None:
+        return Estimate(probabilistic, refine(probabilistic, probabilistic.mean, settings))
+    labelled = labelled_like(probabilistic, predicted)
+    return Estimate(labelled, refine(labelled, predicted, settings))
+
+
+def labelled_like(
+    probabilistic: ProbabilisticMesh, mesh: Float[Array | np.ndarray, "batch u v 3"]
+) -> ProbabilisticMesh:
+    """The equivalents of probabilistic meshes under which the meshes' negative log likelihood is least."""
+    batch = probabilistic.mean.shape[0]
+    scores = []
+    for k in range(COUNT):
+        labels = np.full(batch, k)
+        scores.append(nll(mesh, ProbabilisticMesh(*(relabel_batch(part, labels) for part in probabilistic))))
+    best = jnp.argmin(jnp.stack(scores), axis=0)
+    return ProbabilisticMesh(*(relabel_batch(part, best) for part in probabilistic))
+
+
+_vtm = jax.jit(vtm.estimate)

@@ -1,0 +1,110 @@
+"""Refinement: the plausible mesh in the leeway that a probabilistic mesh gives (section 4.7, eqs. 10 and 11)."""
+
+from functools import partial
+from typing import Annotated, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from annotated_types import Ge, Gt
+from jaxtyping import Array, Bool, Float, Int
+
+from clothkit.cloth.grid import CLOTH_SIDE, SPRING_OFFSETS
+from clothkit.cloth.mesh import ProbabilisticMesh, nll
+from clothkit.config import config
+
+SHORTEST_SPRING = 1e-6
+"""A spring's length has no gradient at zero; below this [normalised] none is asked for."""
+
+
+@config
+class RefineConfig:
+    """Weights, step and end of refinement; the defaults are the paper's."""
+
+    spring_weight: Annotated[float, Ge(0)] = 5000.0
+    upward_weight: Annotated[float, Ge(0)] = 1000.0
+    step: Annotated[float, Gt(0)] = 0.001
+    """What SignSGD moves each coordinate per iteration [normalised]."""
+    iterations: Annotated[int, Ge(0)] = 300
+    tolerance: Annotated[float, Ge(0)] = 1e-3
+    """A mesh's loss has stabilised when its lowest value fell by less than this share of it ..."""
+    patience: Annotated[int, Gt(0)] = 20
+    """... for this many iterations."""
+
+
+def spring_energy(mesh: Float[Array, "*batch u v 3"]) -> Float[Array, "*batch"]:
+    """Eq. (11): the sum over springs of (length - rest)² [normalised²]."""
+    side = mesh.shape[-2]
+    spacing = CLOTH_SIDE / (side - 1)
+    energy = jnp.zeros(mesh.shape[:-3], mesh.dtype)
+    # Slices, not the index pairs of `grid.springs`: gathering costs more than everything else together.
+    for du, dv in SPRING_OFFSETS:
+        low, high = max(0, -dv), side - max(0, dv)
+        spring = mesh[..., du:, low + dv : high + dv, :] - mesh[..., : side - du, low:high, :]
+        length = jnp.sqrt(jnp.maximum(jnp.sum(spring**2, axis=-1), SHORTEST_SPRING**2))
+        rest = spacing * float(np.hypot(du, dv))
+        energy += jnp.sum((length - rest) ** 2, axis=(-2, -1))
+    return energy
+
+
+def upward_bias(mesh: Float[Array, "*batch u v 3"], estimate: ProbabilisticMesh) -> Float[Array, "*batch"]:
+    """Loss_up: the mean over vertices of how far the mesh lies below the estimate's mean [normalised]."""
+    return jnp.mean(jnp.maximum(0, estimate.mean[..., 2] - mesh[..., 2]), axis=(-2, -1))
+
+
+def refinement_loss(
+    mesh: Float[Array, "*batch u v 3"], estimate: ProbabilisticMesh, settings: RefineConfig
+) -> Float[Array, "*batch"]:
+    """The compound loss of section 4.7: NLL and springs are sums, the upward bias is a mean (design 6.16)."""
+    coordinates = mesh.shape[-3] * mesh.shape[-2] * mesh.shape[-1]
+    return (
+        coordinates * nll(mesh, estimate)
+        + settings.spring_weight * spring_energy(mesh)
+        + settings.upward_weight * upward_bias(mesh, estimate)
+    )
+
+
+class _Search(NamedTuple):
+    iteration: Int[Array, ""]
+    mesh: Float[Array, "batch u v 3"]
+    found: Float[Array, "batch u v 3"]
+    lowest: Float[Array, " batch"]
+    level: Float[Array, " batch"]
+    stale: Int[Array, " batch"]
+
+
+@partial(jax.jit, static_argnames="settings")
+def refine(
+    estimate: ProbabilisticMesh, start: Float[Array | np.ndarray, "batch u v 3"], settings: RefineConfig
+) -> Float[Array, "batch u v 3"]:
+    """R of eq. (10): for each mesh of the batch the one of lowest loss that SignSGD meets on its way from `start`.
+
+    A mesh stops when its own loss has stabilised, so that its result does not depend on what it is batched with.
+    """
+
+    def total(mesh: Array) -> tuple[Array, Array]:
+        loss = refinement_loss(mesh, estimate, settings)
+        return jnp.sum(loss), loss
+
+    def searching(search: _Search) -> Bool[Array, ""]:
+        return (search.iteration < settings.iterations) & jnp.any(search.stale < settings.patience)
+
+    def move(search: _Search) -> _Search:
+        gradient, loss = jax.grad(total, has_aux=True)(search.mesh)
+        active = search.stale < settings.patience
+        lower = active & (loss < search.lowest)
+        # `level` is the lowest loss when it last fell enough: many small steps down count together.
+        fell = jnp.isinf(search.level) | (loss < search.level - settings.tolerance * jnp.abs(search.level))
+        return _Search(
+            search.iteration + 1,
+            jnp.where(active[:, None, None, None], search.mesh - settings.step * jnp.sign(gradient), search.mesh),
+            jnp.where(lower[:, None, None, None], search.mesh, search.found),
+            jnp.where(lower, loss, search.lowest),
+            jnp.where(active & fell, loss, search.level),
+            jnp.where(active, jnp.where(fell, 0, search.stale + 1), search.stale),
+        )
+
+    start = jnp.asarray(start)
+    unknown = jnp.full(len(start), jnp.inf, start.dtype)
+    first = _Search(jnp.int32(0), start, start, unknown, unknown, jnp.zeros(len(start), jnp.int32))
+    return jax.lax.while_loop(searching, move, first).found

@@ -1,0 +1,1 @@
+"""One module per question: estimation, prediction, planning; each answers in tidy rows."""

@@ -1,0 +1,44 @@
+"""Evaluation results as a zarr store: named arrays over evaluated sequences, one shard each."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import zarr
+
+from clothkit.errors import InputError
+
+
+class Named(NamedTuple):
+    """An array and the names of its dimensions; the first one is the sequence."""
+
+    values: np.ndarray
+    dimensions: tuple[str, ...]
+
+
+def save(path: Path, arrays: Mapping[str, Named], attributes: Mapping[str, Any]) -> None:
+    """Writes a zarr v3 group, a chunk per sequence, one shard per array; the same arrays give the same bytes."""
+    group = zarr.open_group(path, mode="w", zarr_format=3, attributes=dict(attributes))
+    for name, (values, dimensions) in arrays.items():
+        group.create_array(
+            name, data=values, chunks=(1, *values.shape[1:]), shards=values.shape, dimension_names=dimensions
+        )
+
+
+def load(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """The arrays of those names. Raises InputError if the store or one of them is missing, or holds NaN or infinity."""
+    try:
+        group = zarr.open_group(path, mode="r")
+    except (OSError, ValueError) as reason:
+        raise InputError(f"{path}: expected a zarr group, could not open it ({reason})") from reason
+    found = {}
+    for name in names:
+        array = group.get(name)
+        if not isinstance(array, zarr.Array):
+            raise InputError(f"{path}: expected an array {name}, found none")
+        values = np.asarray(array[:])
+        if values.dtype.kind == "f" and not np.isfinite(values).all():
+            raise InputError(f"{path}: array {name}: expected finite values, found NaN or infinity")
+        found[name] = values
+    return found

@@ -1,0 +1,39 @@
+"""How estimates and predictions are scored against the truth, whatever labels they come in (section 6, design 2)."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from clothkit.cloth.equivalents import COUNT, inverse, relabel_batch
+from clothkit.cloth.mesh import ProbabilisticMesh, best_label, distance, error
+
+INVERSE = np.array([inverse(k) for k in range(COUNT)], np.int32)
+"""For each k in 0..7 the equivalent that undoes it."""
+
+IDEAL_SIGMA_RATIO = float(np.sqrt(2 / np.pi))
+"""The sigma ratio of a perfectly calibrated prediction: mean deviation over standard deviation of a normal."""
+
+errors = jax.jit(error, static_argnames="aligned")
+labelled_errors = jax.jit(distance)
+
+
+@jax.jit
+def labels_of_truth(
+    mesh: Float[Array | np.ndarray, "batch u v 3"], truth: Float[Array | np.ndarray, "batch u v 3"]
+) -> Int[Array, " batch"]:
+    """The k in 0..7 that brings each mesh under the labels of its truth, where it comes nearest."""
+    return jnp.asarray(INVERSE)[best_label(mesh, truth)]
+
+
+relabelled = jax.jit(relabel_batch)
+
+
+@jax.jit
+def sigma_ratio(
+    probabilistic: ProbabilisticMesh, truth: Float[Array | np.ndarray, "batch u v 3"]
+) -> Float[Array, " batch"]:
+    """Mean over a mesh's coordinates of abs(error) / sigma, under the labels of the truth (section 6.1)."""
+    k = labels_of_truth(probabilistic.mean, truth)
+    mean, std = (relabel_batch(jnp.asarray(part), k) for part in probabilistic)
+    return jnp.mean(jnp.abs(truth - mean) / std, axis=(-3, -2, -1))

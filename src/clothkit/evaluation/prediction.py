@@ -1,0 +1,113 @@
+"""How well the forward models foresee what manipulations do: tables 3 and 5, figure 10 (section 6.2)."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import jax
+import numpy as np
+import pandas as pd
+from jaxtyping import Float, Int
+from tqdm import tqdm
+
+from clothkit.cloth.grid import CLOTH_SIDE
+from clothkit.cloth.mesh import ProbabilisticMesh
+from clothkit.dataset.store import SPLITS, Dataset
+from clothkit.dataset.tasks import TASKS
+from clothkit.evaluation.arrays import Named
+from clothkit.evaluation.errors import errors, relabelled, sigma_ratio
+from clothkit.evaluation.settings import EvaluatePredictionConfig
+from clothkit.networks.net import Net
+from clothkit.networks.pemd import rollout
+
+
+class Starts(NamedTuple):
+    """What each system starts from, n evaluated sequences [normalised]. All under the labels of the truth.
+
+    Recorded manipulations are labelled by the truth, so an estimate is relabelled to its best match (design 6.10).
+    """
+
+    sequence: Int[np.ndarray, " n"]
+    meshes: Mapping[str, Float[np.ndarray, "n state u v 3"]]
+    """main: the refined estimates; a1: the true meshes."""
+
+
+def starts(dataset: Dataset, estimates: Mapping[str, np.ndarray]) -> Starts:
+    """The starts of main and a1, from the arrays sequence, mesh and label of estimates.zarr."""
+    sequence, mesh = estimates["sequence"], estimates["mesh"]
+    joined = np.asarray(relabelled(mesh.reshape(-1, *mesh.shape[2:]), estimates["label"].reshape(-1)))
+    return Starts(sequence, {"main": joined.reshape(mesh.shape), "a1": dataset.vertices[sequence]})
+
+
+def rows(
+    dataset: Dataset, given: Starts, nets: Mapping[str, Net], better: str, settings: EvaluatePredictionConfig
+) -> pd.DataFrame:
+    """Tidy rows, one per system, net, sequence and task.
+
+    split, system, net (a, b), better (whether the net has the better validation score), sequence, start, length, error,
+    error_no_action, position_error [cloth length], sigma_ratio. Predictions are not aligned beyond the centring; no
+    action is (design 2). position_error is that of the predicted centre shift, eq. (7).
+    """
+    tidy = []
+    jobs = [(system, net, task) for system in given.meshes for net in sorted(nets) for task in TASKS]
+    for system, net, (start, length) in tqdm(jobs, desc="predictions", unit="task"):
+        end = start + length
+        truth = dataset.vertices[given.sequence, end]
+        manipulations = dataset.manipulation[given.sequence, start:end]
+        predicted, shift = _predict(nets[net], given.meshes[system][:, start], manipulations, settings.batch)
+        moved = dataset.centre[given.sequence, end] - dataset.centre[given.sequence, start]
+        tidy.append(
+            pd.DataFrame(
+                {
+                    "split": [SPLITS[code] for code in dataset.split[given.sequence]],
+                    "system": system,
+                    "net": net,
+                    "better": net == better,
+                    "sequence": given.sequence,
+                    "start": start,
+                    "length": length,
+                    "error": np.asarray(errors(predicted.mean[-1], truth)),
+                    "error_no_action": np.asarray(errors(dataset.vertices[given.sequence, start], truth, aligned=True)),
+                    "position_error": np.linalg.norm(shift.sum(0) - moved, axis=-1) / CLOTH_SIDE,
+                    "sigma_ratio": np.asarray(
+                        sigma_ratio(ProbabilisticMesh(predicted.mean[-1], predicted.std[-1]), truth)
+                    ),
+                }
+            )
+        )
+    return pd.concat(tidy, ignore_index=True)
+
+
+def stored(dataset: Dataset, given: Starts, net: Net, settings: EvaluatePredictionConfig) -> dict[str, Named]:
+    """What main's better net predicts after 1, 2 and 3 manipulations of the first sequences of each split.
+
+    Arrays sequence, start (what it started from), mean, std [normalised] and shift (each step's centre shift, xy).
+    """
+    split = dataset.split[given.sequence]
+    first = np.sort(np.concatenate([np.flatnonzero(split == name)[: settings.stored] for name in np.unique(split)]))
+    start = given.meshes["main"][first, 0]
+    predicted, shift = _predict(net, start, dataset.manipulation[given.sequence[first]], settings.batch)
+    vertices = ("u", "v", "xyz")
+    return {
+        "sequence": Named(given.sequence[first], ("sequence",)),
+        "start": Named(start, ("sequence", *vertices)),
+        "mean": Named(np.moveaxis(np.asarray(predicted.mean), 0, 1), ("sequence", "step", *vertices)),
+        "std": Named(np.moveaxis(np.asarray(predicted.std), 0, 1), ("sequence", "step", *vertices)),
+        "shift": Named(np.moveaxis(shift, 0, 1), ("sequence", "step", "xy")),
+    }
+
+
+def _predict(
+    net: Net, mesh: np.ndarray, manipulations: np.ndarray, batch: int
+) -> tuple[ProbabilisticMesh, Float[np.ndarray, "step n 2"]]:
+    """Probabilistic meshes [step n u v 3] and centre shifts after each manipulation, in batches of one size."""
+    parts = []
+    for first in range(0, len(mesh), batch):
+        chosen = np.minimum(np.arange(first, first + batch), len(mesh) - 1)
+        kept = min(batch, len(mesh) - first)
+        predicted, _, shift = _rollout(net, mesh[chosen], manipulations[chosen])
+        parts.append([np.asarray(a)[:, :kept] for a in (*predicted, shift)])
+    mean, std, shift = (np.concatenate(values, axis=1) for values in zip(*parts, strict=True))
+    return ProbabilisticMesh(mean, std), shift
+
+
+_rollout = jax.jit(rollout)

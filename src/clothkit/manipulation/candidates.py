@@ -1,0 +1,83 @@
+"""Where a cloth can be grasped: convex corners of its silhouette (section 4.3)."""
+
+from typing import Annotated
+
+import cv2
+import numpy as np
+from annotated_types import Ge, Gt, Lt
+from jaxtyping import Bool, Float
+
+from clothkit.cloth.silhouette import pixel_centres, silhouette
+from clothkit.config import config
+
+
+@config
+class CandidateConfig:
+    """Settings of the corner detector. Lengths in normalised units."""
+
+    resolution: Annotated[int, Ge(256)] = 256
+    extent: Annotated[float, Gt(1.0)] = 1.1
+    most: Annotated[int, Ge(1)] = 12
+    quality: Annotated[float, Gt(0), Lt(1)] = 0.08
+    """Least corner response, as a share of the strongest corner's."""
+    spacing: Annotated[float, Gt(0)] = 0.1
+    """Least distance between two corners."""
+    block: Annotated[float, Gt(0)] = 0.07
+    """Side of the window over which the gradients are summed."""
+    radius: Annotated[float, Gt(0)] = 0.14
+    """Radius of the disc that decides whether a corner is convex."""
+    convex: Annotated[float, Gt(0), Lt(1)] = 0.45
+    """A corner is convex when less than this share of its disc is cloth."""
+
+
+def candidates(
+    mesh: Float[np.ndarray, "u v 3"], settings: CandidateConfig | None = None
+) -> Float[np.ndarray, "candidates 2"]:
+    """Graspable points, xy [normalised]: convex Shi-Tomasi corners of the silhouette, strongest first.
+
+    A corner is moved to the cloth's outermost vertex there: the detector finds the pixel inside the corner, a
+    fraction of the grid spacing away from the point that a hand would take.
+    """
+    settings = settings or CandidateConfig()
+    middle = (mesh[..., :2].max((0, 1)) + mesh[..., :2].min((0, 1))) / 2
+    moved = mesh - np.append(middle, 0).astype(mesh.dtype)
+    image = silhouette(moved, resolution=settings.resolution, extent=settings.extent)
+    corners = convex_corners(image, settings)
+    vertices = moved[..., :2].reshape(-1, 2)
+    return (_snap_outwards(corners, vertices, image, settings) + middle).astype(np.float32)
+
+
+def convex_corners(image: Bool[np.ndarray, "x y"], settings: CandidateConfig) -> Float[np.ndarray, "corners 2"]:
+    """Shi and Tomasi's corners of a silhouette without the concave ones, xy [normalised]."""
+    pixel = 2 * settings.extent / settings.resolution
+    block = max(3, round(settings.block / pixel) | 1)
+    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), block / 5)
+    found = cv2.goodFeaturesToTrack(smooth, settings.most, settings.quality, settings.spacing / pixel, blockSize=block)
+    axis = pixel_centres(settings.resolution, settings.extent)
+    if found is None:
+        return np.zeros((0, 2))
+    # cv2 answers (column, row), which are (y, x) here.
+    cells = np.rint(found.reshape(-1, 2)[:, ::-1]).astype(int)
+    corners = np.stack([axis[cells[:, 0]], axis[cells[:, 1]]], axis=-1)
+    shares = [_cloth_share(image, axis, corner, settings.radius) for corner in corners]
+    return corners[np.array(shares) < settings.convex]
+
+
+def _cloth_share(image: np.ndarray, axis: np.ndarray, corner: np.ndarray, radius: float) -> float:
+    disc = (axis[:, None] - corner[0]) ** 2 + (axis[None, :] - corner[1]) ** 2 <= radius**2
+    return float(image[disc].mean())
+
+
+def _snap_outwards(
+    corners: np.ndarray, vertices: np.ndarray, image: np.ndarray, settings: CandidateConfig
+) -> np.ndarray:
+    axis = pixel_centres(settings.resolution, settings.extent)
+    reach = 0.4 * settings.radius
+    snapped = []
+    for corner in corners:
+        disc = (axis[:, None] - corner[0]) ** 2 + (axis[None, :] - corner[1]) ** 2 <= settings.radius**2
+        i, j = np.nonzero(image & disc)
+        outwards = corner - np.array([axis[i].mean(), axis[j].mean()])
+        near = vertices[np.linalg.norm(vertices - corner, axis=-1) <= reach]
+        snapped.append(near[np.argmax(near @ outwards)] if len(near) else corner)
+    return np.array(snapped).reshape(-1, 2)

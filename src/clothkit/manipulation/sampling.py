@@ -1,0 +1,100 @@
+"""Random manipulations under the paper's three restrictions (section 4.4)."""
+
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from annotated_types import Ge, Gt, Le
+from jaxtyping import Float
+
+from clothkit.cloth.grid import CLOTH_SIDE, SIDE
+from clothkit.cloth.silhouette import pixel_centres, silhouette
+from clothkit.config import config
+from clothkit.manipulation.candidates import CandidateConfig, candidates
+from clothkit.manipulation.geometry import release_points, topmost_vertex
+from clothkit.manipulation.vector import SHORTEST
+
+
+@config
+class SamplingConfig:
+    """How manipulations are drawn. Lengths in normalised units."""
+
+    tries: Annotated[int, Ge(1)] = 400
+    """Draws before a step is given up."""
+    single_share: Annotated[float, Ge(0), Le(1)] = 1 / 3
+    """Share of manipulations with one hand: single to dual 1:2."""
+    fold_point: Annotated[float, Gt(0), Le(1)] = 0.8
+    """The reference point q lies at this share of the displacement."""
+    least_grasp_distance: Annotated[float, Ge(0)] = 0.15
+    """Two hands need this much room."""
+    least_travel: Annotated[float, Ge(0)] = 0.1
+    """Each hand moves at least this far."""
+    reach: Annotated[float, Gt(0)] = 1.0
+    """Hands stay within -reach..reach in x and y, measured from where the flat cloth lay."""
+
+
+class Drawn(NamedTuple):
+    """A manipulation as drawn: the grasped vertices (the same twice for one hand) and the displacement [normalised]."""
+
+    vertices: tuple[int, int]
+    displacement: Float[np.ndarray, "2"]
+
+    @property
+    def single(self) -> bool:
+        """Whether one hand does it."""
+        return self.vertices[0] == self.vertices[1]
+
+
+def draw_hands(rng: np.random.Generator, settings: SamplingConfig) -> int:
+    """How many hands the next manipulation has: 1 or 2."""
+    return 1 if rng.random() < settings.single_share else 2
+
+
+def sample(
+    rng: np.random.Generator,
+    mesh: Float[np.ndarray, "u v 3"],
+    hands: int,
+    settings: SamplingConfig,
+    grasping: CandidateConfig,
+) -> Drawn | None:
+    """A random manipulation of a mesh (normalised, where it lies on the table), or None when no draw was valid.
+
+    Graspability: hands at detected corners. Fold: q lies on the silhouette. Displacement: not null. Two hands that
+    would fall on different sides of m are drawn anew (design 6.2).
+    """
+    spacing = CLOTH_SIDE / (SIDE - 1)
+    points = candidates(mesh, grasping)
+    vertices = list(dict.fromkeys(topmost_vertex(mesh, point, within=spacing / 2) for point in points))
+    if len(vertices) < hands:
+        return None
+    positions = mesh.reshape(-1, 3)[:, :2].astype(float)
+    covered = _covered_pixels(mesh, grasping)
+    pixel = 2 * grasping.extent / grasping.resolution
+    for _ in range(settings.tries):
+        chosen = [int(vertices[i]) for i in rng.choice(len(vertices), hands, replace=False)]
+        pair = (chosen[0], chosen[-1])
+        grasps = positions[list(pair)]
+        q = covered[rng.integers(len(covered))] + (rng.random(2) - 0.5) * pixel
+        displacement = (q - grasps.mean(0)) / settings.fold_point
+        if hands == 2 and np.linalg.norm(grasps[0] - grasps[1]) < settings.least_grasp_distance:
+            continue
+        if _allowed(grasps, displacement, settings):
+            return Drawn(pair, displacement)
+    return None
+
+
+def _allowed(grasps: np.ndarray, displacement: np.ndarray, settings: SamplingConfig) -> bool:
+    if np.linalg.norm(displacement) < SHORTEST:
+        return False
+    release = release_points(grasps, displacement)
+    travel = np.linalg.norm(release.points - grasps, axis=-1)
+    within = np.abs(np.concatenate([grasps, release.points])).max() <= settings.reach
+    return bool(release.same_side and travel.min() >= settings.least_travel and within)
+
+
+def _covered_pixels(mesh: np.ndarray, grasping: CandidateConfig) -> np.ndarray:
+    """The centres of the silhouette's pixels, xy [normalised]."""
+    middle = (mesh[..., :2].max((0, 1)) + mesh[..., :2].min((0, 1))) / 2
+    image = silhouette(mesh - np.append(middle, 0), resolution=grasping.resolution, extent=grasping.extent)
+    axis = pixel_centres(grasping.resolution, grasping.extent)
+    x, y = np.nonzero(image)
+    return np.stack([axis[x], axis[y]], axis=-1) + middle

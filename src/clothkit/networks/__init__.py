@@ -1,0 +1,1 @@
+"""pEM*D and VtM, and what trains them."""

@@ -1,0 +1,26 @@
+"""What a killed training goes on from: one file, replaced as a whole."""
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from flax import serialization
+from jaxtyping import PyTree
+
+
+def write(path: Path, arrays: PyTree, notes: Any) -> None:
+    """Stores arrays and JSON-able notes. A kill at any moment leaves the old file or the new one."""
+    leaves = {str(i): np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(arrays))}
+    half_written = path.with_suffix(".new")
+    half_written.write_bytes(serialization.msgpack_serialize({"leaves": leaves, "notes": json.dumps(notes)}))
+    os.replace(half_written, path)
+
+
+def read(path: Path, like: PyTree) -> tuple[PyTree, Any]:
+    """The arrays, nested like `like`, and the notes."""
+    stored = serialization.msgpack_restore(path.read_bytes())
+    leaves = [stored["leaves"][str(i)] for i in range(len(stored["leaves"]))]
+    return jax.tree.unflatten(jax.tree.structure(like), leaves), json.loads(stored["notes"])

@@ -1,0 +1,45 @@
+"""What the nets are built of: dense layers, their initial weights, and the probabilistic output of eq. (6)."""
+
+from typing import Any
+
+import flax.linen as nn
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PyTree
+
+from clothkit.cloth.grid import SIDE
+from clothkit.cloth.mesh import ProbabilisticMesh
+from clothkit.networks.settings import Start
+
+LEAST_STD = 0.01
+"""What eq. (6) adds to every standard deviation [normalised]."""
+
+OUTPUTS = SIDE * SIDE * 6
+"""Units of an output layer: mean and incoming activation of sigma, for three coordinates of every vertex."""
+
+
+def dense(width: int, name: str, *, scale: float = 1.0, bias: bool = True) -> nn.Dense:
+    """A dense layer with Glorot uniform weights times `scale`, and a bias of zero."""
+    start = nn.initializers.variance_scaling(scale**2, "fan_avg", "uniform")
+    return nn.Dense(width, use_bias=bias, kernel_init=start, name=name)
+
+
+def probabilistic_output(name: str, start: Start) -> nn.Dense:
+    """The dense layer whose output `probabilistic_mesh` reads."""
+    is_sigma = jnp.arange(OUTPUTS) % 6 >= 3
+    return nn.Dense(
+        OUTPUTS,
+        kernel_init=nn.initializers.variance_scaling(start.output**2, "fan_avg", "uniform"),
+        bias_init=lambda key, shape, dtype: jnp.where(is_sigma, start.sigma, 0.0).astype(dtype),
+        name=name,
+    )
+
+
+def probabilistic_mesh(activation: Float[Array, "*batch outputs"]) -> ProbabilisticMesh:
+    """Eq. (6): means as they are, standard deviations exp(a) + 0.01 [normalised]. Units run over u, v, xyz of both."""
+    units = activation.reshape(*activation.shape[:-1], SIDE, SIDE, 6)
+    return ProbabilisticMesh(units[..., :3], jnp.exp(units[..., 3:]) + LEAST_STD)
+
+
+def run(module: nn.Module, params: PyTree, *inputs: Any, method: str | None = None) -> Any:
+    """What a module, or one of its methods, gives with these weights."""
+    return module.apply({"params": params}, *inputs, method=method)

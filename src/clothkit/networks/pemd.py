@@ -1,0 +1,177 @@
+"""pEM*D, the probabilistic forward model: encoder E, manipulator M, decoder D (section 4.5, design 6.3)."""
+
+import flax.linen as nn
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray, PyTree
+from numpy import ndarray
+
+from clothkit.cloth.grid import SIDE
+from clothkit.cloth.mesh import ProbabilisticMesh
+from clothkit.networks.layers import dense, probabilistic_mesh, probabilistic_output, run
+from clothkit.networks.net import Net
+from clothkit.networks.settings import PEMDConfig, Start
+
+LAYERS = 16
+"""Neuron layers of M: 0 is its input, 15 its output."""
+
+
+class Encoder(nn.Module):
+    """E, eq. (2): tanh hidden layers, linear end."""
+
+    config: PEMDConfig
+
+    @nn.compact
+    def __call__(self, mesh: Float[Array, "*batch u v 3"]) -> Float[Array, "*batch latent"]:
+        units = mesh.reshape(*mesh.shape[:-3], -1)
+        for i, width in enumerate(self.config.encoder):
+            units = jnp.tanh(dense(width, f"layer_{i + 1}")(units))
+        return dense(self.config.latent, "latent")(units)
+
+
+class Manipulator(nn.Module):
+    """M, eq. (3): 16 layers around a residual channel, the first `latent` units of every layer.
+
+    Every layer is dense and sees the manipulation beside the layer before it. tanh comes first, then the channel of the
+    layer before is added. Layers 2, 4, .., 12 also project into the channel of layers 4, .., 14, inside the tanh. The
+    centre shift is the raw output.
+    """
+
+    config: PEMDConfig
+    start: Start
+
+    @nn.compact
+    def __call__(
+        self,
+        latent: Float[Array, "*batch latent"],
+        trace: Float[Array, "*batch latent"],
+        manipulation: Float[Array, "*batch 6"],
+    ) -> tuple[Float[Array, "*batch latent"], Float[Array, "*batch latent"], Float[Array, "*batch 2"]]:
+        channel = self.config.latent
+        layers = [jnp.concatenate([latent, trace, manipulation], axis=-1)]
+        for i in range(1, LAYERS - 1):
+            units = self._writing(self.config.manipulation, f"layer_{i}")(layers[-1])
+            if i >= 4 and i % 2 == 0:
+                skip = dense(channel, f"skip_{i - 2}_{i}", scale=self.start.residual, bias=False)(layers[i - 2])
+                units = units + self._widened(skip)
+            units = jnp.tanh(units) + self._widened(layers[-1][..., :channel])
+            layers.append(jnp.concatenate([units, manipulation], axis=-1))
+        output = self._writing(2 * channel + 2, f"layer_{LAYERS - 1}")(layers[-1])
+        new_latent = jnp.tanh(output[..., :channel]) + layers[-1][..., :channel]
+        return new_latent, jnp.tanh(output[..., channel : 2 * channel]), output[..., 2 * channel :]
+
+    def _widened(self, channel: Float[Array, "*batch latent"]) -> Float[Array, "*batch width"]:
+        """The channel as a hidden layer that is zero elsewhere: padding fuses where an indexed update would not."""
+        wider = [(0, 0)] * (channel.ndim - 1) + [(0, self.config.manipulation - self.config.latent)]
+        return jnp.pad(channel, wider)
+
+    def _writing(self, width: int, name: str) -> nn.Dense:
+        """A dense layer whose first `latent` units write into the residual channel."""
+        channel, factor = self.config.latent, self.start.residual
+        glorot = nn.initializers.glorot_uniform()
+
+        def weights(key: Array, shape: tuple[int, int], dtype: type) -> Array:
+            return glorot(key, shape, dtype) * jnp.where(jnp.arange(shape[1]) < channel, factor, 1.0).astype(dtype)
+
+        return nn.Dense(width, kernel_init=weights, name=name)
+
+
+class Decoder(nn.Module):
+    """D, eq. (4): tanh hidden layers, eq. (6) at the output."""
+
+    config: PEMDConfig
+    start: Start
+
+    @nn.compact
+    def __call__(self, latent: Float[Array, "*batch latent"]) -> ProbabilisticMesh:
+        units = latent
+        for i, width in enumerate(self.config.decoder):
+            units = jnp.tanh(dense(width, f"layer_{i + 1}")(units))
+        return probabilistic_mesh(probabilistic_output("mesh", self.start)(units))
+
+
+class PEMD(nn.Module):
+    """The three modules; `start` only decides the initial weights."""
+
+    config: PEMDConfig
+    start: Start = Start()
+
+    def setup(self) -> None:
+        self.E = Encoder(self.config)
+        self.M = Manipulator(self.config, self.start)
+        self.D = Decoder(self.config, self.start)
+
+    def __call__(
+        self, mesh: Float[Array, "*batch u v 3"], manipulations: Float[Array, "*batch n 6"]
+    ) -> tuple[ProbabilisticMesh, Float[Array, "n *batch latent"], Float[Array, "n *batch 2"]]:
+        latents, traces, shifts = self.unroll(mesh, manipulations)
+        return self.D(latents), traces, shifts
+
+    def encode(self, mesh: Float[Array, "*batch u v 3"]) -> Float[Array, "*batch latent"]:
+        return self.E(mesh)
+
+    def step(
+        self,
+        latent: Float[Array, "*batch latent"],
+        trace: Float[Array, "*batch latent"],
+        manipulation: Float[Array, "*batch 6"],
+    ) -> tuple[Float[Array, "*batch latent"], Float[Array, "*batch latent"], Float[Array, "*batch 2"]]:
+        return self.M(latent, trace, manipulation)
+
+    def decode(self, latent: Float[Array, "*batch latent"]) -> ProbabilisticMesh:
+        return self.D(latent)
+
+    def unroll(
+        self,
+        mesh: Float[Array, "*batch u v 3"],
+        manipulations: Float[Array, "*batch n 6"],
+        trace: Float[Array, "*batch latent"] | None = None,
+    ) -> tuple[Float[Array, "n *batch latent"], Float[Array, "n *batch latent"], Float[Array, "n *batch 2"]]:
+        """Latents, memory traces and centre shifts after each manipulation: eq. (5) without its decoder."""
+        latent = self.E(mesh)
+        trace = jnp.zeros_like(latent) if trace is None else trace
+        steps = []
+        for i in range(manipulations.shape[-2]):
+            latent, trace, shift = self.M(latent, trace, manipulations[..., i, :])
+            steps.append((latent, trace, shift))
+        latents, traces, shifts = (jnp.stack(values) for values in zip(*steps, strict=True))
+        return latents, traces, shifts
+
+
+def initial(config: PEMDConfig, start: Start = Start(), *, key: PRNGKeyArray) -> PyTree:  # noqa: B008
+    """Weights to start training from."""
+    mesh, manipulations = jnp.zeros((SIDE, SIDE, 3)), jnp.zeros((1, 6))
+    return PEMD(config, start).init(key, mesh, manipulations)["params"]
+
+
+def encode(net: Net, mesh: Float[Array | ndarray, "*batch u v 3"]) -> Float[Array, "*batch latent"]:
+    """The latent of a centred mesh [normalised]: eq. (2)."""
+    return run(PEMD(net.config), net.params, jnp.asarray(mesh), method="encode")
+
+
+def step(
+    net: Net,
+    latent: Float[Array | ndarray, "*batch latent"],
+    trace: Float[Array | ndarray, "*batch latent"],
+    manipulation: Float[Array | ndarray, "*batch 6"],
+) -> tuple[Float[Array, "*batch latent"], Float[Array, "*batch latent"], Float[Array, "*batch 2"]]:
+    """Latent, memory trace and centre shift [normalised] after one manipulation: eq. (3). The first trace is zero."""
+    return run(PEMD(net.config), net.params, *map(jnp.asarray, (latent, trace, manipulation)), method="step")
+
+
+def decode(net: Net, latent: Float[Array | ndarray, "*batch latent"]) -> ProbabilisticMesh:
+    """The probabilistic mesh [normalised] that a latent stands for: eq. (4)."""
+    return run(PEMD(net.config), net.params, jnp.asarray(latent), method="decode")
+
+
+def rollout(
+    net: Net,
+    mesh: Float[Array | ndarray, "*batch u v 3"],
+    manipulations: Float[Array | ndarray, "*batch n 6"],
+    trace: Float[Array | ndarray, "*batch latent"] | None = None,
+) -> tuple[ProbabilisticMesh, Float[Array, "n *batch latent"], Float[Array, "n *batch 2"]]:
+    """Predictions after each of n manipulations, eq. (5): meshes [n *batch u v 3], memory traces, centre shifts."""
+    trace = None if trace is None else jnp.asarray(trace)
+    latents, traces, shifts = run(
+        PEMD(net.config), net.params, jnp.asarray(mesh), jnp.asarray(manipulations), trace, method="unroll"
+    )
+    return decode(net, latents), traces, shifts

@@ -1,0 +1,151 @@
+"""What pEM*D learns: likely outcomes and centre shifts of recorded manipulations (section 4.6, eq. 8)."""
+
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
+
+from clothkit.cloth import mesh as meshes
+from clothkit.dataset.store import STEPS, Dataset
+from clothkit.dataset.tasks import TASKS
+from clothkit.networks.augment import Examples, augment
+from clothkit.networks.layers import run
+from clothkit.networks.pemd import PEMD, initial
+from clothkit.networks.recipe import sign_sum
+from clothkit.networks.settings import TrainPEMDConfig
+from clothkit.networks.training import Problem, Trained, train
+
+
+class Sequences(NamedTuple):
+    """Recorded sequences on the device, the longest first [normalised]."""
+
+    vertices: Float[Array, "sequences 4 u v 3"]
+    centre: Float[Array, "sequences 4 2"]
+    manipulation: Float[Array, "sequences 3 6"]
+    length: Int[Array, " sequences"]
+    at_least: Int[Array, " lengths"]
+    """at_least[n]: how many of the sequences have n manipulations or more."""
+
+
+def sequences(dataset: Dataset) -> Sequences:
+    """A dataset's sequences on the device, sorted for drawing."""
+    order = np.argsort(-dataset.length, kind="stable")
+    at_least = [int(np.sum(dataset.length >= n)) for n in range(STEPS + 1)]
+    return Sequences(
+        vertices=jnp.asarray(dataset.vertices[order]),
+        centre=jnp.asarray(dataset.centre[order]),
+        manipulation=jnp.asarray(dataset.manipulation[order]),
+        length=jnp.asarray(dataset.length[order].astype(np.int32)),
+        at_least=jnp.array(at_least),
+    )
+
+
+def draw(data: Sequences, n: Array | int, batch: int, *, key: PRNGKeyArray) -> Examples:
+    """A batch of stretches of n manipulations: sequences that are long enough, a start for each (design 6.5).
+
+    The arrays hold three steps, whatever n is (which may be traced); those after the n-th repeat its outcome.
+    """
+    sequence_key, start_key = jax.random.split(key)
+    sequence = jax.random.randint(sequence_key, (batch,), 0, data.at_least[n])
+    start = jax.random.randint(start_key, (batch,), 0, data.length[sequence] - n + 1)
+    states = start[:, None] + jnp.minimum(jnp.arange(STEPS + 1), n)
+    steps = start[:, None] + jnp.minimum(jnp.arange(STEPS), n - 1)
+    vertices = data.vertices[sequence[:, None], states]
+    centre = data.centre[sequence[:, None], states]
+    return Examples(
+        mesh=vertices[:, 0],
+        manipulations=data.manipulation[sequence[:, None], steps],
+        outcomes=vertices[:, 1:],
+        shifts=centre[:, 1:] - centre[:, :-1],
+    )
+
+
+def shortened(examples: Examples, n: int) -> Examples:
+    """The first n steps."""
+    return Examples(examples.mesh, examples.manipulations[:, :n], examples.outcomes[:, :n], examples.shifts[:, :n])
+
+
+def loss_shape(net: PEMD, params: PyTree, examples: Examples) -> Float[Array, ""]:
+    """loss_s, eq. (8): negative log likelihood, summed over the steps, averaged over the batch."""
+    predicted, _, _ = run(net, params, examples.mesh, examples.manipulations)
+    return jnp.mean(jnp.sum(meshes.nll(jnp.moveaxis(examples.outcomes, 1, 0), predicted), axis=0))
+
+
+def loss_position(net: PEMD, params: PyTree, examples: Examples) -> Float[Array, ""]:
+    """loss_p: mean squared error of the centre shifts [normalised squared] (section 4.6)."""
+    _, _, shifts = run(net, params, examples.mesh, examples.manipulations, method="unroll")
+    return jnp.mean((shifts - jnp.moveaxis(examples.shifts, 1, 0)) ** 2)
+
+
+def direction(
+    net: PEMD, settings: TrainPEMDConfig, params: PyTree, examples: Examples
+) -> tuple[PyTree, dict[str, Float[Array, ""]]]:
+    """What the optimiser is given, and the two losses.
+
+    `paper`: the sign sum of the two gradients, taken separately. `fast`: the gradient of loss_s + shift_weight loss_p,
+    in one backward pass.
+    """
+
+    def both(params: PyTree) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
+        losses = {"loss_s": loss_shape(net, params, examples), "loss_p": loss_position(net, params, examples)}
+        return losses["loss_s"] + settings.shift_weight * losses["loss_p"], losses
+
+    if settings.training.recipe == "fast":
+        gradient, losses = jax.grad(both, has_aux=True)(params)
+        return gradient, losses
+    loss_s, shape = jax.value_and_grad(lambda p: loss_shape(net, p, examples))(params)
+    loss_p, position = jax.value_and_grad(lambda p: loss_position(net, p, examples))(params)
+    return sign_sum(shape, position), {"loss_s": loss_s, "loss_p": loss_p}
+
+
+def task_errors(net: PEMD, params: PyTree, data: Sequences) -> Float[Array, "6 sequences"]:
+    """Errors of the predicted means for the six tasks of whole sequences, from true meshes [cloth length]."""
+    errors = {}
+    for start in range(STEPS):
+        manipulations = data.manipulation[:, start:]
+        predicted, _, _ = run(net, params, data.vertices[:, start], manipulations)
+        truth = jnp.moveaxis(data.vertices[:, start + 1 :], 1, 0)
+        for i, error in enumerate(meshes.error(predicted.mean, truth)):
+            errors[start, i + 1] = error
+    return jnp.stack([errors[task] for task in TASKS])
+
+
+def _on_length(
+    net: PEMD, settings: TrainPEMDConfig, n: int, params: PyTree, examples: Examples
+) -> tuple[PyTree, dict[str, Any]]:
+    return direction(net, settings, params, shortened(examples, n))
+
+
+def problem(settings: TrainPEMDConfig, validation: Sequences) -> Problem:
+    """pEM*D's part of the training loop; its data are `Sequences`."""
+    net = PEMD(settings.net, settings.training.start)
+
+    def gradient(params: PyTree, data: Sequences, key: PRNGKeyArray) -> tuple[PyTree, dict[str, Any]]:
+        length_key, draw_key, augment_key = jax.random.split(key, 3)
+        n = jax.random.randint(length_key, (), 1, STEPS + 1)
+        drawn = draw(data, n, settings.training.batch, key=draw_key)
+        examples = augment(drawn, noise=settings.noise, key=augment_key)
+        # One length per batch, and only the branch that is taken runs.
+        branches = [partial(_on_length, net, settings, length) for length in range(1, STEPS + 1)]
+        return jax.lax.switch(n - 1, branches, params, examples)
+
+    errors_of = jax.jit(lambda params, data: jnp.mean(task_errors(net, params, data), axis=1))
+
+    def validate(params: PyTree) -> dict[str, float]:
+        errors = np.asarray(errors_of(params, validation))
+        named = {f"{length}/{start}": float(e) for (start, length), e in zip(TASKS, errors, strict=True)}
+        return {"score": float(errors.mean()), **named}
+
+    return Problem(lambda key: initial(settings.net, settings.training.start, key=key), gradient, validate)
+
+
+def train_pemd(
+    settings: TrainPEMDConfig, training: Dataset, validation: Dataset, *, work: Path, key: PRNGKeyArray
+) -> Trained:
+    """A forward model of the best validation score: mean error over the six tasks. Goes on from `work` after a kill."""
+    whole = validation.take(validation.length == STEPS)
+    return train(problem(settings, sequences(whole)), sequences(training), settings.training, work=work, key=key)

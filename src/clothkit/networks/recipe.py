@@ -1,0 +1,46 @@
+"""How weights are updated: the paper's SignSGD, and Muon with AdamW (sections 4.6, 4.8; design 6.4)."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import PyTree
+from optax.contrib import MuonDimensionNumbers, muon
+
+from clothkit.networks.settings import TrainingConfig
+
+
+def sign_sum(shape: PyTree, position: PyTree) -> PyTree:
+    """Both losses' gradients as one direction per weight: sign(sign(g_s) + sign(g_p)) (section 4.6, design 6.4).
+
+    Where the two disagree the weight stays; where one is zero (loss_p in D) the other decides.
+    """
+    return jax.tree.map(lambda s, p: jnp.sign(jnp.sign(s) + jnp.sign(p)), shape, position)
+
+
+def optimiser(training: TrainingConfig) -> optax.GradientTransformation:
+    """The update rule of a recipe, its schedule included; `paper`'s halving of the rate is not."""
+    if training.recipe == "paper":
+        return optax.sign_sgd(training.learning_rate)
+    return muon(
+        _schedule(training, training.muon_learning_rate),
+        adam_learning_rate=_schedule(training, training.learning_rate),
+        muon_weight_dimension_numbers=lambda weights: jax.tree.map(lambda w: _muon_axes(w, training), weights),
+    )
+
+
+def _muon_axes(weight: Any, training: TrainingConfig) -> MuonDimensionNumbers | None:
+    return MuonDimensionNumbers() if weight.ndim == 2 and max(weight.shape) <= training.muon_width else None
+
+
+def _schedule(training: TrainingConfig, peak: float) -> optax.Schedule:
+    rising = round(training.warm_up * training.iterations)
+    return optax.warmup_cosine_decay_schedule(0.0 if rising else peak, peak, rising, training.iterations)
+
+
+def rate(training: TrainingConfig, iteration: int) -> float:
+    """The scheduled learning rate at an iteration, before any halving."""
+    if training.recipe == "paper":
+        return training.learning_rate
+    return float(_schedule(training, training.learning_rate)(iteration))

@@ -1,0 +1,103 @@
+"""Settings of the nets and their training; the defaults are the paper's (table 1, sections 4.6 to 4.8)."""
+
+from typing import Annotated, Literal
+
+from annotated_types import Ge, Gt, Le, MinLen
+
+from clothkit.config import config
+
+Count = Annotated[int, Gt(0)]
+Rate = Annotated[float, Gt(0)]
+Share = Annotated[float, Ge(0), Le(1)]
+NotNegative = Annotated[float, Ge(0)]
+
+
+@config
+class PEMDConfig:
+    """Widths of pEM*D."""
+
+    latent: Count = 512
+    """Units of the latent, of the memory trace and of M's residual channel."""
+    encoder: Annotated[tuple[Count, ...], MinLen(1)] = (2048, 1024)
+    manipulation: Count = 1024
+    """Units of M's hidden layers, without the manipulation that is appended to each; at least `latent`."""
+    decoder: Annotated[tuple[Count, ...], MinLen(1)] = (1024, 2048)
+
+    def __post_init__(self) -> None:
+        if self.manipulation < self.latent:
+            raise ValueError(f"manipulation must be at least latent ({self.latent})")
+
+
+@config
+class VtMConfig:
+    """Width of VtM."""
+
+    hidden: Count = 4096
+
+
+@config
+class Start:
+    """Where training starts from: Glorot weights, zero biases (design 6.3), unless told otherwise."""
+
+    residual: Rate = 1.0
+    """Factor on the Glorot scale of the weights that write into the residual channel."""
+    output: Rate = 1.0
+    """Factor on the Glorot scale of the last layer's weights."""
+    sigma: float = 0.0
+    """Bias of the units that give sigma: std starts near exp(sigma) + 0.01 [normalised]."""
+
+
+@config
+class TrainingConfig:
+    """One training run."""
+
+    seed: Annotated[int, Ge(0)] = 0
+    recipe: Literal["paper", "fast"] = "paper"
+    """`paper`: SignSGD, halved when validation stalls. `fast`: Muon and AdamW, warm-up and cosine."""
+    iterations: Count = 1_600_000
+    batch: Count = 64
+    learning_rate: Rate = 5e-5
+    """Of SignSGD (`paper`), or at the peak of AdamW's schedule (`fast`)."""
+    muon_learning_rate: Rate = 7e-3
+    """At the peak of Muon's schedule; `fast` only."""
+    muon_width: Annotated[int, Ge(0)] = 1100
+    """Muon takes the matrices that are at most this wide on both sides, AdamW the rest; `fast` only."""
+    warm_up: Share = 0.05
+    """Share of the iterations in which the rates rise; then they fall as a cosine to zero; `fast` only."""
+    validate_every: Count = 10_000
+    """Iterations between validation scores; also how often a resumable checkpoint is kept."""
+    patience: Count = 5
+    """Validations without improvement before the learning rate is halved; `paper` only."""
+    stop_below: NotNegative = 0.0
+    """Training ends once the learning rate is below this; `paper` only."""
+    steps_per_call: Count = 50
+    """Iterations that run on the device without a word to the host."""
+    start: Start = Start()
+
+
+@config
+class TrainPEMDConfig:
+    """One forward model and its training."""
+
+    net: PEMDConfig = PEMDConfig()
+    training: TrainingConfig = TrainingConfig()
+    noise: NotNegative = 0.025
+    """Standard deviation of the noise on the input's vertices [normalised]."""
+    shift_weight: NotNegative = 1.0
+    """Weight of loss_p beside loss_s; `recipe: fast` only, the paper's needs none."""
+
+
+@config
+class TrainVtMConfig:
+    """VtM and its training."""
+
+    net: VtMConfig = VtMConfig()
+    training: TrainingConfig = TrainingConfig(stop_below=1e-7)
+    noise: NotNegative = 0.025
+    """Standard deviation of the noise on the input's points, in x and y [normalised]; 0 needs no duplicates."""
+    noise_z_factor: NotNegative = 1.0
+    """The noise in z, as a multiple of that in x and y (design 6.14)."""
+    flat: Share = 0.05
+    """Share of flat cloths among the examples: every sequence starts with the same one."""
+    height: Rate = 0.125
+    """Upper end of the voxel viewport [normalised]."""

@@ -1,0 +1,1 @@
+"""Planning loss, epistemic uncertainty, the iRprop- search, sessions."""

@@ -1,0 +1,43 @@
+"""iRprop-: step sizes that grow while a gradient keeps its sign and shrink when it turns (Igel and Hüsken, 2000)."""
+
+from typing import Annotated
+
+import jax.numpy as jnp
+from annotated_types import Gt, Lt
+from jaxtyping import Array, Float
+
+from clothkit.config import config
+
+Steps = Float[Array, "*batch"]
+
+
+@config
+class IRpropConfig:
+    """Hyperparameters of iRprop-; the defaults are the paper's (section 5.1)."""
+
+    grow: Annotated[float, Gt(1)] = 1.2
+    """eta+"""
+    shrink: Annotated[float, Gt(0), Lt(1)] = 0.5
+    """eta-"""
+    least: Annotated[float, Gt(0)] = 1e-3
+    """Delta_min"""
+    most: Annotated[float, Gt(0)] = 0.05
+    """Delta_max"""
+    initial: Annotated[float, Gt(0)] = 0.05
+
+
+def irprop_minus(
+    gradient: Steps, gradient_before: Steps, rate: Steps, settings: IRpropConfig
+) -> tuple[Steps, Steps, Steps]:
+    """One update: what to add to the variables, the gradient to remember, the new rates; all elementwise.
+
+    Where the gradient turned, the variable rests for one step and the remembered gradient is zero. Not `optax.rprop`,
+    whose update is that of the step before (optax 0.2.8).
+    """
+    # Signs, not products: a product of two small gradients would underflow to zero.
+    agreement = jnp.sign(gradient) * jnp.sign(gradient_before)
+    grown = jnp.minimum(rate * settings.grow, settings.most)
+    shrunk = jnp.maximum(rate * settings.shrink, settings.least)
+    rate = jnp.where(agreement > 0, grown, jnp.where(agreement < 0, shrunk, rate))
+    gradient = jnp.where(agreement < 0, 0, gradient)
+    return -jnp.sign(gradient) * rate, gradient, rate

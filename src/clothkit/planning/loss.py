@@ -1,0 +1,69 @@
+"""The planning loss: accuracy terms and epistemic uncertainty, eqs. (13) to (15).
+
+Losses take whitened goals: a goal is whitened once, a prediction at every step of the search.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from clothkit.cloth.mesh import ProbabilisticMesh, nll, whiten_probabilistic
+
+LARGEST_EXPONENT = 20.0
+"""Beyond this, e^x in eq. (15) goes on as its tangent: finite in float32, with a gradient of the right sign."""
+
+Scalar = float | Float[Array, ""]
+
+
+class Weights(NamedTuple):
+    """alpha of eq. (13), beta and gamma of eq. (15)."""
+
+    alpha: Scalar
+    beta: Scalar
+    gamma: Scalar
+
+
+class Range(NamedTuple):
+    """low and high of eq. (14), for one net and one plan length."""
+
+    low: Scalar
+    high: Scalar
+
+
+class Spread(NamedTuple):
+    """mu_v and sigma_v of eq. (15): how far the nets' predictions differ on the validation split, for each step."""
+
+    mean: Float[Array, " n"]
+    std: Float[Array, " n"]
+
+
+def accuracy(
+    goal: Float[Array, "*batch u v 3"], outcome: ProbabilisticMesh, span: Range | None = None
+) -> Float[Array, "*batch"]:
+    """An accuracy term of eq. (13); without a `span` the plain NLL of single-net planning. The goal is whitened."""
+    loss = nll(goal, whiten_probabilistic(outcome))
+    return loss if span is None else (loss - span.low) / (span.high - span.low)
+
+
+def diff(a: ProbabilisticMesh, b: ProbabilisticMesh) -> Float[Array, "*batch"]:
+    """How far two predictions differ as plain arrays: the mean squared error of all six channels, whitened."""
+    a, b = whiten_probabilistic(a), whiten_probabilistic(b)
+    # The mean over six channels of equal size is the mean of the two triples' means.
+    squared = (a.mean - b.mean) ** 2 + (a.std - b.std) ** 2
+    return jnp.mean(squared, axis=(-3, -2, -1)) / 2
+
+
+def uncertainty(
+    differences: Float[Array, "n *batch"], spread: Spread, *, beta: Scalar, gamma: Scalar
+) -> Float[Array, "*batch"]:
+    """u of eq. (15) from diff at each of n steps."""
+    shape = (-1,) + (1,) * (differences.ndim - 1)
+    u_i = (differences - spread.mean.reshape(shape)) / spread.std.reshape(shape)
+    return jnp.mean(bounded_exp(beta * (u_i - gamma)), axis=0)
+
+
+def bounded_exp(x: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """e^x up to `LARGEST_EXPONENT`, its tangent beyond: increasing, smooth and finite (design 6.7)."""
+    below = jnp.minimum(x, LARGEST_EXPONENT)
+    return jnp.exp(below) * (1 + (x - below))

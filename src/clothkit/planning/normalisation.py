@@ -1,0 +1,123 @@
+"""Reference values of the planning loss over the validation split: high, low (eq. 14), mu_v, sigma_v (eq. 15)."""
+
+import dataclasses
+import json
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from clothkit.cloth.mesh import ProbabilisticMesh, whiten
+from clothkit.dataset.store import STEPS, Dataset
+from clothkit.errors import InputError
+from clothkit.planning.draw import random_manipulations
+from clothkit.planning.forward import Forward, unroll
+from clothkit.planning.loss import Range, Spread, accuracy, diff
+from clothkit.planning.search import Reference
+from clothkit.planning.settings import NormaliseConfig
+
+LEAST_SPAN = 0.01
+"""Least high - low: nets that barely trained may find random plans as good as the recorded ones."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Normalisation:
+    """Eq. (14) for each net and plan length 1, 2, 3; eq. (15)'s mu_v and sigma_v for each step 1, 2, 3."""
+
+    low: tuple[tuple[float, ...], ...]
+    """[net][length - 1]: median NLL of the recorded outcome under the recorded manipulations."""
+    high: tuple[tuple[float, ...], ...]
+    """[net][length - 1]: median NLL of the recorded outcome under random plans."""
+    mu: tuple[float, ...]
+    """[step - 1]: mean of diff between the nets' predictions."""
+    sigma: tuple[float, ...]
+    """[step - 1]: its standard deviation."""
+
+    def __post_init__(self) -> None:
+        values = np.array([*self.low, *self.high, self.mu, self.sigma], float)
+        if values.shape[1:] != (STEPS,) or not np.isfinite(values).all():
+            raise InputError(f"normalisation: expected {STEPS} finite values in each row of low, high, mu and sigma")
+        if not (np.array(self.low) < np.array(self.high)).all():
+            raise InputError(f"normalisation: expected low below high, found {self.low} and {self.high}")
+        if min(self.sigma) <= 0:
+            raise InputError(f"normalisation: sigma is {self.sigma}, expected above 0: are the two nets the same?")
+
+    def reference(self, length: int) -> Reference:
+        """What the loss of plans of one length takes."""
+        spans = tuple(
+            Range(np.float32(low[length - 1]), np.float32(high[length - 1]))
+            for low, high in zip(self.low, self.high, strict=True)
+        )
+        return Reference(
+            spans, Spread(np.array(self.mu[:length], np.float32), np.array(self.sigma[:length], np.float32))
+        )
+
+
+def normalise(forward: Forward, nets: tuple[Any, Any], validation: Dataset, settings: NormaliseConfig) -> Normalisation:
+    """The reference values of two nets. Eq. (14)'s i runs over 0..3 - n (design 6.9)."""
+    key = jax.random.key(settings.seed)
+    low, high, mu, sigma = [], [], [], []
+    for length in range(1, STEPS + 1):
+        start, plan, goal = _tasks(validation, length)
+        recorded = [_outcomes(forward, net, start, plan) for net in nets]
+        low.append([_median(goal, outcome) for outcome in recorded])
+        between = np.asarray(jax.jit(diff)(*recorded))
+        mu.append(float(between.mean()))
+        sigma.append(float(between.std()))
+        losses: list[list[Array]] = [[], []]
+        for draw in range(settings.draws):
+            random = random_manipulations(plan.shape[:2], key=jax.random.fold_in(key, STEPS * draw + length))
+            for net, scores in zip(nets, losses, strict=True):
+                scores.append(_scores(goal, _outcomes(forward, net, start, random)))
+        medians = [float(np.median(np.concatenate(scores))) for scores in losses]
+        high.append([max(median, least + LEAST_SPAN) for median, least in zip(medians, low[-1], strict=True)])
+    # From a row per length to a row per net.
+    return Normalisation(tuple(zip(*low, strict=True)), tuple(zip(*high, strict=True)), tuple(mu), tuple(sigma))
+
+
+def _tasks(dataset: Dataset, length: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Starts, recorded plans and goals of all subsequences of one length."""
+    pairs = [(d, i) for d in range(len(dataset)) for i in range(int(dataset.length[d]) - length + 1)]
+    if not pairs:
+        raise InputError(f"validation split: expected at least one sequence of {length} manipulations, found none")
+    d, i = np.array(pairs).T
+    plan = dataset.manipulation[d[:, None], i[:, None] + np.arange(length)]
+    return dataset.vertices[d, i], plan, dataset.vertices[d, i + length]
+
+
+@partial(jax.jit, static_argnames="forward")
+def _outcomes(forward: Forward, net: Any, start: Array, plan: Array) -> ProbabilisticMesh:
+    latent = forward.encode(net, start)
+    return forward.decode(net, unroll(forward, net, latent, jnp.zeros_like(latent), plan).latents[-1], 1)
+
+
+@jax.jit
+def _scores(goal: Array, outcome: ProbabilisticMesh) -> Array:
+    return accuracy(whiten(goal), outcome)
+
+
+def _median(goal: np.ndarray, outcome: ProbabilisticMesh) -> float:
+    return float(np.median(_scores(goal, outcome)))
+
+
+def save(path: Path, normalisation: Normalisation, attributes: dict[str, Any]) -> None:
+    """Write the values and what they were made with as JSON."""
+    path.write_text(json.dumps({**dataclasses.asdict(normalisation), "attributes": attributes}, indent=1) + "\n")
+
+
+def load(path: Path) -> Normalisation:
+    """Read the values. Raises InputError for a file that is missing, damaged or lacks a field."""
+    try:
+        stored = json.loads(path.read_text())
+        rows = {name: tuple(tuple(row) for row in stored[name]) for name in ("low", "high")}
+        return Normalisation(**rows, mu=tuple(stored["mu"]), sigma=tuple(stored["sigma"]))
+    except OSError as error:
+        raise InputError(f"{path}: not found; run the stage that writes it (dvc repro)") from error
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{path}: expected JSON with low, high, mu and sigma, could not read it ({error})") from error

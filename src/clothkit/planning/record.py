@@ -1,0 +1,174 @@
+"""What a session leaves: everything that tables, figures and failure analysis ask for, as plain arrays."""
+
+import dataclasses
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import zarr
+from jaxtyping import Bool, Float, Float16, Int8, Int64
+
+from clothkit.cloth.grid import SIDE
+from clothkit.dataset.store import STATES, STEPS, Dataset
+from clothkit.dataset.tasks import Task
+
+MESH = ("u", "v", "xyz")
+_VERTICES = dict(zip(MESH, (SIDE, SIDE, 3), strict=True))
+
+
+class Tasks(NamedTuple):
+    """A batch of tasks with what is given: where the cloth starts and what it shall become."""
+
+    task: list[Task]
+    split: list[str]
+    start: Float[np.ndarray, "task u v 3"]
+    """True start, centred."""
+    centre: Float[np.ndarray, "task 2"]
+    """Its centre."""
+    goal: Float[np.ndarray, "task u v 3"]
+    """True goal, centred."""
+
+
+def tasks_of_dataset(dataset: Dataset, tasks: list[Task], split: str) -> Tasks:
+    """The given tasks of a dataset, all of one split; `sequence` indexes the dataset."""
+    sequence, start, length = np.array(tasks).T
+    goal = dataset.vertices[sequence, start + length]
+    return Tasks(tasks, [split] * len(tasks), dataset.vertices[sequence, start], dataset.centre[sequence, start], goal)
+
+
+@dataclasses.dataclass(frozen=True)
+class Sessions:
+    """Sessions of one system, a row per task; normalised units. Past a session's end floats are NaN, labels -1.
+
+    A session of length n has states 0..n and, for each step before its end, one plan for the steps that are left. Plans
+    and predictions are in the labels of that step's estimate; states and goal are in the dataset's.
+    """
+
+    split: np.ndarray
+    sequence: Int64[np.ndarray, " task"]
+    start: Int8[np.ndarray, " task"]
+    length: Int8[np.ndarray, " task"]
+    goal: Float[np.ndarray, "task u v 3"]
+    state: Float[np.ndarray, "task state u v 3"]
+    """True states, centred; the last one is the outcome."""
+    centre: Float[np.ndarray, "task state 2"]
+    estimate: Float[np.ndarray, "task step u v 3"]
+    """What was planned from."""
+    candidates: Float[np.ndarray, "task step candidate 2"]
+    """Geodesic grasp points on the estimate."""
+    plan: Float[np.ndarray, "task step planned 6"]
+    loss: Float[np.ndarray, "task step"]
+    terms: Float[np.ndarray, "task step term"]
+    """Accuracy terms of nets a and b, u."""
+    common: Int8[np.ndarray, "task step"]
+    """The common equivalent in which the plan was found."""
+    relative: Int8[np.ndarray, "task step"]
+    """The relabelling that brings the goal under the estimate's labels."""
+    null: Bool[np.ndarray, "task step"]
+    """Whether the plan's first manipulation was not executed."""
+    prediction_mean: Float16[np.ndarray, "task step planned net u v 3"]
+    prediction_std: Float16[np.ndarray, "task step planned net u v 3"]
+    refined: Float16[np.ndarray, "task step u v 3"]
+    """The better net's prediction of the plan's outcome, refined."""
+    progress: Float[np.ndarray, "task step iteration"]
+    """Lowest loss of any strain so far."""
+    restarts: Float[np.ndarray, "task step strain restart"]
+    """Lowest loss of each strain between restarts."""
+
+    def __len__(self) -> int:
+        return len(self.sequence)
+
+
+class Sizes(NamedTuple):
+    """Lengths of the dimensions that settings decide."""
+
+    candidate: int
+    net: int
+    iteration: int
+    strain: int
+    restart: int
+
+
+def blank(tasks: Tasks, sizes: Sizes) -> Sessions:
+    """Sessions that have not begun: state 0 is the start."""
+    lengths = {"task": len(tasks.task), "state": STATES, "step": STEPS, "planned": STEPS, "term": 3, **_VERTICES}
+    lengths |= sizes._asdict() | {"xy": 2, "component": 6}
+    kinds = {"f4": np.nan, "f2": np.nan, "i1": -1, "?": False}
+    empty: dict[str, np.ndarray] = {
+        name: np.full([lengths[d] for d in dimensions], kinds[dtype], dtype)
+        for name, (dtype, dimensions) in _FIELDS.items()
+        if dtype in kinds
+    }
+    empty["split"] = np.array(tasks.split, dtype="U10")
+    empty["sequence"] = np.array([task.sequence for task in tasks.task], np.int64)
+    empty["start"] = np.array([task.start for task in tasks.task], np.int8)
+    empty["length"] = np.array([task.length for task in tasks.task], np.int8)
+    empty["goal"] = np.asarray(tasks.goal, np.float32)
+    empty["state"][:, 0] = tasks.start
+    empty["centre"][:, 0] = tasks.centre
+    return Sessions(**empty)
+
+
+_FIELDS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "split": ("U10", ("task",)),
+    "sequence": ("i8", ("task",)),
+    "start": ("i1", ("task",)),
+    "length": ("i1", ("task",)),
+    "goal": ("f4", ("task", *MESH)),
+    "state": ("f4", ("task", "state", *MESH)),
+    "centre": ("f4", ("task", "state", "xy")),
+    "estimate": ("f4", ("task", "step", *MESH)),
+    "candidates": ("f4", ("task", "step", "candidate", "xy")),
+    "plan": ("f4", ("task", "step", "planned", "component")),
+    "loss": ("f4", ("task", "step")),
+    "terms": ("f4", ("task", "step", "term")),
+    "common": ("i1", ("task", "step")),
+    "relative": ("i1", ("task", "step")),
+    "null": ("?", ("task", "step")),
+    "prediction_mean": ("f2", ("task", "step", "planned", "net", *MESH)),
+    "prediction_std": ("f2", ("task", "step", "planned", "net", *MESH)),
+    "refined": ("f2", ("task", "step", *MESH)),
+    "progress": ("f4", ("task", "step", "iteration")),
+    "restarts": ("f4", ("task", "step", "strain", "restart")),
+}
+
+
+def join(parts: list[Sessions]) -> Sessions:
+    """Sessions of several batches, one after the other."""
+    return Sessions(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in _FIELDS})
+
+
+def save_piece(path: Path, sessions: Sessions) -> None:
+    """Keep a batch's sessions in a work directory; the file appears whole or not at all."""
+    unfinished = path.with_suffix(".part.npz")
+    np.savez(unfinished, **dataclasses.asdict(sessions))
+    unfinished.replace(path)
+
+
+def load_piece(path: Path) -> Sessions:
+    """A batch's sessions from a work directory."""
+    with np.load(path) as stored:
+        return Sessions(**stored)
+
+
+def save(path: Path, sessions: Sessions, attributes: dict[str, Any]) -> None:
+    """Write sessions as a zarr v3 group, a chunk per task, all of an array in one shard."""
+    group = zarr.open_group(path, mode="w", zarr_format=3, attributes=attributes)
+    for name, (_, dimensions) in _FIELDS.items():
+        values = getattr(sessions, name)
+        if name == "split":
+            # Zarr has no stable type for strings: the names go to the attributes.
+            names = sorted(set(values.tolist()))
+            group.attrs["splits"] = names
+            values = np.array([names.index(value) for value in values], np.int8)
+        group.create_array(
+            name, data=values, chunks=(1, *values.shape[1:]), shards=values.shape, dimension_names=dimensions
+        )
+
+
+def load(path: Path) -> Sessions:
+    """Read sessions back."""
+    group = zarr.open_group(path, mode="r")
+    arrays = {name: np.asarray(group[name][:]) for name in _FIELDS}  # type: ignore[index]
+    names = np.array(group.attrs["splits"], dtype="U10")
+    return Sessions(**{**arrays, "split": names[arrays["split"]]})

@@ -1,0 +1,275 @@
+"""The search for a plan: gradient descent through the forward models, many strains at once (section 5.1).
+
+One program per plan length: `search` is compiled once and serves every batch of tasks of that length. A strain plans in
+the labels of its own common equivalent; whatever leaves this module is back in the labels of the estimate.
+"""
+
+from functools import partial
+from typing import Annotated, Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from annotated_types import Ge, Gt, MultipleOf, Predicate
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
+
+from clothkit.cloth.equivalents import (
+    COUNT,
+    compose,
+    equivalents,
+    inverse,
+    relabel_manipulation,
+    relabel_manipulation_batch,
+)
+from clothkit.cloth.grid import SIDE
+from clothkit.cloth.mesh import whiten
+from clothkit.config import config
+from clothkit.manipulation.vector import is_single
+from clothkit.planning.draw import Candidates, random_plans, snap
+from clothkit.planning.forward import Forward, unroll
+from clothkit.planning.irprop import IRpropConfig, irprop_minus
+from clothkit.planning.loss import Range, Spread, Weights, accuracy, diff, uncertainty
+
+DRAWN = -1
+"""A relative labelling that is not known yet: strains draw one."""
+
+COMPOSED = np.array([[compose(j, k) for k in range(COUNT)] for j in range(COUNT)], np.int32)
+INVERSE = np.array([inverse(k) for k in range(COUNT)], np.int32)
+
+
+@config
+class SearchConfig:
+    """Size of a search; the defaults are the paper's."""
+
+    strains: Annotated[int, Gt(0), MultipleOf(COUNT)] = 256
+    base_iterations: Annotated[int, Ge(0)] = 25
+    iterations_per_step: Annotated[int, Ge(0)] = 25
+    patience: Annotated[int, Gt(0)] = 5
+    """A strain that has not improved for so many iterations starts anew."""
+    every: Annotated[int, Gt(0), Predicate(lambda every: SIDE % every == 0)] = 1
+    """The strains' losses run over each `every`-th vertex along u and v; the choice among their best plans over all."""
+    irprop: IRpropConfig = IRpropConfig()
+
+    def iterations(self, length: int) -> int:
+        """Evaluations of the loss in a search for a plan of this length."""
+        return self.base_iterations + self.iterations_per_step * length
+
+
+class Reference(NamedTuple):
+    """What normalises the loss of plans of one length: eq. (14) per net, and eq. (15)."""
+
+    spans: tuple[Range, ...]
+    spread: Spread
+
+
+class Problem(NamedTuple):
+    """What one search is asked: all labels are those of `mesh`, the estimate of the current state."""
+
+    mesh: Float[Array | np.ndarray, "u v 3"]
+    goal: Float[Array | np.ndarray, "u v 3"]
+    candidates: Candidates
+    traces: tuple[Float[Array | np.ndarray, "8 latent"], ...]
+    """For each net, the memory trace of each common equivalent."""
+    relative: Int[Array | np.ndarray, ""]
+    """The relabelling of the goal that fits the estimate's labels, or `DRAWN`."""
+    later: Bool[Array | np.ndarray, ""]
+    """Whether `carried` holds what is left of a session's last plan; if so each common equivalent gets an eighth of the
+    strains, of which one starts from it."""
+    carried: Float[Array | np.ndarray, "n 6"]
+
+
+class Found(NamedTuple):
+    """The plan of lowest loss over all strains and iterations, in the labels of the estimate."""
+
+    plan: Float[Array, "n 6"]
+    loss: Float[Array, ""]
+    terms: Float[Array, "terms"]
+    """The nets' accuracy terms, then u (zero where it was not asked for)."""
+    common: Int[Array, ""]
+    """The common equivalent in which it was found."""
+    relative: Int[Array, ""]
+    """The relabelling of the goal towards which it leads."""
+    losses: Float[Array, "iterations strains"]
+    restarts: Bool[Array, "iterations strains"]
+    """Where a strain started anew after that iteration: with `losses`, the best of each restart."""
+
+
+class _Strains(NamedTuple):
+    """A population of plans; every field has a row per strain."""
+
+    plan: Float[Array, "strains n 6"]
+    single: Bool[Array, "strains n"]
+    common: Int[Array, " strains"]
+    relative: Int[Array, " strains"]
+    rate: Float[Array, "strains n 6"]
+    gradient: Float[Array, "strains n 6"]
+    lowest: Float[Array, " strains"]
+    stale: Int[Array, " strains"]
+
+
+class _Best(NamedTuple):
+    plan: Float[Array, "strains n 6"]
+    common: Int[Array, " strains"]
+    relative: Int[Array, " strains"]
+    loss: Float[Array, " strains"]
+
+
+class Fixed(NamedTuple):
+    """What does not change during a search: for each net, latents of the eight equivalents; whitened goals."""
+
+    latents: tuple[Float[Array, "8 latent"], ...]
+    traces: tuple[Float[Array, "8 latent"], ...]
+    goals: Float[Array, "8 u v 3"]
+
+
+@partial(jax.jit, static_argnames=("forward", "settings", "length", "explicit"))
+def search(
+    forward: Forward,
+    nets: tuple[Any, ...],
+    problems: Problem,
+    reference: Reference,
+    weights: Weights,
+    *,
+    length: int,
+    settings: SearchConfig,
+    explicit: bool,
+    keys: Shaped[PRNGKeyArray, " tasks"],
+) -> Found:
+    """The best plans of a batch of problems (every field of `problems` with a leading axis of tasks).
+
+    Two nets plan with eq. (13), one net with the plain NLL. Without `explicit` (alpha is 0) no intermediate state is
+    decoded. A task's result depends on its own key, not on its neighbours.
+    """
+    solve = partial(_search_one, forward, nets, reference, weights, length, settings, explicit)
+    return jax.vmap(solve)(problems, keys)
+
+
+def _search_one(
+    forward: Forward,
+    nets: tuple[Any, ...],
+    reference: Reference,
+    weights: Weights,
+    length: int,
+    settings: SearchConfig,
+    explicit: bool,
+    problem: Problem,
+    key: PRNGKeyArray,
+) -> Found:
+    meshes = equivalents(problem.mesh)
+    fixed = Fixed(
+        tuple(forward.encode(net, meshes) for net in nets),
+        tuple(jnp.asarray(trace) for trace in problem.traces),
+        whiten(equivalents(problem.goal)),
+    )
+    key_start, key_loop = jax.random.split(key)
+    strains = _start(problem, length, settings, key=key_start)
+    strains = _carry(strains, problem)
+    losses_of = partial(planning_loss, forward, nets, fixed, reference, weights, explicit=explicit)
+
+    def total(plan: Array, common: Array, relative: Array) -> tuple[Array, Array]:
+        loss, _ = losses_of(plan, common, relative, every=settings.every)
+        return jnp.sum(loss), loss
+
+    def iterate(state: tuple[_Strains, _Best], key: PRNGKeyArray) -> tuple[tuple[_Strains, _Best], tuple]:
+        strains, best = state
+        gradient, loss = jax.grad(total, has_aux=True)(strains.plan, strains.common, strains.relative)
+        now = _Best(strains.plan, strains.common, strains.relative, loss)
+        best = _choose(loss < best.loss, now, best)
+        stale = jnp.where(loss < strains.lowest, 0, strains.stale + 1)
+        moved = _move(strains, gradient, settings.irprop)
+        moved = moved._replace(lowest=jnp.minimum(loss, strains.lowest), stale=stale)
+        restart = stale >= settings.patience
+        fresh = _start(problem, length, settings, key=key)
+        return (_choose(restart, fresh, moved), best), (loss, restart)
+
+    best = _Best(strains.plan, strains.common, strains.relative, jnp.full(settings.strains, jnp.inf))
+    keys = jax.random.split(key_loop, settings.iterations(length))
+    (_, best), (losses, restarts) = jax.lax.scan(iterate, (strains, best), keys)
+    # Among the strains' best plans the whole mesh decides.
+    loss, terms = losses_of(best.plan, best.common, best.relative)
+    winner = jnp.argmin(loss)
+    plan, common, relative = best.plan[winner], best.common[winner], best.relative[winner]
+    plan = relabel_manipulation(plan, jnp.asarray(INVERSE)[common])
+    return Found(plan, loss[winner], terms[winner], common, relative, losses, restarts)
+
+
+def planning_loss(
+    forward: Forward,
+    nets: tuple[Any, ...],
+    fixed: Fixed,
+    reference: Reference,
+    weights: Weights,
+    plan: Float[Array, "strains n 6"],
+    common: Int[Array, " strains"],
+    relative: Int[Array, " strains"],
+    *,
+    explicit: bool,
+    every: int = 1,
+) -> tuple[Float[Array, " strains"], Float[Array, "strains terms"]]:
+    """Eq. (13) of each strain's plan, and its terms; with one net the plain NLL. Over each `every`-th vertex."""
+    goal = fixed.goals[jnp.asarray(COMPOSED)[relative, common], ::every, ::every]
+    # Intermediate states are decoded, along with the outcome, only where the loss asks for them.
+    decoded = slice(None) if explicit else slice(-1, None)
+    states = [
+        forward.decode(net, unroll(forward, net, latent[common], trace[common], plan).latents[decoded], every)
+        for net, latent, trace in zip(nets, fixed.latents, fixed.traces, strict=True)
+    ]
+    outcomes = [jax.tree.map(lambda part: part[-1], predicted) for predicted in states]
+    nothing = jnp.zeros(len(plan))
+    if len(nets) == 1:
+        loss = accuracy(goal, outcomes[0])
+        return loss, jnp.stack([loss, nothing], axis=-1)
+    accuracies = [accuracy(goal, outcome, span) for outcome, span in zip(outcomes, reference.spans, strict=True)]
+    u = nothing
+    if explicit:
+        u = uncertainty(diff(*states), reference.spread, beta=weights.beta, gamma=weights.gamma)
+    return sum(accuracies) + weights.alpha * u, jnp.stack([*accuracies, u], axis=-1)
+
+
+def _start(problem: Problem, length: int, settings: SearchConfig, *, key: PRNGKeyArray) -> _Strains:
+    """Strains at random plans, in random labels as far as these are not known (design 6.10)."""
+    key_plan, key_common, key_relative = jax.random.split(key, 3)
+    count = settings.strains
+    drawn = jax.random.randint(key_common, (count,), 0, COUNT)
+    common = jnp.where(problem.later, jnp.arange(count) % COUNT, drawn)
+    drawn = jax.random.randint(key_relative, (count,), 0, COUNT)
+    relative = jnp.where(problem.relative == DRAWN, drawn, problem.relative)
+    plan = random_plans(count, length, jnp.asarray(problem.mesh), problem.candidates, key=key_plan)
+    return _Strains(
+        plan=relabel_manipulation_batch(plan, common),
+        single=is_single(plan),
+        common=common,
+        relative=relative,
+        rate=jnp.full(plan.shape, settings.irprop.initial),
+        gradient=jnp.zeros(plan.shape),
+        lowest=jnp.full(count, jnp.inf),
+        stale=jnp.zeros(count, jnp.int32),
+    )
+
+
+def _carry(strains: _Strains, problem: Problem) -> _Strains:
+    """In a later search, the first strain of each common equivalent starts from the carried plan."""
+    carried = jnp.asarray(problem.carried)
+    first = snap(carried[0], jnp.asarray(problem.mesh), problem.candidates)
+    plan = jnp.broadcast_to(jnp.concatenate([first[None], carried[1:]]), strains.plan.shape)
+    started = problem.later & (jnp.arange(len(plan)) < COUNT)
+    carrying = strains._replace(plan=relabel_manipulation_batch(plan, strains.common), single=is_single(plan))
+    return _choose(started, carrying, strains)
+
+
+def _move(strains: _Strains, gradient: Float[Array, "strains n 6"], settings: IRpropConfig) -> _Strains:
+    """One iRprop- step. First grasp points stay, one hand's two stay together, u and v stay on the cloth."""
+    grasps, displacement = gradient[..., :4], gradient[..., 4:]
+    grasps = grasps.at[:, 0].set(0)
+    both = grasps[..., :2] + grasps[..., 2:]
+    grasps = jnp.where(strains.single[..., None], jnp.concatenate([both, both], axis=-1), grasps)
+    gradient = jnp.concatenate([grasps, displacement], axis=-1)
+    update, gradient, rate = irprop_minus(gradient, strains.gradient, strains.rate, settings)
+    plan = strains.plan + update
+    plan = jnp.concatenate([jnp.clip(plan[..., :4], -1, 1), plan[..., 4:]], axis=-1)
+    return strains._replace(plan=plan, gradient=gradient, rate=rate)
+
+
+def _choose(condition: Bool[Array, " strains"], yes: Any, no: Any) -> Any:
+    """Row by row, the strains of `yes` where the condition holds and of `no` elsewhere."""
+    return jax.tree.map(lambda a, b: jnp.where(condition.reshape(-1, *(1,) * (a.ndim - 1)), a, b), yes, no)

@@ -1,0 +1,54 @@
+"""The systems of section 6.3 by name: what each sees, and how many nets it plans with."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from clothkit.errors import InputError
+from clothkit.networks.store import ATTRIBUTES
+
+
+@dataclass(frozen=True)
+class System:
+    """One row group of table 6. All share one planner."""
+
+    name: str
+    true_meshes: bool = False
+    """Whether the true mesh takes the place of the estimate; then the goal's labels are known too."""
+    nets: int = 2
+    """Two: eq. (13). One: the NLL of the net with the better validation score."""
+    alpha: float | None = None
+    """A weight of the uncertainty term that this system is about; None takes that of params.yaml."""
+
+
+SYSTEMS = {
+    system.name: system
+    for system in (
+        System("main"),
+        System("b1", true_meshes=True),
+        System("b2", nets=1),
+        System("b3", alpha=0.0),
+    )
+}
+
+
+def system(name: str) -> System:
+    """The system of that name. Raises InputError if there is none."""
+    if name not in SYSTEMS:
+        raise InputError(f"system: expected one of {', '.join(SYSTEMS)}, found {name!r}")
+    return SYSTEMS[name]
+
+
+def better_net(folders: Mapping[str, Path]) -> str:
+    """The name of the net of the lowest validation score, the first of equals.
+
+    Raises InputError if a net's description holds no score.
+    """
+    scores = {}
+    for name, folder in sorted(folders.items()):
+        score = json.loads((folder / ATTRIBUTES).read_text()).get("validation_score")
+        if not isinstance(score, float):
+            raise InputError(f"{folder / ATTRIBUTES}: validation_score: expected a number, found {score!r}")
+        scores[name] = score
+    return min(scores, key=scores.__getitem__)

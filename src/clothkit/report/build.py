@@ -1,0 +1,75 @@
+"""Writes the report: tables, figures, metrics and the page that shows them."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from clothkit.dataset.tasks import TASKS, Task
+from clothkit.report import metrics, page, tables
+from clothkit.report.figures.curves import curves
+from clothkit.report.figures.estimates import estimates
+from clothkit.report.figures.predictions import predictions
+from clothkit.report.figures.scatter import scatter
+from clothkit.report.figures.sequences import sequences
+from clothkit.report.figures.sessions import Session, of_record, sessions
+from clothkit.report.inputs import NETS, Inputs
+from clothkit.report.settings import ReportConfig
+
+PREDICTOR_OF = {"main": "main", "b1": "a1"}
+"""Which predictions start from what a planner starts from."""
+
+ABREAST = {1: 2, 2: 2, 3: 1}
+"""Sessions side by side in a picture, by length."""
+
+
+def build(folder: Path, inputs: Inputs, settings: ReportConfig, *, scale: str) -> None:
+    """Write `tables/`, `figures/`, `metrics.json` and `README.md` into a new folder; equal inputs give equal bytes."""
+    (folder / "tables").mkdir(parents=True)
+    (folder / "figures").mkdir()
+    contents = page.Contents(
+        scale=scale,
+        table_2=tables.estimation(inputs.estimation),
+        table_3=tables.prediction(inputs.prediction, settings.predictors),
+        table_6=tables.planning(inputs.planning, settings.planners),
+        sigma_ratio=tables.sigma_ratio(inputs.estimation, inputs.prediction),
+        attempts=tables.attempts(inputs.attempts),
+        tasks={str(split): rows["sequence"].nunique() for split, rows in inputs.planning.groupby("split")},
+        figures=draw_figures(folder / "figures", inputs, settings),
+    )
+    for name in ("table_2", "table_3", "table_6", "sigma_ratio", "attempts"):
+        table = getattr(contents, name)
+        table.to_csv(folder / "tables" / f"{name}.csv", index=False, float_format="%.5g", lineterminator="\n")
+        (folder / "tables" / f"{name}.md").write_text(page.table(name, table))
+    headline = metrics.headline(contents.table_2, contents.table_3, contents.table_6, contents.sigma_ratio)
+    (folder / "metrics.json").write_text(json.dumps(headline, indent=1) + "\n")
+    (folder / "README.md").write_text(page.page(contents))
+
+
+def draw_figures(folder: Path, inputs: Inputs, settings: ReportConfig) -> list[str]:
+    """Draw every figure as `<name>.png`; the names. A length that no test session has is left out."""
+    dataset, planner = inputs.dataset, settings.planners[0]
+    sequences(dataset, folder / "sequences.png", count=settings.sequences)
+    estimates(dataset, inputs.estimates, inputs.estimation, folder / "estimates.png", count=settings.estimates)
+    predictions(dataset, inputs.predictions, inputs.prediction, folder / "predictions.png", count=settings.predictions)
+    scatter(inputs.planning, inputs.prediction, PREDICTOR_OF, settings.planners, folder / "scatter.png")
+    curves({net: inputs.histories[net] for net in NETS}, inputs.histories["vtm"], folder / "curves.png")
+    names = ["sequences", "estimates", "predictions", "scatter", "curves"]
+    rows = inputs.planning[inputs.planning["system"] == planner]
+    better = NETS.index(str(inputs.prediction.loc[inputs.prediction["better"], "net"].iloc[0]))
+    for length, abreast in ABREAST.items():
+        chosen: list[Session] = []
+        for task in picked(np.unique(rows.loc[rows["split"] == "test", "sequence"]).tolist(), length):
+            session = of_record(inputs.sessions, dataset, rows, task, net=better)
+            if session is not None and len(chosen) < settings.sessions:
+                chosen.append(session)
+        if chosen:
+            sessions(chosen, folder / f"sessions_{length}.png", abreast=abreast)
+            names.append(f"sessions_{length}")
+    return names
+
+
+def picked(sequences: list[int], length: int) -> list[Task]:
+    """A task of that length of each sequence, the starts in turn: examples that nobody chose."""
+    starts = [start for start, n in TASKS if n == length]
+    return [Task(sequence, starts[place % len(starts)], length) for place, sequence in enumerate(sequences)]

@@ -1,0 +1,176 @@
+"""Pictures of cloth seen from above: two-sided, lit, with the edges of its layers and the spread of a prediction.
+
+The cloth is splatted into a depth buffer from a finer mesh and reduced afterwards, which is quick and smooth. Front and
+back are told apart by the winding of the grid, so two meshes of one shape match in colour when their labels match.
+"""
+
+from functools import cache
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+from scipy.interpolate import make_interp_spline
+
+from clothkit.cloth.grid import CLOTH_SIDE
+
+EXTENT = 1.05
+"""Half the side of a picture [normalised]: a bit more than the voxel viewport."""
+
+PIXELS = 220
+"""Side of a picture."""
+
+_OVERSAMPLING = 2
+# Points of the finer mesh a grid spacing: enough that a slanted cloth has no holes between them.
+_FINER = 18
+_INDEX_BITS = 24
+_FRONT = np.array([0.33, 0.53, 0.74], np.float32)
+_BACK = np.array([0.95, 0.71, 0.38], np.float32)
+_SPREAD = np.array([0.66, 0.47, 0.85], np.float32)
+_LIGHT = np.array([-0.45, 0.45, 0.77], np.float32)
+# Neighbouring pixels whose grid coordinates differ by more vertices than this show two layers, not one.
+_LAYER_JUMP = 2.0
+# Standard deviations [normalised] below the first leave a cloth's colour alone, the second is all lilac.
+_CAST = (0.01, 0.06)
+
+
+def draw(
+    mesh: Float[np.ndarray, "u v 3"],
+    *,
+    std: Float[np.ndarray, "u v 3"] | None = None,
+    table: tuple[float, float, float] = (1.0, 1.0, 1.0),
+    pixels: int = PIXELS,
+) -> UInt8[np.ndarray, "row column 3"]:
+    """The cloth from above, in the square -EXTENT..EXTENT, y upwards.
+
+    `table` is the colour of what the cloth lies on, 0..1. With `std` [normalised], lilac around the cloth is the spread
+    in x and y of its vertices, and a lilac cast on the cloth the spread in z (the manner of the paper's figure 3).
+    """
+    size = pixels * _OVERSAMPLING
+    cloth = _splat(mesh, size)
+    image = np.broadcast_to(np.array(table, np.float32), (size, size, 3)).copy()
+    image *= 1 - 0.28 * _blur(np.roll(cloth.covered, (5, 3), (0, 1)).astype(np.float32), 0.018 * size)[..., None]
+    if std is not None:
+        halo = _halo(mesh, std, size)[..., None]
+        image = image * (1 - halo) + _SPREAD * halo
+    colour = _shade(cloth)
+    if std is not None:
+        cast = np.clip((_refined(std)[..., 2] - _CAST[0]) / (_CAST[1] - _CAST[0]), 0, 1)
+        cast = 0.75 * cast.ravel()[cloth.source][..., None]
+        colour = colour * (1 - cast) + _SPREAD * cast
+    image = np.where(cloth.covered[..., None], colour, image)
+    image *= 1 - 0.62 * _layer_edges(cloth)[..., None]
+    reduced = cv2.resize(np.clip(image, 0, 1), (pixels, pixels), interpolation=cv2.INTER_AREA)
+    return np.rint(reduced * 255).astype(np.uint8)
+
+
+def draw_heights(voxels: Bool[np.ndarray, "x y z"], *, pixels: int = PIXELS) -> UInt8[np.ndarray, "row column 3"]:
+    """Voxels as a height map, in the square -EXTENT..EXTENT, y upwards: white is the table, dark is high."""
+    nx, ny, nz = voxels.shape
+    height = np.where(voxels.any(-1), nz - np.argmax(voxels[..., ::-1], axis=-1), 0) / nz
+    axis = ((np.arange(pixels) + 0.5) * (2 * EXTENT / pixels) - EXTENT + 1) / 2
+    i, j = np.floor(axis * nx).astype(int), np.floor(axis * ny).astype(int)
+    inside = ((i >= 0) & (i < nx))[:, None] & ((j >= 0) & (j < ny))
+    picked = np.where(inside, height[np.clip(i, 0, nx - 1)][:, np.clip(j, 0, ny - 1)], 0)
+    grey = np.where(picked > 0, 0.82 - 0.7 * picked, 1.0).T[::-1]
+    return np.repeat(np.rint(grey * 255).astype(np.uint8)[..., None], 3, axis=-1)
+
+
+class _Cloth(NamedTuple):
+    """The finer mesh, which pixels show it, and which of its vertices lies on top there."""
+
+    fine: Float[np.ndarray, "fu fv 3"]
+    covered: Bool[np.ndarray, "row column"]
+    source: Int[np.ndarray, "row column"]
+
+    @property
+    def heights(self) -> np.ndarray:
+        """Height of the top layer at each pixel [normalised], 0 on the table."""
+        return np.where(self.covered, self.fine[..., 2].ravel()[self.source], 0)
+
+
+@cache
+def _weights(side: int) -> np.ndarray:
+    knots = np.arange(side)
+    finer = np.linspace(0, side - 1, (side - 1) * _FINER + 1)
+    return make_interp_spline(knots, np.eye(side), k=3)(finer).astype(np.float32)
+
+
+def _refined(mesh: np.ndarray) -> np.ndarray:
+    """The mesh, or any array over its vertices, at _FINER times its resolution by cubic splines along u and v."""
+    along_u, along_v = _weights(mesh.shape[0]), _weights(mesh.shape[1])
+    return np.einsum("fu,uvc,gv->fgc", along_u, np.asarray(mesh, np.float32), along_v, optimize=True)
+
+
+def _splat(mesh: np.ndarray, size: int) -> _Cloth:
+    fine = _refined(mesh)
+    column = np.floor((fine[..., 0].ravel() + EXTENT) * (size / (2 * EXTENT))).astype(int)
+    row = np.floor((EXTENT - fine[..., 1].ravel()) * (size / (2 * EXTENT))).astype(int)
+    shown = np.flatnonzero((column >= 0) & (column < size) & (row >= 0) & (row < size))
+    # Of several values for one pixel NumPy keeps the last: the highest. Whole numbers sort several times faster than an
+    # argsort, and ties fall the same way everywhere.
+    height = np.rint(fine[..., 2].ravel()[shown] * 1e6).astype(np.int64)
+    upwards = np.sort((height << _INDEX_BITS) | shown) & ((1 << _INDEX_BITS) - 1)
+    covered, source = np.zeros((size, size), bool), np.zeros((size, size), int)
+    covered[row[upwards], column[upwards]] = True
+    source[row[upwards], column[upwards]] = upwards
+    return _Cloth(fine, covered, source)
+
+
+def _shade(cloth: _Cloth) -> np.ndarray:
+    """The lit colour of each pixel that shows cloth; black elsewhere."""
+    fine = cloth.fine
+    last_u, last_v = fine.shape[0] - 1, fine.shape[1] - 1
+    u, v = np.divmod(cloth.source[cloth.covered], fine.shape[1])
+    along_u = fine[np.minimum(u + 1, last_u), v] - fine[np.maximum(u - 1, 0), v]
+    along_v = fine[u, np.minimum(v + 1, last_v)] - fine[u, np.maximum(v - 1, 0)]
+    normal = np.cross(along_u, along_v)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True) + 1e-12
+    front = normal[:, 2:] >= 0
+    lit = np.clip(np.where(front, normal, -normal) @ _LIGHT, 0, 1)
+    # Where the surroundings are higher than the pixel, less light arrives: layers stand off from those below.
+    heights = cloth.heights
+    hollow = np.clip(_blur(heights, 0.012 * len(heights)) - heights, 0, None)[cloth.covered]
+    colour = np.clip(np.where(front, _FRONT, _BACK) * (0.42 + 0.75 * lit[:, None]), 0, 1)
+    image = np.zeros((*cloth.covered.shape, 3), np.float32)
+    image[cloth.covered] = colour * (1 - np.clip(9 * hollow, 0, 0.4))[:, None]
+    return image
+
+
+def _layer_edges(cloth: _Cloth) -> np.ndarray:
+    """How much of an edge between layers, or of the cloth's outline, each pixel shows, 0..1."""
+    u, v = np.divmod(cloth.source, cloth.fine.shape[1])
+    u, v = (np.where(cloth.covered, place, -100 * _FINER) for place in (u, v))
+    edge = np.zeros(cloth.covered.shape, np.float32)
+    heights = cloth.heights
+    for axis in (0, 1):
+        jump_u, jump_v = (np.abs(np.roll(place, -1, axis) - place) > _LAYER_JUMP * _FINER for place in (u, v))
+        jump = jump_u | jump_v
+        higher = heights >= np.roll(heights, -1, axis)
+        edge[jump & higher & cloth.covered] = 1
+        edge[np.roll(jump & ~higher, 1, axis) & cloth.covered] = 1
+    return edge
+
+
+def _halo(mesh: np.ndarray, std: np.ndarray, size: int) -> np.ndarray:
+    """Opacity of the spread in x and y: one minus the chance that no vertex falls on the pixel, 0..1."""
+    per_pixel = size / (2 * EXTENT)
+    sigma = np.sqrt(std[..., 0] * std[..., 1]).ravel() * per_pixel
+    levels = np.geomspace(max(sigma.min(), 1.0), max(sigma.max(), 1.01), 8)
+    level = np.argmin(np.abs(np.log(np.maximum(sigma, 1e-6))[:, None] - np.log(levels)), axis=1)
+    column = np.floor((mesh[..., 0].ravel() + EXTENT) * per_pixel).astype(int)
+    row = np.floor((EXTENT - mesh[..., 1].ravel()) * per_pixel).astype(int)
+    inside = (column >= 0) & (column < size) & (row >= 0) & (row < size)
+    expected = np.zeros((size, size), np.float32)
+    for k, width in enumerate(levels):
+        chosen = inside & (level == k)
+        impulses = np.zeros((size, size), np.float32)
+        np.add.at(impulses, (row[chosen], column[chosen]), 1.0)
+        expected += _blur(impulses, width)
+    # A vertex stands for a cell of the cloth as wide as the grid spacing.
+    cell = (CLOTH_SIDE / (mesh.shape[0] - 1) * per_pixel) ** 2
+    return 0.85 * (1 - np.exp(-1.5 * expected * cell))
+
+
+def _blur(image: np.ndarray, sigma: float) -> np.ndarray:
+    return cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)

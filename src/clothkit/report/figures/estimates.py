@@ -1,0 +1,41 @@
+"""Figure 9: estimates of shapes from voxels, and what refinement makes of them."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from clothkit.cloth import voxels
+from clothkit.cloth.equivalents import relabel
+from clothkit.dataset.store import Dataset
+from clothkit.report import panels
+from clothkit.report.draw import draw, draw_heights
+
+ROWS = ("truth", "voxels from above", "estimate (mean, σ lilac)", "refined")
+
+
+def estimates(dataset: Dataset, found: Mapping[str, np.ndarray], rows: pd.DataFrame, path: Path, *, count: int) -> None:
+    """A column per example: truth, voxels as height map, VtM's mean with its sigma, refined mesh.
+
+    The first test sequences, in turn after one, two and three manipulations; errors [cloth length] from the tidy rows.
+    Meshes are drawn under the labels of the truth, so that sides of equal colour are the same side.
+    """
+    test = set(dataset.indices("test").tolist())
+    places = [place for place, sequence in enumerate(found["sequence"]) if int(sequence) in test][:count]
+    states = np.sort(np.arange(len(places)) % 3 + 1)
+    figure, axes = panels.sheet(
+        [1.0] * 4, [1.0] * len(places), title="Estimates, test set (error in cloth lengths)", left=0.3
+    )
+    for axis, text in zip(axes[:, 0], ROWS, strict=True):
+        panels.row_label(axis, text)
+    errors = rows.set_index(["sequence", "state", "kind"])["error"]
+    for column, (place, state) in enumerate(zip(places, states, strict=True)):
+        sequence = int(found["sequence"][place])
+        truth, label = dataset.vertices[sequence, state], int(found["label"][place, state])
+        mean, std, mesh = (np.asarray(relabel(found[name][place, state], label)) for name in ("mean", "std", "mesh"))
+        panels.show(axes[0, column], draw(truth), mark="R")
+        panels.show(axes[1, column], draw_heights(np.asarray(voxels.observe(truth))))
+        panels.show(axes[2, column], draw(mean, std=std), mark="E", note=f"{errors[sequence, state, 'pmr']:.3f}")
+        panels.show(axes[3, column], draw(mesh), mark="E", note=f"{errors[sequence, state, 'dmr']:.3f}")
+    panels.save(figure, path)

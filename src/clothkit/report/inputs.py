@@ -1,0 +1,70 @@
+"""Everything that the report is made from, read and checked at once."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from clothkit.dataset import store
+from clothkit.dataset.store import Dataset
+from clothkit.evaluation import arrays
+from clothkit.planning import record
+from clothkit.planning.record import Sessions
+from clothkit.report import rows
+from clothkit.report.settings import ReportConfig
+
+NETS = ("a", "b")
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Tidy rows and the arrays of the pictures."""
+
+    dataset: Dataset
+    attempts: pd.DataFrame
+    histories: Mapping[str, pd.DataFrame]
+    """Of the nets a, b and vtm."""
+    estimation: pd.DataFrame
+    prediction: pd.DataFrame
+    planning: pd.DataFrame
+    """Of all planners."""
+    estimates: Mapping[str, np.ndarray]
+    predictions: Mapping[str, np.ndarray]
+    sessions: Sessions
+    """Of the first planner."""
+
+
+def paths(data: Path, settings: ReportConfig) -> list[Path]:
+    """The artifacts under `data` that `read` opens."""
+    evaluation = data / "evaluation"
+    return [
+        data / "meshes.zarr",
+        data / "raw/attempts.parquet",
+        *(data / f"nets/pemd_{net}/history.parquet" for net in NETS),
+        data / "nets/vtm/history.parquet",
+        evaluation / "estimation.parquet",
+        evaluation / "estimates.zarr",
+        evaluation / "prediction.parquet",
+        evaluation / "predictions.zarr",
+        *(evaluation / f"planning/{system}.parquet" for system in settings.planners),
+        evaluation / f"planning/sessions_{settings.planners[0]}.zarr",
+    ]
+
+
+def read(data: Path, settings: ReportConfig) -> Inputs:
+    """The report's inputs from the artifacts under `data`. Raises InputError for what is missing or malformed."""
+    evaluation = data / "evaluation"
+    forward = {net: rows.read(data / f"nets/pemd_{net}/history.parquet", rows.HISTORY) for net in NETS}
+    return Inputs(
+        dataset=store.load(data / "meshes.zarr"),
+        attempts=rows.read(data / "raw/attempts.parquet", rows.ATTEMPTS),
+        histories={**forward, "vtm": rows.read(data / "nets/vtm/history.parquet", rows.HISTORY)},
+        estimation=rows.read(evaluation / "estimation.parquet", rows.ESTIMATION),
+        prediction=rows.read(evaluation / "prediction.parquet", rows.PREDICTION),
+        planning=rows.read_planning(evaluation / "planning", settings.planners),
+        estimates=arrays.load(evaluation / "estimates.zarr", ("sequence", "mean", "std", "mesh", "label")),
+        predictions=arrays.load(evaluation / "predictions.zarr", ("sequence", "start", "mean", "std", "shift")),
+        sessions=record.load(evaluation / f"planning/sessions_{settings.planners[0]}.zarr"),
+    )

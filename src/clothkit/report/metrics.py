@@ -1,0 +1,33 @@
+"""Headline figures for `dvc metrics diff`: the means of the tables, our rows only, as nested names."""
+
+from typing import Any
+
+import pandas as pd
+
+DIGITS = 6
+
+
+def headline(
+    estimation: pd.DataFrame, prediction: pd.DataFrame, planning: pd.DataFrame, sigma_ratio: pd.DataFrame
+) -> dict[str, Any]:
+    """Mean error by split, kind or system, and column [cloth length], no action included; median sigma ratios."""
+    ratios = sigma_ratio[sigma_ratio["source"] == "clothkit"].drop(columns=["source", "system"])
+    return {
+        "estimation": _means(estimation, "kind"),
+        "prediction": _means(prediction, "system"),
+        "planning": _means(planning, "system"),
+        "sigma_ratio": {row.pop("split"): _rounded(row) for row in ratios.to_dict("records")},
+    }
+
+
+def _means(table: pd.DataFrame, by: str) -> dict[str, Any]:
+    means = table[(table["source"] == "clothkit") & (table["statistic"] == "mean")]
+    nested: dict[str, Any] = {}
+    for row in means.drop(columns=["source", "statistic"]).to_dict("records"):
+        split, group = row.pop("split"), row.pop(by)
+        nested.setdefault(split, {})[group] = _rounded(row)
+    return nested
+
+
+def _rounded(row: dict) -> dict[str, float]:
+    return {str(name): round(float(value), DIGITS) for name, value in row.items() if not pd.isna(value)}

@@ -1,0 +1,115 @@
+"""The report as one Markdown page: the headline, every table and picture, and what it was made with."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import pandas as pd
+
+from clothkit.report import markdown
+from clothkit.report.tables import TASKS
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What the page shows: tables as of `tables`, and the figures that were drawn, by name."""
+
+    scale: str
+    table_2: pd.DataFrame
+    table_3: pd.DataFrame
+    table_6: pd.DataFrame
+    sigma_ratio: pd.DataFrame
+    attempts: pd.DataFrame
+    tasks: Mapping[str, int]
+    """Sequences that were planned for, by split."""
+    figures: Sequence[str]
+
+
+KEYS = {
+    "table_2": ("split", "kind", "statistic"),
+    "table_3": ("split", "system", "statistic"),
+    "table_6": ("split", "system", "statistic"),
+    "sigma_ratio": ("split", "system"),
+}
+"""What tells the rows of a table apart, beside their source."""
+
+_SESSIONS = (
+    "Above the recorded sequence and its goal (light blue), which is all that the planner is given of it; at the left "
+    "what happened, the outcome in light blue; between, plan by plan, the estimate (E) with grasp candidates (lilac "
+    "circles) and the predictions (P, σ lilac); at the right the predicted outcome, refined."
+)
+CAPTIONS = {
+    "sequences": "Simulated test sequences: states from above, manipulations dotted (red and green: the two hands); "
+    "blue and orange are the cloth's two sides.",
+    "estimates": "Estimates of test sequences after one, two and three manipulations: truth, voxels, VtM's mean with "
+    "its σ in lilac, and the refined mesh.",
+    "predictions": "Predictions from an estimate of the first state (E) beside what was recorded (R). Lilac is σ, the "
+    "yellow line the predicted shift of the cloth's centre.",
+    "sessions_1": f"Planning in one step. {_SESSIONS}",
+    "sessions_2": f"Planning in two steps. {_SESSIONS}",
+    "sessions_3": f"Planning in three steps. {_SESSIONS}",
+    "scatter": "Planning error against prediction error, a dot per test task.",
+    "curves": "Validation errors during training.",
+}
+
+
+def page(contents: Contents) -> str:
+    """The page as a Markdown string; it refers to the files that `build` puts beside it."""
+    counts = " and ".join(f"{count} {split}" for split, count in contents.tasks.items())
+    parts = [
+        f"# Report: {contents.scale}\n",
+        "Errors are mean distances between vertices in lengths of the cloth's side, the smallest over the cloth's "
+        "eight equivalent labellings; outcomes and *no action* (start against goal) are moved onto the goal first, "
+        "estimates and predictions are not. Columns: manipulations / state that they start from. *main* sees voxels "
+        "only; *a1* predicts, and *b1* plans, from true meshes. Pictured are the first test sequences, not chosen "
+        "ones.\n",
+        f"Planned and executed: every task of {counts} sequences. The paper's figures are from another simulator, "
+        "3,493 training sequences, and 100 test and 100 training sequences in each table.\n",
+        "## Test set in short: mean errors\n",
+        _headline(contents),
+        "## Planning\n",
+        _figure(contents, "sessions_1"),
+        _figure(contents, "sessions_2"),
+        _figure(contents, "sessions_3"),
+        _block("Table 6", "table_6", contents.table_6),
+        _figure(contents, "scatter"),
+        "## Prediction\n",
+        _figure(contents, "predictions"),
+        _block("Table 3", "table_3", contents.table_3),
+        "## Estimation\n",
+        _figure(contents, "estimates"),
+        _block("Table 2", "table_2", contents.table_2),
+        "## Stated and actual uncertainty\n",
+        "Median over meshes of the mean of abs(error) / σ; 0.798 is ideal. Columns: estimates, then predictions after "
+        "one, two and three manipulations.\n",
+        table("sigma_ratio", contents.sigma_ratio),
+        "## Data and training\n",
+        _figure(contents, "sequences"),
+        "Tried sequences, by what became of them:\n",
+        table("attempts", contents.attempts),
+        _figure(contents, "curves"),
+        "## Made with\n",
+        "[params.yaml](params.yaml), [metrics.json](metrics.json), [seconds and memory of every stage](timings.csv).\n",
+    ]
+    return "\n".join(part for part in parts if part)
+
+
+def _headline(contents: Contents) -> str:
+    rows = []
+    for what, data in (("planning", contents.table_6), ("prediction", contents.table_3)):
+        means = data[(data["split"] == "test") & (data["statistic"] == "mean")]
+        own = means.loc[means["source"] == "clothkit", "system"].drop_duplicates()
+        rows += [means[means["system"] == system].assign(what=what) for system in own]
+    return markdown.table(pd.concat(rows)[["what", "system", "source", *TASKS]], ["what", "system"])
+
+
+def table(name: str, data: pd.DataFrame) -> str:
+    """A table of `Contents` as a Markdown string."""
+    return markdown.table(data, KEYS[name]) if name in KEYS else markdown.plain(data)
+
+
+def _block(title: str, name: str, data: pd.DataFrame) -> str:
+    return f"### {title}\n\n[CSV](tables/{name}.csv)\n\n{table(name, data)}"
+
+
+def _figure(contents: Contents, name: str) -> str:
+    return f"![{name}](figures/{name}.png)\n\n*{CAPTIONS[name]}*\n" if name in contents.figures else ""

@@ -1,0 +1,130 @@
+"""Sheets of small pictures with what belongs on them: manipulations, grasp candidates, marks; saved as equal bytes."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from clothkit.manipulation.geometry import release_points, to_cartesian
+from clothkit.manipulation.vector import displacement, grasp_points, is_null, is_single
+from clothkit.report.draw import EXTENT
+
+PANEL = 1.5
+"""Side of a panel [inch]."""
+
+SPACE = 0.06
+"""What lies between panels, as a share of their side."""
+
+PAIR = [1.0] * 4 + [0.14] + [1.0] * 4
+"""Columns of two sequences side by side, four states each."""
+
+DOTS = 130
+"""Pixels an inch of a saved figure."""
+
+GOAL = (0.86, 0.93, 1.0)
+"""Background of goals and final outcomes."""
+
+_HANDS = ("#c62828", "#2e7d32")
+_CANDIDATE = "#8e5bd0"
+INK = "#333333"
+"""Colour of text."""
+
+
+def sheet(
+    heights: Sequence[float], widths: Sequence[float], *, title: str = "", left: float = 0.1
+) -> tuple[Figure, np.ndarray]:
+    """A figure and its axes [rows columns]: rows and columns of so many panels' height and width, hidden until shown.
+
+    A narrow row or column separates blocks. `left` [inch] is the room for row labels.
+    """
+    width, height = (PANEL * (sum(shares) + SPACE * (len(shares) - 1)) for shares in (widths, heights))
+    top = 0.35 if title else 0.1
+    total_width, total_height = left + width + 0.1, top + height + 0.1
+    figure = Figure(figsize=(total_width, total_height))
+    FigureCanvasAgg(figure)
+    axes: np.ndarray = np.empty((len(heights), len(widths)), dtype=object)
+    for i, j in np.ndindex(*axes.shape):
+        x = left + PANEL * (sum(widths[:j]) + SPACE * j)
+        y = top + PANEL * (sum(heights[:i]) + SPACE * i)
+        box = (x, total_height - y - PANEL * heights[i], PANEL * widths[j], PANEL * heights[i])
+        axis = figure.add_axes(tuple(np.array(box) / np.array([total_width, total_height] * 2)))
+        axis.set_axis_off()
+        axes[i, j] = axis
+    if title:
+        figure.text(0.1 / total_width, 1 - 0.2 / total_height, title, fontsize=9, color=INK, va="center")
+    return figure, axes
+
+
+def chart(count: int, *, width: float, height: float = 2.6) -> tuple[Figure, list[Axes]]:
+    """A figure of `count` charts side by side, each `width` x `height` [inch], with quiet axes."""
+    figure = Figure(figsize=(width * count + 0.6, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = [figure.add_subplot(1, count, i + 1) for i in range(count)]
+    for axis in axes:
+        axis.spines[["top", "right"]].set_visible(False)
+        axis.tick_params(labelsize=7.5)
+        axis.grid(color="#eeeeee", linewidth=0.6)
+        axis.set_axisbelow(True)
+    return figure, axes
+
+
+def show(axis: Axes, picture: UInt8[np.ndarray, "row column 3"], *, mark: str = "", note: str = "") -> None:
+    """A picture of `draw` on a panel; `mark` (R real, E estimate, P prediction) bottom left, `note` bottom right."""
+    axis.set_axis_on()
+    axis.imshow(picture, extent=(-EXTENT, EXTENT, -EXTENT, EXTENT), interpolation="none")
+    axis.set(xlim=(-EXTENT, EXTENT), ylim=(-EXTENT, EXTENT), xticks=[], yticks=[])
+    for spine in axis.spines.values():
+        spine.set(color="#cccccc", linewidth=0.6)
+    if mark:
+        axis.text(0.035, 0.035, mark, transform=axis.transAxes, fontsize=7, fontweight="bold", color=INK)
+    if note:
+        axis.text(0.965, 0.035, note, transform=axis.transAxes, fontsize=6.5, color=INK, ha="right")
+
+
+def row_label(axis: Axes, text: str) -> None:
+    """Text left of a panel, read upwards."""
+    axis.text(
+        -0.08, 0.5, text, transform=axis.transAxes, rotation=90, fontsize=7.5, color=INK, ha="center", va="center"
+    )
+
+
+def heading(axis: Axes, text: str) -> None:
+    """Text above a panel."""
+    axis.text(0.5, 1.03, text, transform=axis.transAxes, fontsize=7.5, color=INK, ha="center", va="bottom")
+
+
+def manipulate(axis: Axes, mesh: Float[np.ndarray, "u v 3"], manipulation: Float[np.ndarray, "6"]) -> None:
+    """The hands' paths over a mesh, red and green dotted, from circled grasp points; a null one is said in words."""
+    if bool(is_null(manipulation)):
+        axis.text(0.5, 0.93, "no action", transform=axis.transAxes, fontsize=7, color=INK, ha="center", va="top")
+        return
+    grasps = np.stack([np.asarray(to_cartesian(mesh, uv))[:2] for uv in grasp_points(manipulation)])
+    releases = np.asarray(release_points(grasps, np.asarray(displacement(manipulation))).points)
+    hands = 1 if bool(is_single(manipulation)) else 2
+    for grasp, release, colour in list(zip(grasps, releases, _HANDS, strict=True))[:hands]:
+        path = np.stack([grasp, release]).T
+        axis.plot(*path, color="white", linewidth=2.2, alpha=0.75, solid_capstyle="round")
+        axis.plot(*path, color=colour, linewidth=1.4, linestyle=(0, (1.2, 1.0)))
+        axis.plot(*grasp, "o", markersize=3.6, markerfacecolor="white", markeredgecolor=colour, markeredgewidth=1.2)
+        axis.plot(*release, marker="x", markersize=4.2, markeredgecolor=colour, markeredgewidth=1.4)
+
+
+def candidates(axis: Axes, points: Float[np.ndarray, "points 2"]) -> None:
+    """Grasp point candidates as lilac circles."""
+    axis.plot(*points.T, "o", markersize=6.5, markerfacecolor="none", markeredgecolor=_CANDIDATE, markeredgewidth=1.0)
+
+
+def centre_shift(axis: Axes, shift: Float[np.ndarray, "2"]) -> None:
+    """The predicted shift of the cloth's centre point, ending at its centre: a yellow dotted line."""
+    path = np.stack([-shift, np.zeros(2)]).T
+    axis.plot(*path, color="#5a4a00", linewidth=2.6, solid_capstyle="round")
+    axis.plot(*path, color="#ffe600", linewidth=1.5, linestyle=(0, (1.2, 0.8)))
+
+
+def save(figure: Figure, path: Path) -> None:
+    """The figure as PNG, without a date or a version: the same figure gives the same bytes."""
+    figure.savefig(path, dpi=DOTS, format="png", metadata={"Software": None})

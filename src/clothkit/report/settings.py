@@ -1,0 +1,24 @@
+"""Settings of the report."""
+
+from typing import Annotated
+
+from annotated_types import Ge, MinLen
+
+from clothkit.config import config
+
+Count = Annotated[int, Ge(1)]
+
+
+@config
+class ReportConfig:
+    """Which systems the tables are about, and how many examples the pictures show."""
+
+    predictors: Annotated[tuple[str, ...], MinLen(1)] = ("main", "a1")
+    """Systems of table 3."""
+    planners: Annotated[tuple[str, ...], MinLen(1)] = ("main", "b1")
+    """Systems of table 6, the first of which is shown in pictures."""
+    sequences: Count = 8
+    estimates: Count = 6
+    predictions: Count = 4
+    sessions: Count = 2
+    """Of each length."""

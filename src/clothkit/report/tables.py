@@ -1,0 +1,95 @@
+"""Tables 2, 3 and 6 in the paper's layout: group-bys of tidy rows, with the paper's figures below ours.
+
+Every table has the columns source (clothkit, paper), split, kind or system, statistic (mean, std, median), then the
+paper's columns. The system *no action* is the error between start and goal; the statistic *mean / no action* puts a
+mean in relation to it. All in cloth lengths.
+"""
+
+from collections.abc import Sequence
+
+import pandas as pd
+
+from clothkit.report import paper, rows
+
+TASKS = ("1/0", "1/1", "1/2", "1/all", "2/0", "2/1", "2/all", "3/all")
+"""Columns of tables 3 and 6: length / start."""
+
+STATES = ("1", "2", "3", "all")
+"""Columns of table 2: how many manipulations lie behind the state."""
+
+STATISTICS = ("mean", "std", "median")
+NO_ACTION = "no action"
+RATIO = "mean / no action"
+
+
+def estimation(tidy: pd.DataFrame) -> pd.DataFrame:
+    """Table 2. No action: the state before the last manipulation, taken for the estimate."""
+    columns = [tidy["state"].astype(str), pd.Series("all", tidy.index)]
+    table = _table(tidy, columns, STATES, by="kind", groups=("pmr", "dmr"))
+    return pd.concat([table, paper.table(2)], ignore_index=True)
+
+
+def prediction(tidy: pd.DataFrame, systems: Sequence[str]) -> pd.DataFrame:
+    """Table 3: the net with the better validation score, from rows of both."""
+    rows.require(tidy, systems)
+    table = _task_table(tidy[tidy["better"]], systems)
+    return pd.concat([table, paper.table_of(3, systems)], ignore_index=True)
+
+
+def planning(tidy: pd.DataFrame, systems: Sequence[str]) -> pd.DataFrame:
+    """Table 6. Outcomes are aligned with their goals (section 6.3)."""
+    rows.require(tidy, systems)
+    return pd.concat([_task_table(tidy, systems), paper.table_of(6, systems)], ignore_index=True)
+
+
+def sigma_ratio(estimates: pd.DataFrame, predictions: pd.DataFrame) -> pd.DataFrame:
+    """Median sigma ratios of main: of estimates, and of predictions after 1, 2 and 3 manipulations; 0.798 is ideal."""
+    estimated = estimates[estimates["kind"] == "pmr"].groupby("split")["sigma_ratio"].median()
+    chosen = predictions[predictions["better"] & (predictions["system"] == "main")]
+    predicted = chosen.groupby(["split", "length"])["sigma_ratio"].median().unstack()
+    predicted.columns = [str(length) for length in predicted.columns]
+    table = predicted.assign(estimate=estimated)[["estimate", *predicted.columns]].reset_index()
+    table = table.assign(source="clothkit", system="main")
+    return pd.concat([table, paper.sigma_ratios()], ignore_index=True)[paper.sigma_ratios().columns]
+
+
+def _task_table(tidy: pd.DataFrame, systems: Sequence[str]) -> pd.DataFrame:
+    length = tidy["length"].astype(str)
+    return _table(tidy, [length + "/" + tidy["start"].astype(str), length + "/all"], TASKS, by="system", groups=systems)
+
+
+def _table(
+    tidy: pd.DataFrame, labels: Sequence[pd.Series], columns: Sequence[str], *, by: str, groups: Sequence[str]
+) -> pd.DataFrame:
+    """Statistics of `error`, a row counting in every column that one of its `labels` names."""
+    counted = pd.concat([tidy.assign(column=label) for label in labels], ignore_index=True)
+    keys = ["split", by, "column"]
+    own = counted.groupby(keys)["error"].agg(list(STATISTICS))
+    # All groups face the same starts and goals: those of the first stand for them.
+    first = counted[counted[by] == groups[0]]
+    none = first.groupby(["split", "column"])["error_no_action"].agg(list(STATISTICS)).reset_index()
+    own = own.reset_index().merge(none[["split", "column", "mean"]], on=["split", "column"], suffixes=("", "_none"))
+    own[RATIO] = own["mean"] / own.pop("mean_none")
+    table = pd.concat([own, none.assign(**{by: NO_ACTION})]).melt(keys, var_name="statistic")
+    table = table.pivot(index=["split", by, "statistic"], columns="column", values="value")
+    splits = [split for split in ("test", "train") if split in set(tidy["split"])]
+    order = [
+        (split, group, statistic)
+        for split in splits
+        for group in (*groups, NO_ACTION)
+        for statistic in (STATISTICS if group == NO_ACTION else (*STATISTICS, RATIO))
+    ]
+    table = table.reindex(index=pd.MultiIndex.from_tuples(order, names=["split", by, "statistic"])).reindex(
+        columns=list(columns)
+    )
+    table = table.reset_index().rename_axis(columns=None)
+    table.insert(0, "source", "clothkit")
+    return table
+
+
+def attempts(tidy: pd.DataFrame) -> pd.DataFrame:
+    """What became of tried sequences: accepted, or the reason for rejection; counts and shares."""
+    outcome = tidy["reason"].where(~tidy["accepted"].astype(bool), "accepted")
+    counts = outcome.value_counts().rename_axis("outcome").reset_index(name="attempts")
+    counts = counts.sort_values(["attempts", "outcome"], ascending=[False, True], ignore_index=True)
+    return counts.assign(share=counts["attempts"] / len(tidy))

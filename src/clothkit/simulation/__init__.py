@@ -1,0 +1,1 @@
+"""The world: a batched cloth solver, its settings, execution of manipulations, and recorded sequences."""

@@ -1,0 +1,155 @@
+"""Attempted sequences: three random manipulations from the flat cloth, each attempt drawn from a seed of its own."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage
+
+from clothkit.cloth.grid import CLOTH_SIDE, geodesic
+from clothkit.cloth.silhouette import silhouette
+from clothkit.manipulation.sampling import draw_hands, sample
+from clothkit.simulation.executor import perform
+from clothkit.simulation.quality import Quality, measure, reason
+from clothkit.simulation.settings import SimulateConfig
+from clothkit.simulation.solver import flat_state
+from clothkit.simulation.world import Worlds
+
+STEPS = 3
+RASTER = 256
+EXTENT = 1.1  # normalised, half of the silhouette raster's side
+
+
+class Attempts(NamedTuple):
+    """What became of a block of attempts. What a rejected attempt did not reach is zero."""
+
+    attempt: Int[np.ndarray, " attempts"]
+    accepted: Bool[np.ndarray, " attempts"]
+    reason: np.ndarray
+    """Text [attempts]: why it was rejected; empty when accepted."""
+    reached: Int[np.ndarray, " attempts"]
+    """Number of states, with the flat one and the one that was rejected."""
+    states: Float[np.ndarray, "attempts 4 u v 3"]
+    """Metres, world frame."""
+    manipulation: Float[np.ndarray, "attempts 3 6"]
+    hands: Int[np.ndarray, "attempts 3"]
+    releases: Float[np.ndarray, "attempts 3 2 2"]
+    """Metres."""
+    settle_time: Float[np.ndarray, "attempts 3"]
+    residual_speed: Float[np.ndarray, "attempts 4"]
+    height: Float[np.ndarray, "attempts 4"]
+    strain_p99: Float[np.ndarray, "attempts 4"]
+    strain_worst: Float[np.ndarray, "attempts 4"]
+    intersections: Int[np.ndarray, "attempts 4"]
+    gap: Float[np.ndarray, "attempts 4"]
+    area: Float[np.ndarray, "attempts 4"]
+    """Of the silhouette, as a share of the flat cloth's."""
+    folds: Int[np.ndarray, "attempts 4"]
+
+
+MEASURED = ("height", "strain_p99", "strain_worst", "intersections", "gap")
+
+
+def attempt_sequences(numbers: range, settings: SimulateConfig) -> Attempts:
+    """The attempts of these numbers. Each depends on the seed and its own number only."""
+    simulation, count = settings.simulation, len(numbers)
+    side = simulation.side
+    scale = simulation.cloth_side / CLOTH_SIDE
+    rngs = [np.random.default_rng([settings.seed, number]) for number in numbers]
+    worlds = Worlds(count, simulation)
+    found = _empty(numbers, side)
+    found.states[:, 0] = flat_state(simulation)
+    _note(found, np.arange(count), 0, measure(found.states[:, 0], simulation))
+    for step in range(STEPS):
+        open_ = np.flatnonzero(found.reason == "")
+        drawn = []
+        for index in open_:
+            mesh = (found.states[index, step] / np.float32(scale)).astype(np.float32)
+            hands = draw_hands(rngs[index], settings.sampling)
+            drawn.append(sample(rngs[index], mesh, hands, settings.sampling, settings.candidates))
+            if drawn[-1] is None:
+                found.reason[index] = "no manipulation"
+        chosen = [(index, draw) for index, draw in zip(open_, drawn, strict=True) if draw is not None]
+        if not chosen:
+            break
+        indices = np.array([index for index, _ in chosen])
+        before = found.states[indices, step]
+        points = [before[k].reshape(-1, 3)[list(draw.vertices), :2] for k, (_, draw) in enumerate(chosen)]
+        displacement = np.array([draw.displacement for _, draw in chosen]).astype(np.float32)
+        single = np.array([draw.single for _, draw in chosen])
+        moves = to_metres(displacement, scale)
+        taken, outcome = perform(worlds, before, np.array(points), moves, single)
+        quality = measure(outcome.states, simulation)
+        found.states[indices, step + 1] = outcome.states
+        found.settle_time[indices, step] = outcome.settle_time
+        found.residual_speed[indices, step + 1] = outcome.residual_speed
+        found.hands[indices, step] = np.where(single, 1, 2)
+        found.releases[indices, step] = [hands.releases for hands in taken]
+        vertices = np.array([hands.vertices for hands in taken])
+        vertices[:, 1] = np.where(single, vertices[:, 0], vertices[:, 1])
+        uv = geodesic(side).reshape(-1, 2)[vertices].reshape(-1, 4)
+        found.manipulation[indices, step] = np.concatenate([uv, displacement], axis=1)
+        _note(found, indices, step + 1, quality)
+        for k, index in enumerate(indices):
+            found.reason[index] = reason(quality, outcome, settings.limits, k)
+    return found._replace(accepted=found.reason == "")
+
+
+def to_metres(displacement: Float[np.ndarray, "*batch 2"], scale: float) -> Float[np.ndarray, "*batch 2"]:
+    """A recorded (float32, normalised) displacement in metres; the same bits wherever it is executed."""
+    return np.asarray(displacement, np.float64) * scale
+
+
+def folds(mesh: Float[np.ndarray, "u v 3"]) -> int:
+    """The number of connected creases.
+
+    A quad is creased when its neighbours before and after it, along u or v, face more than 90 degrees apart; creased
+    quads are connected over sides and corners.
+    """
+    down, right = mesh[1:, 1:] - mesh[:-1, :-1], mesh[1:, :-1] - mesh[:-1, 1:]
+    normal = np.cross(right, down)
+    creased = np.zeros(normal.shape[:2], bool)
+    creased[1:-1] |= (normal[:-2] * normal[2:]).sum(-1) < 0
+    creased[:, 1:-1] |= (normal[:, :-2] * normal[:, 2:]).sum(-1) < 0
+    return int(ndimage.label(creased, structure=np.ones((3, 3)))[1])
+
+
+def _empty(numbers: range, side: int) -> Attempts:
+    count, states = len(numbers), STEPS + 1
+
+    def zeros(*shape: int, kind: type = np.float32) -> np.ndarray:
+        return np.zeros((count, *shape), kind)
+
+    return Attempts(
+        attempt=np.array(numbers, np.int64),
+        accepted=zeros(kind=bool),
+        reason=np.full(count, "", "<U16"),
+        reached=zeros(kind=np.int32),
+        states=zeros(states, side, side, 3),
+        manipulation=zeros(STEPS, 6),
+        hands=zeros(STEPS, kind=np.int32),
+        releases=zeros(STEPS, 2, 2),
+        settle_time=zeros(STEPS),
+        residual_speed=zeros(states),
+        height=zeros(states),
+        strain_p99=zeros(states),
+        strain_worst=zeros(states),
+        intersections=zeros(states, kind=np.int32),
+        gap=zeros(states),
+        area=zeros(states),
+        folds=zeros(states, kind=np.int32),
+    )
+
+
+def _note(found: Attempts, indices: np.ndarray, state: int, quality: Quality) -> None:
+    for name in MEASURED:
+        getattr(found, name)[indices, state] = getattr(quality, name)
+    found.reached[indices] = state + 1
+    scale = CLOTH_SIDE / np.ptp(found.states[0, 0, ..., 0])
+    pixel = 2 * EXTENT / RASTER
+    for index in indices[quality.finite]:
+        mesh = found.states[index, state] * scale
+        middle = (mesh.max((0, 1)) + mesh.min((0, 1))) / 2
+        covered = silhouette((mesh - middle).astype(np.float32), resolution=RASTER, extent=EXTENT)
+        found.area[index, state] = covered.sum() * pixel**2 / CLOTH_SIDE**2
+        found.folds[index, state] = folds(mesh)

@@ -1,0 +1,129 @@
+"""Manipulations executed: from grasp points and displacement to hands, and over worker processes (design 6.11).
+
+The simulation stage and the planner share `perform`, so a recorded manipulation, executed from its recorded state,
+gives the recorded outcome to the last bit.
+"""
+
+import atexit
+import functools
+from concurrent.futures import ProcessPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from clothkit.cloth.grid import CLOTH_SIDE
+from clothkit.manipulation.geometry import release_points, topmost_vertex
+from clothkit.simulation.processes import cores, make_pool
+from clothkit.simulation.settings import SimulationConfig
+from clothkit.simulation.world import Outcome, Worlds
+
+WORTH_A_WORKER = 2  # worlds; fewer are not worth a process of their own
+
+
+class Hands(NamedTuple):
+    """What the hands of one world do."""
+
+    vertices: Int[np.ndarray, "2"]
+    """Grasped vertices, u * side + v, -1 for no hand."""
+    releases: Float[np.ndarray, "2 2"]
+    """Release points xy [m]."""
+
+
+def grasp(mesh: Float[np.ndarray, "u v 3"], xy: Float[np.ndarray, "2"], *, within: float) -> int:
+    """The vertex that a hand takes at xy: the topmost within reach of the nearest, and again from there until it stays.
+
+    So the hand that reaches for a grasped vertex takes that very vertex. Any one length unit.
+    """
+    vertices = mesh.reshape(-1, 3)
+    vertex = topmost_vertex(mesh, xy, within=within)
+    while True:
+        above = topmost_vertex(mesh, vertices[vertex, :2], within=within)
+        if vertices[above, 2] <= vertices[vertex, 2]:
+            return vertex
+        vertex = above
+
+
+def place_hands(
+    mesh: Float[np.ndarray, "u v 3"],
+    grasps: Float[np.ndarray, "2 2"],
+    displacement: Float[np.ndarray, "2"],
+    single: bool,
+    settings: SimulationConfig,
+) -> Hands:
+    """The grasped vertices and where they are released: eq. (1) from their true places; all in metres.
+
+    Hands that fall on different sides of m are mirrored all the same.
+    """
+    points = grasps[:1] if single else grasps
+    taken = [grasp(mesh, point, within=settings.spacing / 2) for point in points]
+    places = mesh.reshape(-1, 3)[[taken[0], taken[-1]], :2].astype(np.float64)
+    releases = np.asarray(release_points(places, displacement.astype(np.float64)).points, np.float32)
+    return Hands(np.array([taken[0], -1 if single else taken[-1]]), releases)
+
+
+def perform(
+    worlds: Worlds,
+    states: Float[np.ndarray, "worlds u v 3"],
+    grasps: Float[np.ndarray, "worlds 2 2"],
+    displacements: Float[np.ndarray, "worlds 2"],
+    single: Bool[np.ndarray, " worlds"],
+) -> tuple[list[Hands], Outcome]:
+    """The hands and the outcome of a manipulation in each world; all in metres, world frame."""
+    hands = [
+        place_hands(*arguments, worlds.settings)
+        for arguments in zip(states, grasps, displacements, single.tolist(), strict=True)
+    ]
+    vertices = np.array([h.vertices for h in hands], int).reshape(-1, 2)
+    releases = np.array([h.releases for h in hands], float).reshape(-1, 2, 2)
+    return hands, worlds.execute(states, vertices, releases)
+
+
+def execute(
+    meshes: Float[np.ndarray, "worlds u v 3"],
+    grasp_xy: Float[np.ndarray, "worlds 2 2"],
+    displacement: Float[np.ndarray, "worlds 2"],
+    single: Bool[np.ndarray, " worlds"],
+    settings: SimulationConfig,
+    *,
+    workers: int = 0,
+) -> Float[np.ndarray, "worlds u v 3"]:
+    """The meshes after a manipulation each; normalised, in the world frame (each mesh where it lies on the table).
+
+    One-handed ones (`single`) take the first grasp point. The outcome doesn't depend on `workers` (0: all cores) nor
+    on the other worlds.
+    """
+    scale = settings.cloth_side / CLOTH_SIDE
+    states = (np.asarray(meshes, np.float64) * scale).astype(np.float32)
+    grasps = np.asarray(grasp_xy, np.float64) * scale
+    moves = np.asarray(displacement, np.float64) * scale
+    parts = min(workers or cores(), max(1, len(states) // WORTH_A_WORKER))
+    if parts == 1 or settings.device != "cpu":
+        final = _run(settings, states, grasps, moves, single)
+    else:
+        # Interleaved, so that the parts cost about the same.
+        indices = [np.arange(part, len(states), parts) for part in range(parts)]
+        pool = _shared_pool(parts)
+        jobs = [pool.submit(_run, settings, states[i], grasps[i], moves[i], single[i]) for i in indices]
+        final = np.empty_like(states)
+        for index, job in zip(indices, jobs, strict=True):
+            final[index] = job.result()
+    return (final.astype(np.float64) / scale).astype(np.float32)
+
+
+def _run(
+    settings: SimulationConfig, states: np.ndarray, grasps: np.ndarray, moves: np.ndarray, single: np.ndarray
+) -> np.ndarray:
+    return perform(_worlds(settings, len(states)), states, grasps, moves, single)[1].states
+
+
+@functools.lru_cache(maxsize=2)
+def _worlds(settings: SimulationConfig, count: int) -> Worlds:
+    return Worlds(count, settings)
+
+
+@functools.cache
+def _shared_pool(workers: int) -> ProcessPoolExecutor:
+    pool = make_pool(workers)
+    atexit.register(pool.shutdown)
+    return pool

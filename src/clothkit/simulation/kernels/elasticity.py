@@ -1,0 +1,122 @@
+"""Stretch, shear and bending: XPBD with one iteration a substep, coloured so that a colour's constraints are disjoint.
+
+A lane block covers rows and columns: `width` lanes side by side, the others below.
+"""
+
+import warp as wp
+
+from clothkit.simulation.kernels.state import Floats, Solver, State, Vectors, synchronise
+
+
+@wp.func
+def keep_distance(x: Vectors, free: Floats, i: int, j: int, rest: float, compliance: float):
+    """Move two vertices towards their rest distance."""
+    wi = free[i]
+    wj = free[j]
+    xi = x[i]
+    xj = x[j]
+    d = xj - xi
+    length = wp.length(d)
+    s = (length - rest) / ((wi + wj + compliance) * length + 1.0e-12)
+    x[i] = xi + d * (wi * s)
+    x[j] = xj - d * (wj * s)
+
+
+@wp.func
+def limit_distance(x: Vectors, free: Floats, i: int, j: int, shortest: float, longest: float, compliance: float):
+    """Move two vertices towards the range of their distance, where they have left it."""
+    d = x[j] - x[i]
+    squared = wp.dot(d, d)
+    if squared < shortest * shortest:
+        keep_distance(x, free, i, j, shortest, compliance)
+    if squared > longest * longest:
+        keep_distance(x, free, i, j, longest, compliance)
+
+
+@wp.func
+def bend(solver: Solver, x: Vectors, free: Floats, i: int, j: int, k: int):
+    """Straighten three vertices in a row, with a moment that saturates, and keep the outer two apart."""
+    wi = free[i]
+    wj = free[j]
+    wk = free[k]
+    xi = x[i]
+    xj = x[j]
+    xk = x[k]
+    c = xi - 2.0 * xj + xk
+    compliance = solver.bending_compliance * wp.max(1.0, wp.length(c) / solver.bending_saturation)
+    multiplier = c * (1.0 / (wi + 4.0 * wj + wk + compliance))
+    xi = xi - multiplier * wi
+    xk = xk - multiplier * wk
+    d = xk - xi
+    squared = wp.dot(d, d)
+    if squared < solver.crease_length * solver.crease_length:
+        length = wp.sqrt(squared) + 1.0e-9
+        s = (length - solver.crease_length) / ((wi + wk + solver.crease_compliance) * length)
+        xi = xi + d * (wi * s)
+        xk = xk - d * (wk * s)
+    x[i] = xi
+    x[j] = xj + multiplier * (2.0 * wj)
+    x[k] = xk
+
+
+@wp.func
+def solve_bending(solver: Solver, state: State, w: int, lane: int, lanes: int):
+    """Bend along both directions of the grid, three colours each."""
+    x = state.position[w]
+    free = state.free[w]
+    n = solver.side
+    width = wp.min(lanes, 32)
+    rows = lanes / width
+    row0 = lane / width
+    column0 = lane % width
+    for colour in range(3):
+        for i in range(row0 * 3 + colour, n - 2, rows * 3):
+            for j in range(column0, n, width):
+                a = i * n + j
+                bend(solver, x, free, a, a + n, a + 2 * n)
+        synchronise()
+        for i in range(row0, n, rows):
+            for j in range(column0 * 3 + colour, n - 2, width * 3):
+                a = i * n + j
+                bend(solver, x, free, a, a + 1, a + 2)
+        synchronise()
+
+
+@wp.func
+def solve_stretch(solver: Solver, state: State, w: int, lane: int, lanes: int):
+    """Keep the edges' lengths, two colours per direction, then shear: one diagonal kept, the other limited.
+
+    Two stiff diagonals would lock creases that run across the grid, and make them tall.
+    """
+    x = state.position[w]
+    free = state.free[w]
+    n = solver.side
+    width = wp.min(lanes, 32)
+    rows = lanes / width
+    row0 = lane / width
+    column0 = lane % width
+    for colour in range(2):
+        for i in range(row0 * 2 + colour, n - 1, rows * 2):
+            for j in range(column0, n, width):
+                a = i * n + j
+                keep_distance(x, free, a, a + n, solver.spacing, solver.stretch_compliance)
+        synchronise()
+        for i in range(row0, n, rows):
+            for j in range(column0 * 2 + colour, n - 1, width * 2):
+                a = i * n + j
+                keep_distance(x, free, a, a + 1, solver.spacing, solver.stretch_compliance)
+        synchronise()
+    diagonal = solver.spacing * 1.41421356
+    for colour in range(2):
+        for i in range(row0 * 2 + colour, n - 1, rows * 2):
+            for j in range(column0, n - 1, width):
+                a = i * n + j
+                keep_distance(x, free, a, a + n + 1, diagonal, solver.shear_compliance)
+        synchronise()
+        for i in range(row0 * 2 + colour, n - 1, rows * 2):
+            for j in range(column0, n - 1, width):
+                a = i * n + j
+                limit_distance(
+                    x, free, a + 1, a + n, solver.diagonal_shortest, solver.diagonal_longest, solver.shear_compliance
+                )
+        synchronise()

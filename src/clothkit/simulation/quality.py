@@ -1,0 +1,99 @@
+"""Checks of states at rest: what is measured, and which limit a state breaks first."""
+
+from typing import NamedTuple
+
+import numpy as np
+import warp as wp
+from jaxtyping import Bool, Float, Int
+
+from clothkit.cloth.grid import CLOTH_SIDE, edges, triangles
+from clothkit.simulation.kernels.inspection import count_intersections, measure_gaps
+from clothkit.simulation.settings import Limits, SimulationConfig
+from clothkit.simulation.world import Outcome
+
+GAP_REACH = 3.0  # grid spacings: gaps are measured up to here; a flat cloth has about as much
+
+
+class Quality(NamedTuple):
+    """What was measured on each state."""
+
+    finite: Bool[np.ndarray, " states"]
+    lowest: Float[np.ndarray, " states"]
+    """Metres above the table, of the lowest vertex."""
+    height: Float[np.ndarray, " states"]
+    """Normalised, of the highest vertex."""
+    strain_p99: Float[np.ndarray, " states"]
+    """99th percentile of |length / rest - 1| over the grid's edges, without the diagonals."""
+    strain_worst: Float[np.ndarray, " states"]
+    intersections: Int[np.ndarray, " states"]
+    """Pairs of an edge, diagonals included, and a triangle that it pierces, of those without a common vertex."""
+    gap: Float[np.ndarray, " states"]
+    """Metres, smallest distance of a vertex to the surface outside its two-ring (triangles that touch no vertex at
+    most two rows and columns away), at most three grid spacings."""
+
+
+def measure(states: Float[np.ndarray, "states u v 3"], settings: SimulationConfig) -> Quality:
+    """The quality of states in metres. States that aren't finite are measured as if all vertices lay in one point."""
+    finite = np.isfinite(states).all((1, 2, 3))
+    usable = np.where(finite[:, None, None, None], states, np.float32(0))
+    strain = _strain(usable, settings.spacing)
+    return Quality(
+        finite,
+        usable[..., 2].min((1, 2)),
+        usable[..., 2].max((1, 2)) * np.float32(CLOTH_SIDE / settings.cloth_side),
+        np.percentile(strain, 99, axis=1).astype(np.float32),
+        strain.max(1),
+        intersections(usable, device=settings.device),
+        gaps(usable, reach=GAP_REACH * settings.spacing, device=settings.device),
+    )
+
+
+def reason(quality: Quality, outcome: Outcome, limits: Limits, index: int) -> str:
+    """Why the state is rejected, the first that holds; empty when it is accepted."""
+    checks = {
+        "not finite": not quality.finite[index],
+        "not at rest": not outcome.rested[index] or outcome.residual_speed[index] > limits.residual_speed,
+        "below table": quality.lowest[index] < -limits.below_table,
+        "intersections": quality.intersections[index] > limits.intersections,
+        "too high": quality.height[index] > limits.height,
+        "strained": quality.strain_p99[index] > limits.strain_p99 or quality.strain_worst[index] > limits.strain_worst,
+    }
+    return next((name for name, broken in checks.items() if broken), "")
+
+
+def intersections(states: Float[np.ndarray, "states u v 3"], *, device: str = "cpu") -> Int[np.ndarray, " states"]:
+    """How many pairs of an edge and a triangle pierce each other, every edge against every triangle."""
+    side = states.shape[1]
+    ends = edges(side)
+    counts = wp.zeros((len(states), len(ends)), dtype=int, device=device)
+    inputs = [_vertices(states, device), _numbers(ends, device), _numbers(triangles(side), device), counts]
+    if len(states):
+        wp.launch(count_intersections, dim=counts.shape, inputs=inputs, device=device)
+    return counts.numpy().sum(1)
+
+
+def gaps(
+    states: Float[np.ndarray, "states u v 3"], *, reach: float, device: str = "cpu"
+) -> Float[np.ndarray, " states"]:
+    """The smallest distance [length] of a vertex to the surface outside its two-ring, at most `reach`."""
+    side = states.shape[1]
+    found = wp.zeros((len(states), side * side), dtype=float, device=device)
+    inputs = [_vertices(states, device), _numbers(triangles(side), device), side, reach, found]
+    if len(states):
+        wp.launch(measure_gaps, dim=found.shape, inputs=inputs, device=device)
+    return found.numpy().min(1)
+
+
+def _vertices(states: np.ndarray, device: str) -> wp.array:
+    flat = np.ascontiguousarray(states, np.float32).reshape(len(states), -1, 3)
+    return wp.array(flat, dtype=wp.vec3, device=device)
+
+
+def _numbers(values: np.ndarray, device: str) -> wp.array:
+    return wp.array(values.astype(np.int32), dtype=int, device=device)
+
+
+def _strain(states: np.ndarray, spacing: float) -> Float[np.ndarray, "states edges"]:
+    along_u = np.linalg.norm(np.diff(states, axis=1), axis=-1).reshape(len(states), -1)
+    along_v = np.linalg.norm(np.diff(states, axis=2), axis=-1).reshape(len(states), -1)
+    return np.abs(np.concatenate([along_u, along_v], axis=1) / spacing - 1).astype(np.float32)

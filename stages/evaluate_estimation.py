@@ -1,0 +1,25 @@
+"""Estimates the evaluated sequences' states from voxels, and scores that: `python stages/evaluate_estimation.py`."""
+
+from pathlib import Path
+
+from clothkit.dataset import store
+from clothkit.evaluation import arrays, estimation
+from clothkit.networks.store import load
+from clothkit.stage import stage
+
+
+def main() -> None:
+    """Write data/evaluation/estimates.zarr and estimation.parquet."""
+    with stage("evaluate_estimation") as s:
+        meshes, vtm = Path("data/meshes.zarr"), Path("data/nets/vtm")
+        work = s.work(inputs=[meshes, vtm])
+        dataset = store.load(meshes)
+        found = estimation.estimates(dataset, load(vtm), s.params)
+        estimation.rows(dataset, found).to_parquet(work / "estimation.parquet", index=False)
+        arrays.save(work / "estimates.zarr", found.arrays(), s.attributes)
+        s.publish(work / "estimates.zarr", "data/evaluation/estimates.zarr")
+        s.publish(work / "estimation.parquet", "data/evaluation/estimation.parquet")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,32 @@
+"""Writes tables, figures and the page that shows them, reports/<scale>/: `python stages/report.py`."""
+
+import shutil
+from pathlib import Path
+
+from ruamel.yaml import YAML
+
+from clothkit.report.build import build
+from clothkit.report.inputs import paths, read
+from clothkit.report.timings import timings
+from clothkit.stage import stage
+
+DATA, TIMINGS = Path("data"), Path(".work/timings")
+OUTS = ("tables", "figures", "metrics.json", "README.md", "params.yaml", "timings.csv")
+
+
+def main() -> None:
+    """Write reports/<scale>/, each of its parts an out of its own."""
+    with stage("report") as s:
+        report = s.work(inputs=paths(DATA, s.params)) / "report"
+        shutil.rmtree(report, ignore_errors=True)
+        build(report, read(DATA, s.params), s.params, scale=s.shared.scale)
+        made_with = s.shared.model_dump(mode="json")
+        made_with["scales"] = {s.shared.scale: made_with["scales"][s.shared.scale]}
+        YAML().dump(made_with, report / "params.yaml")
+        timings(TIMINGS).to_csv(report / "timings.csv", index=False, lineterminator="\n")
+        for out in OUTS:
+            s.publish(report / out, f"reports/{s.shared.scale}/{out}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,55 @@
+import jax
+import numpy as np
+
+from clothkit.cloth.grid import flat
+from clothkit.cloth.voxels import double, observe, observe_noisily, occlude, of_mesh, voxelise
+
+RNG = np.random.default_rng(2)
+
+
+def test_voxelise_is_the_brute_force_one() -> None:
+    points = RNG.uniform([-1.3, -1.3, -0.05], [1.3, 1.3, 0.2], (300, 3)).astype(np.float32)
+    expected = np.zeros((32, 32, 16), bool)
+    for x, y, z in points:
+        i, j, k = int(np.floor((x + 1) * 16)), int(np.floor((y + 1) * 16)), int(np.floor(z * 128))
+        if 0 <= i < 32 and 0 <= j < 32:
+            expected[i, j, min(max(k, 0), 15)] = True
+    np.testing.assert_array_equal(voxelise(points), expected)
+    np.testing.assert_array_equal(voxelise(np.stack([points, points]))[1], expected)
+
+
+def test_occlusion_is_the_brute_force_one() -> None:
+    voxels = RNG.random((8, 8, 16)) < 0.1
+    expected = voxels.copy()
+    for i, j, k in np.argwhere(voxels):
+        expected[i, j, :k] = True
+    np.testing.assert_array_equal(occlude(jax.numpy.asarray(voxels)), expected)
+
+
+def test_doubling_puts_midpoints_between_neighbours() -> None:
+    mesh = RNG.normal(size=(5, 5, 3)).astype(np.float32)
+    dense = np.asarray(double(mesh))
+    assert dense.shape == (9, 9, 3)
+    np.testing.assert_array_equal(dense[::2, ::2], mesh)
+    np.testing.assert_allclose(dense[1::2, ::2], (mesh[1:] + mesh[:-1]) / 2, rtol=1e-6)
+    np.testing.assert_allclose(dense[::2, 1::2], (mesh[:, 1:] + mesh[:, :-1]) / 2, rtol=1e-6)
+    middle = (mesh[1:, 1:] + mesh[1:, :-1] + mesh[:-1, 1:] + mesh[:-1, :-1]) / 4
+    np.testing.assert_allclose(dense[1::2, 1::2], middle, rtol=1e-5, atol=1e-6)
+
+
+def test_the_flat_cloth_is_a_solid_square_one_voxel_high() -> None:
+    seen = np.asarray(observe(flat()))
+    inside = np.arange(32) >= 4
+    inside &= inside[::-1]
+    assert seen[inside][:, inside][:, :, 0].all()
+    assert not seen[..., 1:].any()
+    assert np.asarray(of_mesh(flat())).sum() <= seen.sum()
+
+
+def test_noise_is_drawn_from_its_key_and_vanishes_with_its_scale() -> None:
+    first, second = (
+        np.asarray(observe_noisily(flat(), noise=0.025, noise_z=0.01, key=jax.random.key(k))) for k in (0, 1)
+    )
+    assert (first != second).any()
+    silent = observe_noisily(flat(), noise=0.0, noise_z=0.0, key=jax.random.key(0))
+    np.testing.assert_array_equal(silent, observe(flat()))

@@ -1,0 +1,52 @@
+import numpy as np
+
+from clothkit.cloth.mesh import error
+from clothkit.dataset.augment import AugmentConfig, augment
+from clothkit.manipulation.vector import SHORTEST
+
+from .test_store import make
+
+
+def test_variants_are_turned_copies_without_nulls() -> None:
+    original = make()
+    augmented = augment(original, AugmentConfig(variants=3, null_share=0.0))
+    assert len(augmented) == 15
+    for row in range(15):
+        before, after = original.vertices[row // 3], augmented.vertices[row]
+        for axis in (-3, -2):
+            np.testing.assert_allclose(
+                np.linalg.norm(np.diff(after, axis=axis), axis=-1),
+                np.linalg.norm(np.diff(before, axis=axis), axis=-1),
+                rtol=1e-3,
+            )
+        np.testing.assert_array_equal(after[..., 2], before[..., 2])
+        # The displacement turns with the cloth: its angle to a vector on the cloth stays, but for a mirror's sign.
+        arrow = (lambda v: v[0, 31, 31, :2] - v[0, 0, 0, :2])
+        d0, d1 = original.manipulation[row // 3, 0, 4:], augmented.manipulation[row, 0, 4:]
+        np.testing.assert_allclose(d0 @ arrow(before), d1 @ arrow(after), atol=1e-4)
+        np.testing.assert_array_equal(augmented.manipulation[row, :, :4], original.manipulation[row // 3, :, :4])
+        assert float(np.linalg.norm(after - before)) > 0.1
+
+
+def test_a_null_leaves_the_state_and_moves_the_rest_on() -> None:
+    original = make()
+    augmented = augment(original, AugmentConfig(variants=8, null_share=1.0))
+    seen = set()
+    for row in range(len(augmented)):
+        norms = np.linalg.norm(augmented.manipulation[row, :, 4:], axis=-1)
+        true = original.manipulation[row // 8]
+        same = [s for s in range(3) if float(error(augmented.vertices[row, s], augmented.vertices[row, s + 1])) < 1e-6]
+        assert len(same) == 1
+        step = same[0]
+        seen.add(step)
+        assert norms[step] < SHORTEST
+        np.testing.assert_array_equal(augmented.centre[row, step], augmented.centre[row, step + 1])
+        kept = [s for s in range(3) if s != step]
+        np.testing.assert_allclose(augmented.manipulation[row, kept, :4], true[:2, :4])
+        assert augmented.length[row] == 3
+    assert seen == {0, 1, 2}
+
+
+def test_the_seed_decides() -> None:
+    first, second = (augment(make(), AugmentConfig(seed=3)) for _ in range(2))
+    np.testing.assert_array_equal(first.vertices, second.vertices)

@@ -1,0 +1,44 @@
+"""Estimates take the labels of the prediction that they are refined from (design 6.10)."""
+
+import jax
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from clothkit.cloth.equivalents import relabel
+from clothkit.cloth.grid import flat
+from clothkit.cloth.mesh import ProbabilisticMesh
+from clothkit.estimation.estimate import estimate, labelled_like
+from clothkit.estimation.refine import RefineConfig
+from clothkit.networks.net import Net
+from clothkit.networks.vtm import VtMConfig
+
+
+def lopsided() -> np.ndarray:
+    """A mesh whose eight equivalents all differ."""
+    mesh = flat().copy()
+    mesh[20:, :10, 2] = 0.05
+    mesh[..., 0] *= 0.8
+    return mesh
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.integers(0, 7))
+def test_labels_follow_the_prediction(k: int) -> None:
+    mesh = lopsided()[None]
+    blurred = ProbabilisticMesh(*(np.asarray(relabel(part, k)) for part in (mesh, np.full(mesh.shape, 0.02, "f4"))))
+    near = mesh + np.random.default_rng(0).normal(0, 0.01, mesh.shape).astype(np.float32)
+    np.testing.assert_allclose(labelled_like(blurred, near).mean, mesh, atol=1e-6)
+
+
+def test_estimates_of_a_small_net() -> None:
+    config = VtMConfig(hidden=4)
+    net = Net(config, config.initial(key=jax.random.key(0)))
+    seen = np.zeros((2, 32, 32, 16), bool)
+    seen[:, 8:24, 8:24, 0] = True
+    refining = RefineConfig(iterations=5)
+    plain = estimate(net, seen, refining)
+    assert plain.mesh.shape == plain.probabilistic.mean.shape == (2, 32, 32, 3)
+    guess = np.repeat(lopsided()[None], 2, axis=0)
+    biased = estimate(net, seen, refining, predicted=guess)
+    assert np.abs(biased.mesh - guess).max() <= 5 * refining.step + 1e-6

@@ -1,0 +1,118 @@
+"""The evaluations on tiny nets and made-up sequences: rows, labels, and that a perfect net has no error."""
+
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from clothkit.cloth import grid
+from clothkit.cloth.equivalents import relabel
+from clothkit.dataset.store import Dataset
+from clothkit.dataset.tasks import TASKS
+from clothkit.errors import InputError
+from clothkit.estimation.refine import RefineConfig
+from clothkit.evaluation import arrays, estimation, prediction
+from clothkit.evaluation.settings import EvaluateEstimationConfig, EvaluatePredictionConfig
+from clothkit.networks.net import Net
+from clothkit.networks.pemd import PEMDConfig, rollout
+from clothkit.networks.vtm import VtMConfig
+
+SEQUENCES = 5
+
+
+@pytest.fixture(scope="module")
+def dataset() -> Dataset:
+    rng = np.random.default_rng(0)
+    shape = (SEQUENCES, 4, 32, 32, 3)
+    vertices = np.broadcast_to(grid.flat(), shape) * np.array([0.9, 0.7, 1]) + 0.01 * rng.normal(size=shape)
+    return Dataset(
+        vertices.astype(np.float32),
+        rng.normal(size=(SEQUENCES, 4, 2)).astype(np.float32),
+        rng.uniform(-1, 1, (SEQUENCES, 3, 6)).astype(np.float32),
+        np.full((SEQUENCES, 3), 2, np.int8),
+        np.array([3, 3, 3, 2, 3], np.int8),
+        np.array([0, 2, 2, 2, 1], np.int8),
+        np.array([True, True, True, True, False]),
+    )
+
+
+@pytest.fixture(scope="module")
+def forward() -> dict[str, Net]:
+    config = PEMDConfig(latent=4, encoder=(8,), manipulation=6, decoder=(8,))
+    return {name: Net(config, config.initial(key=jax.random.key(k))) for k, name in enumerate("ab")}
+
+
+@pytest.fixture(scope="module")
+def estimates(dataset: Dataset) -> estimation.Estimates:
+    config = VtMConfig(hidden=4)
+    settings = EvaluateEstimationConfig(refine=RefineConfig(iterations=3), batch=5)
+    return estimation.estimates(dataset, Net(config, config.initial(key=jax.random.key(0))), settings)
+
+
+def test_estimates_are_of_whole_evaluated_sequences(dataset: Dataset, estimates: estimation.Estimates) -> None:
+    assert estimates.sequence.tolist() == [0, 1, 2]
+    assert estimates.mesh.shape == (3, 4, 32, 32, 3)
+    tidy = estimation.rows(dataset, estimates)
+    assert len(tidy) == 3 * 3 * 2
+    assert tidy.groupby("split")["sequence"].unique().map(list).to_dict() == {"test": [1, 2], "train": [0]}
+    assert sorted(tidy["state"].unique()) == [1, 2, 3]
+    assert (tidy["error"] <= tidy["error_labelled"] + 1e-6).all()
+
+
+def test_estimation_rows_of_known_estimates(dataset: Dataset, estimates: estimation.Estimates) -> None:
+    offset = np.array([0, 0.014, 0], np.float32)
+    truth = dataset.vertices[estimates.sequence]
+    known = estimates._replace(
+        mean=np.asarray(relabel(truth, 3)), std=np.ones_like(truth), mesh=np.asarray(relabel(truth + offset, 3))
+    )
+    tidy = estimation.rows(dataset, known)
+    by_kind = tidy.groupby("kind")["error"].max()
+    assert by_kind["pmr"] == pytest.approx(0, abs=1e-6)
+    assert by_kind["dmr"] == pytest.approx(0.01, abs=1e-6)
+    assert (tidy["error_labelled"] > 0.1).all()
+
+
+def test_prediction_rows(dataset: Dataset, forward: dict[str, Net], estimates: estimation.Estimates) -> None:
+    given = prediction.starts(dataset, estimates._asdict())
+    tidy = prediction.rows(dataset, given, forward, "b", EvaluatePredictionConfig(batch=2))
+    assert len(tidy) == 2 * 2 * 6 * 3
+    assert set(tidy.loc[tidy["better"], "net"]) == {"b"}
+    assert set(zip(tidy["start"], tidy["length"], strict=True)) == set(TASKS)
+    # One of them by hand: NumPy's centre shift and error of net a, from the true mesh.
+    mean, _, shift = rollout(forward["a"], dataset.vertices[2:3, 1], dataset.manipulation[2:3, 1:3])
+    row = tidy.query("system == 'a1' and net == 'a' and sequence == 2 and start == 1 and length == 2").iloc[0]
+    moved = dataset.centre[2, 3] - dataset.centre[2, 1]
+    assert row["position_error"] == pytest.approx(np.linalg.norm(np.asarray(shift).sum(0)[0] - moved) / 1.4, rel=1e-4)
+    candidates = [np.asarray(relabel(dataset.vertices[2, 3], k)) for k in range(8)]
+    by_hand = min(np.linalg.norm(np.asarray(mean.mean)[1, 0] - c, axis=-1).mean() / 1.4 for c in candidates)
+    assert row["error"] == pytest.approx(by_hand, rel=1e-4)
+
+
+def test_starts_carry_the_labels_of_the_truth(dataset: Dataset, estimates: estimation.Estimates) -> None:
+    turned = np.asarray(relabel(dataset.vertices[estimates.sequence], 1))
+    given = prediction.starts(
+        dataset, {"sequence": estimates.sequence, "mesh": turned, "label": np.full((3, 4), 1, np.int32)}
+    )
+    np.testing.assert_array_equal(given.meshes["main"], given.meshes["a1"])
+
+
+def test_stored_predictions_come_back(
+    dataset: Dataset, forward: dict[str, Net], estimates: estimation.Estimates, tmp_path: Path
+) -> None:
+    given = prediction.starts(dataset, estimates._asdict())
+    stored = prediction.stored(dataset, given, forward["a"], EvaluatePredictionConfig(stored=1))
+    contents = []
+    for name in ("one.zarr", "two.zarr"):
+        arrays.save(tmp_path / name, stored, {"scale": "smoke"})
+        files = sorted(path for path in (tmp_path / name).rglob("*") if path.is_file())
+        contents.append([(path.relative_to(tmp_path / name), path.read_bytes()) for path in files])
+    assert contents[0] == contents[1]
+    found = arrays.load(tmp_path / "one.zarr", ("sequence", "mean", "shift"))
+    assert found["sequence"].tolist() == [0, 1]
+    assert found["mean"].shape == (2, 3, 32, 32, 3)
+    np.testing.assert_array_equal(found["shift"], stored["shift"].values)
+    with pytest.raises(InputError, match="nothing"):
+        arrays.load(tmp_path / "one.zarr", ("nothing",))
+    with pytest.raises(InputError, match=r"three\.zarr"):
+        arrays.load(tmp_path / "three.zarr", ("mean",))

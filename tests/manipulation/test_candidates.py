@@ -1,0 +1,45 @@
+import numpy as np
+
+from clothkit.cloth.grid import flat
+from clothkit.manipulation.candidates import candidates
+
+
+def _nearest(points: np.ndarray, target: tuple[float, float]) -> float:
+    return float(np.linalg.norm(points - np.array(target), axis=-1).min())
+
+
+def _turned(mesh: np.ndarray, angle: float) -> np.ndarray:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.concatenate([mesh[..., :2] @ np.array([[c, s], [-s, c]]), mesh[..., 2:]], -1).astype(np.float32)
+
+
+def test_a_flat_cloth_is_graspable_at_its_corners_wherever_it_lies() -> None:
+    for angle in (0.0, 0.3, 0.785):
+        mesh = _turned(flat(), angle) + np.float32([0.4, -0.3, 0])
+        points = candidates(mesh)
+        assert len(points) == 4
+        for i in (0, 31):
+            for j in (0, 31):
+                assert _nearest(points, tuple(mesh[i, j, :2])) < 1e-5
+
+
+def test_concave_corners_are_left_out() -> None:
+    # An L: the quarter x > 0, y > 0 is folded onto the rest.
+    mesh = flat()
+    mesh[16:, 16:, 0] = mesh[15::-1, 16:, 0]
+    points = candidates(mesh)
+    assert _nearest(points, (0, 0)) > 0.1
+    for corner in [(-0.7, -0.7), (0.7, -0.7), (-0.7, 0.7), (0.7, 0), (0, 0.7)]:
+        assert _nearest(points, corner) < 0.08
+
+
+def test_a_diagonal_fold_has_three_corners() -> None:
+    mesh = flat()
+    x, y = mesh[..., 0].copy(), mesh[..., 1].copy()
+    over = x + y > 0
+    mesh[..., 0] = np.where(over, -y, x)
+    mesh[..., 1] = np.where(over, -x, y)
+    points = candidates(mesh)
+    assert len(points) == 3
+    for corner in [(-0.7, -0.7), (0.7, -0.7), (-0.7, 0.7)]:
+        assert _nearest(points, corner) < 0.05

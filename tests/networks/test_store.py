@@ -1,0 +1,71 @@
+"""Nets on disk: the same bytes for the same net, one sentence for a damaged file."""
+
+import json
+
+import jax
+import numpy as np
+import pandas as pd
+import pytest
+
+from clothkit.errors import InputError
+from clothkit.networks import store
+from clothkit.networks.net import Net
+from clothkit.networks.pemd import initial
+from clothkit.networks.settings import PEMDConfig, VtMConfig
+
+TINY = PEMDConfig(latent=3, encoder=(7, 6), manipulation=5, decoder=(4, 8))
+HISTORY = pd.DataFrame({"iteration": [1, 2], "score": [0.3, 0.2]})
+
+
+@pytest.fixture
+def folder(tmp_path):
+    store.save(tmp_path / "net", Net(TINY, initial(TINY, key=jax.random.key(0))), HISTORY, {"validation_score": 0.2})
+    return tmp_path / "net"
+
+
+def test_a_net_comes_back_as_it_was_and_is_written_alike(folder, tmp_path):
+    net = store.load(folder)
+    assert net.config == TINY
+    jax.tree.map(np.testing.assert_array_equal, net.params, initial(TINY, key=jax.random.key(0)))
+    store.save(tmp_path / "again", net, HISTORY, {"validation_score": 0.2})
+    for file in folder.iterdir():
+        assert file.read_bytes() == (tmp_path / "again" / file.name).read_bytes()
+
+
+def test_a_net_is_a_pytree_that_jit_takes(folder):
+    net = store.load(folder)
+    assert jax.jit(lambda n: n.params["M"]["layer_1"]["bias"] + n.config.latent)(net).shape == (5,)
+
+
+def test_damaged_files_are_named(folder):
+    weights = folder / store.WEIGHTS
+    whole = weights.read_bytes()
+    for size in (0, 10, len(whole) // 2, len(whole) - 1):
+        weights.write_bytes(whole[:size])
+        with pytest.raises(InputError, match=r"net\.msgpack"):
+            store.load(folder)
+    weights.unlink()
+    with pytest.raises(InputError, match=r"net\.msgpack.*no such file"):
+        store.load(folder)
+
+
+def test_weights_of_other_widths_or_not_finite_are_refused(folder, tmp_path):
+    described = json.loads((folder / store.ATTRIBUTES).read_text())
+    described["net"]["manipulation"] = 9
+    (folder / store.ATTRIBUTES).write_text(json.dumps(described))
+    with pytest.raises(InputError, match="expected shape"):
+        store.load(folder)
+    config = VtMConfig(hidden=2)
+    params = jax.tree.map(lambda w: np.full(w.shape, np.nan, np.float32), store.shapes(config))
+    store.save(tmp_path / "nan", Net(config, params), HISTORY, {})
+    with pytest.raises(InputError, match="NaN"):
+        store.load(tmp_path / "nan")
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{}", "[]", '{"kind": "pemd", "net": {"latent": -1}}', '{"kind": "x", "net": {}}']
+)
+def test_a_description_that_is_none_is_refused(folder, text):
+    (folder / store.ATTRIBUTES).write_text(text)
+    with pytest.raises(InputError, match=r"net\.json"):
+        store.load(folder)

@@ -1,0 +1,185 @@
+"""Sessions in the toy world: goals are reached, nothing is done where nothing helps, and an interrupted run goes on."""
+
+import dataclasses
+from pathlib import Path
+from unittest import mock
+
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+import pytest
+
+from clothkit.cloth.equivalents import relabel
+from clothkit.cloth.mesh import error
+from clothkit.cloth.silhouette import centred
+from clothkit.dataset.store import SPLITS, Dataset
+from clothkit.dataset.tasks import Task
+from clothkit.errors import InputError
+from clothkit.planning import session
+from clothkit.planning.evaluate import evaluate
+from clothkit.planning.record import Tasks, join, load, save, tasks_of_dataset
+from clothkit.planning.rows import rows
+from clothkit.planning.session import best_of_restarts, candidate_points, run_sessions
+from tests.planning import toy
+
+MANIPULATIONS = np.array([[-1, -1, -1, -1, 0.6, 0.5], [1, 1, 1, 1, -0.7, -0.3], [-1, 1, -1, 1, 0.5, -0.6]], np.float32)
+
+
+def dataset(sequences: int = 2) -> Dataset:
+    """Recorded sequences of the toy world, one of them with the cloth elsewhere on the table."""
+    vertices, centres = [], []
+    for s in range(sequences):
+        state = toy.bent() + np.array([0.3 * s, -0.2 * s, 0], np.float32)
+        states = [centred(state)]
+        for manipulation in MANIPULATIONS:
+            state = np.asarray(toy.dragged(jnp.asarray(state), jnp.asarray(manipulation)))
+            states.append(centred(state))
+        vertices.append([mesh for mesh, _ in states])
+        centres.append([middle for _, middle in states])
+    every = np.ones(sequences, np.int8)
+    return Dataset(
+        np.array(vertices, np.float32),
+        np.array(centres, np.float32),
+        np.repeat(MANIPULATIONS[None], sequences, axis=0),
+        np.ones((sequences, 3), np.int8),
+        3 * every,
+        np.full(sequences, SPLITS.index("test"), np.int8),
+        every.astype(bool),
+    )
+
+
+def tasks(*chosen: Task) -> Tasks:
+    return tasks_of_dataset(dataset(), list(chosen), "test")
+
+
+def test_true_meshes_reach_the_goal_in_known_labels() -> None:
+    sessions = run_sessions(tasks(Task(0, 0, 1), Task(1, 1, 1)), toy.planner("b1"), toy.execute)
+    tidy = rows(sessions, "b1")
+    assert (tidy.error < 0.02).all()
+    assert (tidy.error_labelled < 0.02).all()
+    assert (tidy.error_no_action > 0.05).all()
+    assert (sessions.relative[:, 0] == 0).all()
+    # Not the recorded place on the table but the recorded shape: every state is centred.
+    np.testing.assert_allclose(centred(sessions.state[1, 1])[1], 0, atol=0.02)
+    assert np.isfinite(sessions.prediction_mean[:, 0, 0]).all()
+    assert np.isnan(sessions.plan[:, 1:]).all()
+    assert (tidy.voxel_error < 0.02).all()
+
+
+def test_estimates_in_any_labels_reach_the_goals_shape() -> None:
+    """Two steps, each estimate in labels of its own as VtM may give them: later ones follow the prediction's."""
+    labels = {0: 5, 1: 6}
+
+    def seen(truth: np.ndarray, expected: np.ndarray | None, planner: session.Planner) -> np.ndarray:
+        found = [np.asarray(relabel(mesh, labels[i])) for i, mesh in enumerate(truth)]
+        if expected is not None:
+            near = [np.abs(np.asarray(relabel(m, k)) - e).mean() for m, e in zip(truth, expected, strict=True)
+                    for k in range(8)]
+            found = [np.asarray(relabel(m, int(np.argmin(near[8 * i : 8 * i + 8])))) for i, m in enumerate(truth)]
+        return np.stack(found)
+
+    planner = toy.planner("main")
+    given = tasks(Task(0, 0, 2), Task(1, 0, 1))
+    with mock.patch.object(session, "_estimates", seen):
+        sessions = run_sessions(given, planner, toy.execute)
+    outcome = sessions.state[np.arange(2), sessions.length]
+    np.testing.assert_array_less(np.asarray(error(outcome, sessions.goal, aligned=True)), [0.05, 0.02])
+    if not sessions.null[0].any():
+        # The labels that the first plan found stay.
+        assert sessions.relative[0, 1] == sessions.relative[0, 0]
+        np.testing.assert_allclose(sessions.estimate[0, 1], relabel(sessions.state[0, 1], labels[0]), atol=1e-5)
+
+
+def test_nothing_is_done_where_nothing_helps() -> None:
+    given = tasks(Task(0, 0, 2))
+    given = given._replace(goal=given.start)
+    calls = []
+
+    def execute(*arguments: np.ndarray) -> np.ndarray:
+        calls.append(arguments)
+        return toy.execute(*arguments)
+
+    sessions = run_sessions(given, toy.planner("b1", strains=8, base_iterations=0, iterations_per_step=4), execute)
+    assert sessions.null[0, :2].all()
+    assert not calls
+    for step in (1, 2):
+        np.testing.assert_array_equal(sessions.state[0, step], sessions.state[0, 0])
+        np.testing.assert_array_equal(sessions.estimate[0, min(step, 1)], sessions.estimate[0, 0])
+    assert rows(sessions, "b1").nulls.tolist() == [2]
+    assert rows(sessions, "b1").error.tolist() == pytest.approx([0])
+
+
+def test_three_steps_carry_plan_and_traces() -> None:
+    planner = toy.planner("b1", strains=16)
+    asked = []
+    original = session.search
+
+    def spy(forward: object, nets: object, problems: session.Problem, *rest: object, **more: object) -> object:
+        asked.append(problems)
+        return original(forward, nets, problems, *rest, **more)
+
+    with mock.patch.object(session, "search", spy):
+        sessions = run_sessions(tasks(Task(0, 0, 3)), planner, toy.execute)
+    assert [problems.carried.shape[1] for problems in asked] == [3, 2, 1]
+    for step, problems in enumerate(asked[1:], start=1):
+        assert problems.later.all()
+        np.testing.assert_array_equal(problems.carried[0], sessions.plan[0, step - 1, 1 : 4 - step])
+        # A toy trace counts the manipulations that were executed.
+        assert (problems.traces[0][0] == (~sessions.null[0, :step]).sum()).all()
+    assert rows(sessions, "b1").error[0] < 0.3 * rows(sessions, "b1").error_no_action[0]
+
+
+def test_a_broken_simulation_is_told() -> None:
+    with pytest.raises(InputError, match="not finite"):
+        run_sessions(tasks(Task(0, 0, 1)), toy.planner("b1"), lambda meshes, *_: meshes * np.nan)
+
+
+def test_candidates_of_the_flat_cloth_are_its_corners() -> None:
+    points = candidate_points(dataset(1).vertices[0, 0], toy.planner("b1").grasping)
+    assert {tuple(np.sign(p)) for p in points} <= {(-1, -1), (-1, 1), (1, -1), (1, 1)}
+    disc = np.zeros((32, 32, 3), np.float32)
+    angle, radius = np.linspace(0, 2 * np.pi, 32)[:, None], np.linspace(0, 0.6, 32)[None]
+    disc[..., 0], disc[..., 1] = radius * np.cos(angle), radius * np.sin(angle)
+    assert len(candidate_points(disc, toy.planner("b1").grasping)) >= 1
+
+
+def test_best_of_restarts_by_hand() -> None:
+    losses = np.array([3, 2, 4, 1, 5, 6.0], np.float32)[None, :, None]
+    restarts = np.array([0, 0, 1, 0, 1, 0], bool)[None, :, None]
+    np.testing.assert_array_equal(best_of_restarts(losses, restarts, 4)[0, 0], [2, 1, 6, np.nan])
+
+
+def test_an_interrupted_run_goes_on_to_the_same_rows(tmp_path: Path) -> None:
+    data, planner = dataset(), toy.planner("b1", strains=8, base_iterations=0, iterations_per_step=3)
+    small = dataclasses.replace(planner.settings, test=2, together=1)
+    planner = dataclasses.replace(planner, settings=small)
+    whole = evaluate(data, planner, toy.execute, work=tmp_path / "whole")
+    calls = 0
+
+    def killed(*arguments: np.ndarray) -> np.ndarray:
+        nonlocal calls
+        calls += 1
+        if calls == 5:
+            raise KeyboardInterrupt
+        return toy.execute(*arguments)
+
+    with pytest.raises(KeyboardInterrupt):
+        evaluate(data, planner, killed, work=tmp_path / "broken")
+    assert sorted(p.name for p in (tmp_path / "broken").iterdir()) == ["sessions_000.npz"]
+    resumed = evaluate(data, planner, toy.execute, work=tmp_path / "broken")
+    pd.testing.assert_frame_equal(rows(whole, "b1"), rows(resumed, "b1"))
+    save(tmp_path / "a.zarr", whole, {"system": "b1"})
+    save(tmp_path / "b.zarr", resumed, {"system": "b1"})
+    files = [sorted(p for p in (tmp_path / f"{n}.zarr").rglob("*") if p.is_file()) for n in "ab"]
+    assert [p.read_bytes() for p in files[0]] == [p.read_bytes() for p in files[1]]
+    back = load(tmp_path / "a.zarr")
+    np.testing.assert_array_equal(back.plan, whole.plan)
+    assert back.split.tolist() == whole.split.tolist() == ["test"] * 12
+    assert len(join([back, back])) == 24
+
+
+def test_more_sequences_than_there_are_is_told(tmp_path: Path) -> None:
+    planner = toy.planner("b1")
+    planner = dataclasses.replace(planner, settings=dataclasses.replace(planner.settings, test=9))
+    with pytest.raises(InputError, match="9 sequences"):
+        evaluate(dataset(), planner, toy.execute, work=tmp_path)

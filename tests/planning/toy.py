@@ -1,0 +1,81 @@
+"""A world that a forward model can know exactly: each hand drags the vertices near its grasp point along.
+
+It treats all equivalents alike, and serves both as a net and as what the net predicts.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from clothkit.cloth.equivalents import relabel
+from clothkit.cloth.grid import SIDE, flat, geodesic
+from clothkit.cloth.mesh import ProbabilisticMesh
+from clothkit.manipulation.candidates import CandidateConfig
+from clothkit.manipulation.geometry import to_geodesic
+from clothkit.planning.forward import Forward
+from clothkit.planning.loss import Weights
+from clothkit.planning.normalisation import Normalisation
+from clothkit.planning.search import SearchConfig
+from clothkit.planning.session import Planner
+from clothkit.planning.settings import PlanConfig
+from clothkit.planning.systems import system
+
+NETS = (jnp.float32(1.0), jnp.float32(1.03))
+"""A toy net is how far vertices follow the hand."""
+
+
+def dragged(mesh: Array, manipulation: Array, strength: Array | float = 1.0) -> Array:
+    """The meshes [*b u v 3] after a manipulation [*b 6] each."""
+    uv = jnp.asarray(geodesic())
+    grasps = manipulation[..., :4].reshape(*manipulation.shape[:-1], 1, 1, 2, 2)
+    near = jnp.exp(-jnp.sum((uv[:, :, None] - grasps) ** 2, axis=-1) / 0.5).max(-1)
+    d = manipulation[..., None, None, 4:]
+    lift = 0.05 * jnp.sum(d**2, axis=-1, keepdims=True)
+    return mesh + strength * near[..., None] * jnp.concatenate([d, lift], axis=-1)
+
+
+def encode(net: Array, mesh: Array) -> Array:
+    mesh = jnp.asarray(mesh)
+    return mesh.reshape(*mesh.shape[:-3], -1)
+
+
+def step(net: Array, latent: Array, trace: Array, manipulation: Array) -> tuple[Array, Array, Array]:
+    mesh = dragged(latent.reshape(*latent.shape[:-1], SIDE, SIDE, 3), manipulation, net)
+    return mesh.reshape(latent.shape), trace + 1, manipulation[..., :2]
+
+
+def decode(net: Array, latent: Array, every: int) -> ProbabilisticMesh:
+    mesh = latent.reshape(*latent.shape[:-1], SIDE, SIDE, 3)[..., ::every, ::every, :]
+    return ProbabilisticMesh(mesh, jnp.full_like(mesh, 0.05))
+
+
+FORWARD = Forward(encode, step, decode)
+
+
+def bent(k: int = 0) -> np.ndarray:
+    """A start whose eight equivalents all differ, centred near enough."""
+    mesh = dragged(jnp.asarray(flat()), jnp.array([1.0, 0.3, 1.0, 0.3, -0.35, 0.1]))
+    return np.asarray(relabel(mesh, k))
+
+
+def execute(
+    meshes: np.ndarray, grasps: np.ndarray, displacement: np.ndarray, single: np.ndarray
+) -> np.ndarray:
+    """The toy world as a simulator: hands take the nearest vertices."""
+    uv = np.stack([to_geodesic(mesh, pair) for mesh, pair in zip(meshes, grasps, strict=True)])
+    manipulation = np.concatenate([uv.reshape(-1, 4), displacement], axis=-1)
+    return np.asarray(dragged(jnp.asarray(meshes), jnp.asarray(manipulation, jnp.float32)))
+
+
+NORMALISATION = Normalisation(((-1.0,) * 3,) * 2, ((1.0,) * 3,) * 2, (0.01,) * 3, (0.01,) * 3)
+
+
+def planner(name: str, **search: int) -> Planner:
+    """A planner of the toy world."""
+    sizes = {"strains": 64, "every": 2, **search}
+    plan = PlanConfig(test=1, train=0, search=SearchConfig(**sizes), together=2, batch=2)
+    chosen = system(name)
+    nets = NETS[: chosen.nets]
+    return Planner(
+        chosen, nets, 0, None, NORMALISATION, Weights(1.0, 5.0, 1.25), plan, CandidateConfig(), forward=FORWARD
+    )

@@ -1,0 +1,143 @@
+"""A whole report from made-up artifacts: its files, its figures, equal bytes when it is built again."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from clothkit.cloth import grid
+from clothkit.dataset.store import Dataset
+from clothkit.dataset.tasks import TASKS, Task
+from clothkit.planning.record import Sessions, Sizes, blank, tasks_of_dataset
+from clothkit.report.build import build, picked
+from clothkit.report.figures.sessions import of_record, sessions
+from clothkit.report.inputs import Inputs
+from clothkit.report.settings import ReportConfig
+
+SETTINGS = ReportConfig(sequences=1, estimates=1, predictions=1, sessions=1)
+
+
+@pytest.fixture(scope="module")
+def dataset() -> Dataset:
+    """Two test sequences of ever smaller cloths."""
+    shrink = np.array([1, 0.9, 0.8, 0.7], np.float32)[:, None, None, None]
+    manipulation = np.array([-1, -1, 1, -1, 0.1, 0.8], np.float32)
+    return Dataset(
+        np.stack([grid.flat() * shrink] * 2),
+        np.zeros((2, 4, 2), np.float32),
+        np.broadcast_to(manipulation, (2, 3, 6)).copy(),
+        np.full((2, 3), 2, np.int8),
+        np.full(2, 3, np.int8),
+        np.full(2, 2, np.int8),
+        np.ones(2, bool),
+    )
+
+
+def recorded_sessions(dataset: Dataset) -> Sessions:
+    """Sessions in which everything happened as recorded."""
+    tasks = [Task(sequence, start, length) for sequence in (0, 1) for start, length in TASKS]
+    sessions = blank(tasks_of_dataset(dataset, tasks, "test"), Sizes(4, 2, 5, 8, 2))
+    for place, (sequence, start, length) in enumerate(tasks):
+        for step in range(length):
+            state, left = dataset.vertices[sequence, start + step], length - step
+            sessions.state[place, step + 1] = dataset.vertices[sequence, start + step + 1]
+            sessions.estimate[place, step] = state
+            sessions.candidates[place, step, :2] = [[-1, -1], [1, -1]]
+            sessions.plan[place, step, :left] = dataset.manipulation[sequence, :left]
+            after = dataset.vertices[sequence, start + step + 1 : start + length + 1]
+            sessions.prediction_mean[place, step, :left] = after[:, None]
+            sessions.prediction_std[place, step, :left] = 0.02
+            sessions.refined[place, step] = after[-1]
+    return sessions
+
+
+@pytest.fixture(scope="module")
+def inputs(dataset: Dataset) -> Inputs:
+    common = {"split": "test", "error": 0.03, "error_no_action": 0.2, "sigma_ratio": 0.8}
+    tasks = [{"sequence": q, "start": start, "length": length} for q in (0, 1) for start, length in TASKS]
+    planning = pd.DataFrame([{**common, **task, "system": system} for system in ("main", "b1") for task in tasks])
+    prediction = pd.DataFrame(
+        [
+            {**common, **task, "system": system, "net": net, "better": net == "b"}
+            for system in ("main", "a1")
+            for net in ("a", "b")
+            for task in tasks
+        ]
+    )
+    estimation = pd.DataFrame(
+        [
+            {**common, "sequence": sequence, "state": state, "kind": kind}
+            for sequence in (0, 1)
+            for state in (1, 2, 3)
+            for kind in ("pmr", "dmr")
+        ]
+    )
+    history = pd.DataFrame({"iteration": [10, 20, 30], "score": [0.3, 0.1, 0.2]})
+    spread = np.full_like(dataset.vertices, 0.02)
+    return Inputs(
+        dataset=dataset,
+        attempts=pd.DataFrame({"accepted": [True, False], "reason": ["", "height"]}),
+        histories={"a": history, "b": history, "vtm": history},
+        estimation=estimation,
+        prediction=prediction,
+        planning=planning,
+        estimates={
+            "sequence": np.arange(2),
+            "mean": dataset.vertices,
+            "std": spread,
+            "mesh": dataset.vertices,
+            "label": np.zeros((2, 4), np.int32),
+        },
+        predictions={
+            "sequence": np.arange(2),
+            "start": dataset.vertices[:, 0],
+            "mean": dataset.vertices[:, 1:],
+            "std": spread[:, 1:],
+            "shift": np.full((2, 3, 2), 0.1, np.float32),
+        },
+        sessions=recorded_sessions(dataset),
+    )
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def test_a_report_is_complete(inputs: Inputs, tmp_path: Path) -> None:
+    build(tmp_path / "report", inputs, SETTINGS, scale="smoke")
+    found = contents(tmp_path / "report")
+    tables = {f"tables/{name}.{kind}" for name in ("table_2", "table_3", "table_6") for kind in ("csv", "md")}
+    pictures = {
+        f"figures/{name}.png"
+        for name in (
+            "sequences",
+            "estimates",
+            "predictions",
+            "scatter",
+            "curves",
+            *(f"sessions_{n}" for n in (1, 2, 3)),
+        )
+    }
+    assert {"README.md", "metrics.json"} | tables | pictures <= found.keys()
+    page = found["README.md"].decode()
+    assert all(picture in page for picture in pictures)
+    assert "every task of 2 test sequences" in page
+
+
+def test_a_session_is_drawn_from_its_record(inputs: Inputs, dataset: Dataset, tmp_path: Path) -> None:
+    rows = inputs.planning[inputs.planning["system"] == "main"]
+    session = of_record(inputs.sessions, dataset, rows, Task(1, 1, 2), net=1)
+    assert session is not None
+    assert [len(step.plan) for step in session.steps] == [2, 1]
+    np.testing.assert_array_equal(session.states, dataset.vertices[1, 1:4])
+    np.testing.assert_allclose(session.steps[1].candidates, dataset.vertices[1, 2][[0, 31], 0, :2], atol=1e-6)
+    assert of_record(inputs.sessions, dataset, rows, Task(7, 0, 1), net=1) is None
+    for name in ("one.png", "two.png"):
+        sessions([session], tmp_path / name, abreast=1)
+    assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
+
+
+def test_pictures_take_the_starts_in_turn() -> None:
+    assert picked([5, 6, 7, 8], 1) == [Task(5, 0, 1), Task(6, 1, 1), Task(7, 2, 1), Task(8, 0, 1)]
+    assert picked([5, 6], 3) == [Task(5, 0, 3), Task(6, 0, 3)]

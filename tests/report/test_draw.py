@@ -1,0 +1,88 @@
+"""What pictures show: sides, layers, spread, voxels; and that equal figures are equal bytes."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clothkit.cloth import grid, voxels
+from clothkit.cloth.equivalents import relabel
+from clothkit.report import panels
+from clothkit.report.draw import EXTENT, draw, draw_heights
+
+PIXELS = 84
+
+
+def pixel(x: float, y: float) -> tuple[int, int]:
+    """Row and column of a point [normalised]."""
+    return int((EXTENT - y) / (2 * EXTENT) * PIXELS), int((x + EXTENT) / (2 * EXTENT) * PIXELS)
+
+
+def is_front(colour: np.ndarray) -> bool:
+    return bool(colour[2] > colour[0])
+
+
+def half_folded() -> np.ndarray:
+    """The flat cloth with the half x > 0 folded over onto the other."""
+    mesh = grid.flat()
+    right = mesh[..., 0] > 0
+    mesh[..., 2] = np.where(right, 0.02, 0)
+    mesh[..., 0] = -np.abs(mesh[..., 0])
+    return mesh
+
+
+def test_a_flat_cloth_fills_its_square_and_shows_its_front() -> None:
+    picture = draw(grid.flat(), pixels=PIXELS)
+    assert picture.shape == (PIXELS, PIXELS, 3)
+    assert is_front(picture[pixel(0.6, 0.6)])
+    assert is_front(picture[pixel(-0.6, 0.6)])
+    assert (picture[pixel(0.95, 0.95)] > 240).all()
+
+
+def test_mirrored_labels_show_the_other_side() -> None:
+    picture = draw(np.asarray(relabel(grid.flat(), 1)), pixels=PIXELS)
+    assert not is_front(picture[pixel(0, 0)])
+
+
+def test_the_upper_layer_hides_the_lower() -> None:
+    picture = draw(half_folded(), pixels=PIXELS)
+    assert not is_front(picture[pixel(-0.4, 0.1)])
+    assert (picture[pixel(0.5, 0.1)] > 240).all()
+
+
+def test_spread_is_lilac_around_the_cloth() -> None:
+    mesh = grid.flat()
+    plain = draw(mesh, pixels=PIXELS).astype(int)
+    spread = draw(mesh, std=np.full_like(mesh, 0.1), pixels=PIXELS).astype(int)
+    beside = pixel(0.8, 0)
+    assert spread[beside][1] < plain[beside][1] - 20
+    assert spread[beside][2] > spread[beside][1]
+    inside = pixel(0, 0)
+    assert spread[inside][0] > plain[inside][0]
+
+
+def test_the_table_may_be_coloured() -> None:
+    picture = draw(grid.flat(), table=panels.GOAL, pixels=PIXELS)
+    np.testing.assert_allclose(picture[2, 2] / 255, panels.GOAL, atol=0.01)
+
+
+def test_height_map_is_darker_where_it_is_higher() -> None:
+    picture = draw_heights(np.asarray(voxels.observe(half_folded())), pixels=PIXELS)
+    flat = draw_heights(np.asarray(voxels.observe(grid.flat())), pixels=PIXELS)
+    spot = pixel(-0.4, 0.1)
+    assert picture[spot][0] < flat[spot][0] < 255
+    assert picture[pixel(0.5, 0.1)][0] == 255
+
+
+@pytest.mark.parametrize("displacement", [(0.7, 0.1), (0.1, 0.0)])
+def test_equal_figures_are_equal_bytes(tmp_path: Path, displacement: tuple[float, float]) -> None:
+    mesh = half_folded()
+    for name in ("one.png", "two.png"):
+        figure, axes = panels.sheet([1.0], [1.0, 1.0], title="Test", left=0.3)
+        panels.show(axes[0, 0], draw(mesh), mark="R", note="0.031")
+        panels.manipulate(axes[0, 0], mesh, np.array([-1, -1, 1, -0.5, *displacement], np.float32))
+        panels.candidates(axes[0, 0], mesh[::31, ::31, :2].reshape(-1, 2))
+        panels.centre_shift(axes[0, 0], np.array([0.2, 0.1], np.float32))
+        panels.row_label(axes[0, 0], "row")
+        panels.save(figure, tmp_path / name)
+    assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()

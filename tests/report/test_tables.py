@@ -1,0 +1,239 @@
+"""Tables against values computed by hand, their layout, and the paper's figures against its text."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from clothkit.dataset.tasks import TASKS
+from clothkit.errors import InputError
+from clothkit.report import markdown, metrics, page, paper, rows, tables, timings
+
+
+def tidy_tasks(systems: tuple[str, ...], *, sequences: int = 4, seed: int = 0) -> pd.DataFrame:
+    """Rows that serve as planning and as prediction rows; net a is the better one."""
+    rng = np.random.default_rng(seed)
+    return pd.DataFrame(
+        [
+            {
+                "split": split,
+                "system": system,
+                "net": net,
+                "better": net == "a",
+                "sequence": sequence,
+                "start": start,
+                "length": length,
+                "error": rng.uniform(0.01, 0.1) + (net == "b"),
+                "error_no_action": 0.2 + 0.01 * sequence + 0.1 * length,
+                "sigma_ratio": 0.7 + 0.01 * sequence,
+            }
+            for split in ("test", "train")
+            for system in systems
+            for net in ("a", "b")
+            for sequence in range(sequences)
+            for start, length in TASKS
+        ]
+    )
+
+
+def tidy_estimates() -> pd.DataFrame:
+    return pd.DataFrame(
+        [
+            {
+                "split": "test",
+                "sequence": sequence,
+                "state": state,
+                "kind": kind,
+                "error": 0.01 * state + 0.001 * sequence + (0.1 if kind == "dmr" else 0),
+                "error_no_action": 0.25,
+                "sigma_ratio": 0.8,
+            }
+            for sequence in range(3)
+            for state in (1, 2, 3)
+            for kind in ("pmr", "dmr")
+        ]
+    )
+
+
+def cell(table: pd.DataFrame, column: str, **keys: str) -> float:
+    chosen = table
+    for name, value in keys.items():
+        chosen = chosen[chosen[name] == value]
+    assert len(chosen) == 1
+    return float(chosen[column].iloc[0])
+
+
+@pytest.mark.parametrize("statistic", ["mean", "std", "median"])
+@pytest.mark.parametrize("column", tables.TASKS)
+def test_planning_table_against_numpy(column: str, statistic: str) -> None:
+    tidy = tidy_tasks(("main", "b1")).query("net == 'a'")
+    length, start = column.split("/")
+    errors = [
+        float(row.error)  # type: ignore[arg-type]
+        for row in tidy.itertuples()
+        if (row.split, row.system, row.length) == ("test", "b1", int(length)) and start in ("all", str(row.start))
+    ]
+    by_hand = {"mean": np.mean(errors), "std": np.std(errors, ddof=1), "median": np.median(errors)}[statistic]
+    found = tables.planning(tidy, ("main", "b1"))
+    assert cell(found, column, source="clothkit", split="test", system="b1", statistic=statistic) == pytest.approx(
+        by_hand
+    )
+
+
+def test_layout_of_table_6() -> None:
+    found = tables.planning(tidy_tasks(("main",)), ("main",))
+    assert list(found.columns) == ["source", "split", "system", "statistic", *tables.TASKS]
+    own = found[found["source"] == "clothkit"]
+    assert list(own["split"].unique()) == ["test", "train"]
+    assert list(zip(own["system"], own["statistic"], strict=True))[:7] == [
+        *(("main", statistic) for statistic in ("mean", "std", "median", "mean / no action")),
+        *(("no action", statistic) for statistic in ("mean", "std", "median")),
+    ]
+    assert set(found.loc[found["source"] == "paper", "system"]) == {"main"}
+    assert not found.isna().any(axis=None)
+
+
+def test_no_action_rows_and_ratio() -> None:
+    tidy = tidy_tasks(("main", "b1")).query("net == 'a'")
+    found = tables.planning(tidy, ("main", "b1"))
+    none = cell(found, "2/all", source="clothkit", split="train", system="no action", statistic="mean")
+    assert none == pytest.approx(0.2 + 0.015 + 0.2)
+    mean = cell(found, "2/all", source="clothkit", split="train", system="b1", statistic="mean")
+    ratio = cell(found, "2/all", source="clothkit", split="train", system="b1", statistic="mean / no action")
+    assert ratio == pytest.approx(mean / none)
+
+
+def test_prediction_table_takes_the_better_net() -> None:
+    found = tables.prediction(tidy_tasks(("main", "a1")), ("main", "a1"))
+    own = found[(found["source"] == "clothkit") & (found["statistic"] == "median") & (found["system"] != "no action")]
+    assert (own[list(tables.TASKS)] < 0.2).all(axis=None)
+
+
+def test_estimation_table() -> None:
+    found = tables.estimation(tidy_estimates())
+    assert list(found.columns) == ["source", "split", "kind", "statistic", "1", "2", "3", "all"]
+    keys = {"source": "clothkit", "split": "test"}
+    assert cell(found, "2", kind="dmr", statistic="mean", **keys) == pytest.approx(0.121)
+    assert cell(found, "all", kind="pmr", statistic="median", **keys) == pytest.approx(0.021)
+    assert cell(found, "3", kind="pmr", statistic="mean / no action", **keys) == pytest.approx(0.031 / 0.25)
+
+
+def test_a_missing_system_is_named() -> None:
+    with pytest.raises(InputError, match="b1"):
+        tables.planning(tidy_tasks(("main",)), ("main", "b1"))
+
+
+def test_bad_rows_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "main.parquet"
+    with pytest.raises(InputError, match=r"main\.parquet"):
+        rows.read(path, rows.PLANNING)
+    tidy = tidy_tasks(("main",))
+    tidy.drop(columns="start").to_parquet(path)
+    with pytest.raises(InputError, match="start"):
+        rows.read(path, rows.PLANNING)
+    tidy.assign(error=np.nan).to_parquet(path)
+    with pytest.raises(InputError, match="error"):
+        rows.read(path, rows.PLANNING)
+    path.write_bytes(path.read_bytes()[:200])
+    with pytest.raises(InputError, match="could not read"):
+        rows.read(path, rows.PLANNING)
+
+
+@pytest.mark.parametrize(
+    ("number", "keys", "column", "value"),
+    [
+        (2, {"split": "test", "kind": "dmr", "statistic": "std"}, "all", 0.0434),
+        (2, {"split": "train", "kind": "pmr", "statistic": "median"}, "3", 0.0625),
+        (3, {"split": "test", "system": "main", "statistic": "mean"}, "1/2", 0.0914),
+        (3, {"split": "train", "system": "a1", "statistic": "median"}, "3/all", 0.0557),
+        (6, {"split": "test", "system": "main", "statistic": "mean"}, "1/0", 0.0291),
+        (6, {"split": "test", "system": "b1", "statistic": "median"}, "1/all", 0.0185),
+        (6, {"split": "test", "system": "b3", "statistic": "mean"}, "1/2", 0.0677),
+        (6, {"split": "train", "system": "main", "statistic": "std"}, "3/all", 0.0612),
+        (6, {"split": "train", "system": "b5", "statistic": "mean"}, "2/all", 0.155),
+    ],
+)
+def test_the_papers_figures(number: int, keys: dict[str, str], column: str, value: float) -> None:
+    assert cell(paper.table(number), column, **keys) == value
+
+
+@pytest.mark.parametrize(("number", "by"), [(2, "kind"), (3, "system"), (6, "system")])
+def test_the_papers_means_fit_together(number: int, by: str) -> None:
+    """The paper's "all" is the mean of its columns, as far as its three digits tell: a typing error would show."""
+    means = paper.table(number).query("statistic == 'mean'")
+    if number == 2:
+        assert np.allclose(means[["1", "2", "3"]].mean(axis=1), means["all"], atol=1e-3)
+    else:
+        assert np.allclose(means[["1/0", "1/1", "1/2"]].mean(axis=1), means["1/all"], atol=1e-3)
+        assert np.allclose(means[["2/0", "2/1"]].mean(axis=1), means["2/all"], atol=1e-3)
+    assert not means.duplicated(["split", by]).any()
+
+
+def test_sigma_ratios_are_medians() -> None:
+    found = tables.sigma_ratio(tidy_estimates(), tidy_tasks(("main", "a1")))
+    assert cell(found, "estimate", source="clothkit", split="test") == pytest.approx(0.8)
+    assert cell(found, "2", source="clothkit", split="train") == pytest.approx(0.715)
+
+
+def test_markdown_puts_the_papers_row_below_ours() -> None:
+    lines = markdown.table(
+        tables.planning(tidy_tasks(("main",)), ("main",)), ["split", "system", "statistic"]
+    ).splitlines()
+    assert lines[0] == "| split | system | statistic | source | 1/0 | 1/1 | 1/2 | 1/all | 2/0 | 2/1 | 2/all | 3/all |"
+    assert lines[2].startswith("| test | main | mean | clothkit | **")
+    assert (
+        lines[3]
+        == "| test | main | mean | paper | 0.0291 | 0.0411 | 0.0783 | 0.0495 | 0.0725 | 0.0913 | 0.0819 | 0.109 |"
+    )
+
+
+def test_metrics_are_nested_means() -> None:
+    estimation = tables.estimation(tidy_estimates())
+    tidy = tidy_tasks(("main", "a1"))
+    prediction = tables.prediction(tidy, ("main", "a1"))
+    found = metrics.headline(estimation, prediction, prediction, tables.sigma_ratio(tidy_estimates(), tidy))
+    assert found["estimation"]["test"]["pmr"]["1"] == pytest.approx(0.011)
+    assert found["prediction"]["test"]["no action"]["3/all"] == pytest.approx(0.515)
+    assert found["sigma_ratio"]["test"]["estimate"] == pytest.approx(0.8)
+    json.dumps(found, allow_nan=False)
+
+
+def test_attempts_are_counted_by_reason() -> None:
+    tidy = pd.DataFrame({"accepted": [True, False, True, False], "reason": ["", "strain", "", "height"]})
+    found = tables.attempts(tidy)
+    assert found.to_dict("list") == {
+        "outcome": ["accepted", "height", "strain"],
+        "attempts": [2, 1, 1],
+        "share": [0.5, 0.25, 0.25],
+    }
+
+
+def test_timings(tmp_path: Path) -> None:
+    note = {"stage": "plan@main", "seconds": 1.5, "cpu_seconds": 2.5, "peak_memory_mib": 900, "machine": "2 x x86_64"}
+    (tmp_path / "plan@main.json").write_text(json.dumps(note))
+    assert timings.timings(tmp_path).to_dict("records") == [note]
+    assert list(timings.timings(tmp_path / "none").columns) == timings.COLUMNS
+    (tmp_path / "b.json").write_text("{")
+    with pytest.raises(InputError, match=r"b\.json"):
+        timings.timings(tmp_path)
+
+
+def test_the_page_shows_tables_and_figures() -> None:
+    tidy = tidy_tasks(("main", "a1"))
+    contents = page.Contents(
+        scale="smoke",
+        table_2=tables.estimation(tidy_estimates()),
+        table_3=tables.prediction(tidy, ("main", "a1")),
+        table_6=tables.planning(tidy_tasks(("main",)), ("main",)),
+        sigma_ratio=tables.sigma_ratio(tidy_estimates(), tidy),
+        attempts=tables.attempts(pd.DataFrame({"accepted": [True], "reason": [""]})),
+        tasks={"test": 4, "train": 4},
+        figures=["sessions_2", "curves"],
+    )
+    text = page.page(contents)
+    assert "figures/sessions_2.png" in text
+    assert "figures/scatter.png" not in text
+    assert "| planning | main | paper | 0.0291 |" in text
+    assert "| planning | no action | clothkit | 0.315 |" in text

@@ -1,0 +1,142 @@
+"""Recorded sequences: the same bytes for any number of workers and after an interruption, and exact replays."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from clothkit.cloth.grid import CLOTH_SIDE, triangles
+from clothkit.errors import InputError
+from clothkit.simulation import generation
+from clothkit.simulation.attempts import folds, to_metres
+from clothkit.simulation.executor import execute, grasp, perform
+from clothkit.simulation.generation import generate
+from clothkit.simulation.settings import Limits, SimulateConfig, SimulationConfig
+from clothkit.simulation.solver import flat_state
+from clothkit.simulation.world import Worlds
+
+SIDE = 16
+SIMULATION = SimulationConfig(side=SIDE)
+# Folds of so coarse a cloth are bulky and tangled: only those that never came to rest are rejected.
+LIMITS = Limits(height=1.0, intersections=10**6, strain_p99=1.0, strain_worst=2.0)
+SETTINGS = SimulateConfig(sequences=3, seed=4, block=1, workers=1, simulation=SIMULATION, limits=LIMITS)
+SCALE = SIMULATION.cloth_side / CLOTH_SIDE
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*.parquet"))}
+
+
+def record(folder: Path, settings: SimulateConfig) -> Path:
+    (folder / "work").mkdir(parents=True, exist_ok=True)
+    generate(folder / "raw", settings, work=folder / "work", attributes={"seed": settings.seed})
+    return folder / "raw"
+
+
+@pytest.fixture(scope="module")
+def raw(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return record(tmp_path_factory.mktemp("simulate"), SETTINGS)
+
+
+def test_the_artifacts_hold_what_the_design_says(raw: Path) -> None:
+    states = pd.read_parquet(raw / "states" / "0000.parquet")
+    assert states["sequence"].tolist() == [0] * 4 + [1] * 4 + [2] * 4
+    assert states["state"].tolist() == [0, 1, 2, 3] * 3
+    vertices = np.stack(states["vertices"]).reshape(-1, SIDE, SIDE, 3)
+    assert vertices.dtype == np.float32
+    np.testing.assert_array_equal(vertices[::4], np.stack([flat_state(SIMULATION)] * 3))
+    np.testing.assert_allclose(states["height"], vertices[..., 2].max((1, 2)) * 3.5, rtol=1e-6)
+    manipulations = pd.read_parquet(raw / "manipulations.parquet")
+    assert manipulations["step"].tolist() == [0, 1, 2] * 3
+    assert (np.hypot(manipulations["dx"], manipulations["dy"]) >= 0.49 - 1e-6).all()
+    single = manipulations["hands"] == 1
+    assert ((manipulations["u1"] == manipulations["u2"]) & (manipulations["v1"] == manipulations["v2"]) == single).all()
+    topologies = pd.read_parquet(raw / "topologies.parquet")
+    material = topologies["material"][0].reshape(-1, 2)
+    assert np.ptp(material, axis=0) == pytest.approx([0.4, 0.4])
+    np.testing.assert_array_equal(topologies["triangles"][0].reshape(-1, 3), triangles(SIDE))
+    attempts = pd.read_parquet(raw / "attempts.parquet")
+    assert attempts["accepted"].sum() == 3
+    assert attempts["accepted"].iloc[-1]
+    assert ((attempts["reason"] == "") == attempts["accepted"]).all()
+    assert attempts["area"][0][0] == pytest.approx(1, abs=0.03)
+
+
+def test_workers_and_blocks_change_nothing(raw: Path, tmp_path: Path) -> None:
+    other = dataclasses.replace(SETTINGS, block=2, workers=2)
+    assert contents(record(tmp_path, other)) == contents(raw)
+
+
+def test_an_interrupted_run_goes_on(raw: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    attempted: list[int] = []
+    attempt_sequences = generation.attempt_sequences
+
+    def interrupted(numbers: range, settings: SimulateConfig) -> generation.Attempts:
+        if len(attempted) == 2:
+            attempted.clear()
+            raise KeyboardInterrupt
+        attempted.append(numbers[0])
+        return attempt_sequences(numbers, settings)
+
+    monkeypatch.setattr(generation, "attempt_sequences", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        record(tmp_path, SETTINGS)
+    assert contents(record(tmp_path, SETTINGS)) == contents(raw)
+    assert attempted[0] == 2
+
+
+def test_recorded_manipulations_replay_to_the_last_bit(raw: Path) -> None:
+    states = pd.read_parquet(raw / "states").sort_values(["sequence", "state"])
+    vertices = np.stack(states["vertices"]).reshape(-1, 4, SIDE, SIDE, 3)
+    recorded = pd.read_parquet(raw / "manipulations.parquet")
+    # In another order than recorded, all in one batch.
+    before, after = vertices[:, :3].reshape(-1, SIDE, SIDE, 3)[::-1], vertices[:, 1:].reshape(-1, SIDE, SIDE, 3)[::-1]
+    rows = recorded.iloc[::-1]
+    uv = rows[["u1", "v1", "u2", "v2"]].to_numpy().reshape(-1, 2, 2)
+    index = np.rint((uv + 1) / 2 * (SIDE - 1)).astype(int) @ [SIDE, 1]
+    xy = np.take_along_axis(before.reshape(len(before), -1, 3), index[..., None], axis=1)[..., :2]
+    moves = to_metres(rows[["dx", "dy"]].to_numpy(), SCALE)
+    single = rows["hands"].to_numpy() == 1
+    _, outcome = perform(Worlds(len(rows), SIMULATION), before, xy, moves, single)
+    np.testing.assert_array_equal(outcome.states, after)
+
+
+def test_execution_does_not_depend_on_workers(raw: Path) -> None:
+    mesh = flat_state(SIMULATION) / np.float32(SCALE)
+    meshes = np.stack([mesh] * 4)
+    corners = np.array([[[-0.7, -0.7], [-0.7, 0.7]], [[-0.7, -0.7]] * 2, [[0.7, 0.7]] * 2, [[0.7, -0.7], [0.7, 0.7]]])
+    moves = np.array([[1.3, 0.0], [0.7, 0.7], [-0.6, -0.7], [-1.0, 0.1]])
+    single = np.array([False, True, True, False])
+    one = execute(meshes, corners, moves, single, SIMULATION, workers=1)
+    two = execute(meshes, corners, moves, single, SIMULATION, workers=2)
+    np.testing.assert_array_equal(one, two)
+    np.testing.assert_array_equal(execute(meshes[2:3], corners[2:3], moves[2:3], single[2:3], SIMULATION)[0], one[2])
+    # Section 4.2.2: one hand is let go at the grasp point plus the displacement, close to where the corner then lies.
+    np.testing.assert_allclose(one[1, 0, 0, :2], [0.0, 0.0], atol=0.12)
+
+
+def test_a_hand_takes_the_topmost_vertex_and_keeps_it() -> None:
+    mesh = flat_state(SIMULATION)
+    mesh[3, 3] = [mesh[8, 8, 0] + 0.004, mesh[8, 8, 1], 0.005]
+    within = SIMULATION.spacing / 2
+    taken = grasp(mesh, mesh[8, 8, :2], within=within)
+    assert taken == 3 * SIDE + 3
+    assert grasp(mesh, mesh[3, 3, :2], within=within) == taken
+
+
+def test_fold_count() -> None:
+    flat = flat_state(SimulationConfig(side=20))
+    assert folds(flat) == 0
+    sheet = flat.copy()
+    sheet[..., 0] = np.abs(flat[..., 0] - 0.05)
+    sheet[..., 2] = np.where(flat[..., 0] > 0.05, 0.002, 0.0)
+    assert folds(sheet) == 1
+
+
+def test_limits_that_accept_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(generation, "HOPELESS", 1)
+    impossible = dataclasses.replace(SETTINGS, limits=Limits(height=1e-3))
+    with pytest.raises(InputError, match=r"simulate\.limits accepted none of 1"):
+        record(tmp_path, impossible)
