@@ -45,7 +45,10 @@ def test_every_scale_of_the_repository_is_valid(tmp_path: Path) -> None:
     [
         ({"scales.laptop.simulate.seqences": 3}, "scales.laptop.simulate.seqences is not a known key"),
         ({"alhpa": 1.0}, "alhpa is not a known key"),
-        ({"scales.smoke.train_pemd.net.latent": -4}, "scales.smoke.train_pemd.net.latent: input should be greater than"),
+        (
+            {"scales.smoke.train_pemd.net.latent": -4},
+            "scales.smoke.train_pemd.net.latent: input should be greater than",
+        ),
         ({"scales.laptop.regularise.train": "many"}, "scales.laptop.regularise.train: input should be a valid integer"),
         ({"scales.laptop.regularise.train": 3.5}, "scales.laptop.regularise.train: input should be a valid integer"),
         ({"alpha": -1.0}, "alpha: input should be greater than or equal to 0"),

@@ -12,8 +12,7 @@ from clothkit.dataset.augment import AugmentConfig
 from clothkit.dataset.regularise import RegulariseConfig
 from clothkit.errors import InputError
 from clothkit.evaluation.settings import EvaluateEstimationConfig, EvaluatePredictionConfig
-from clothkit.networks.pemd_training import TrainPEMDConfig
-from clothkit.networks.vtm_training import TrainVtMConfig
+from clothkit.networks.settings import TrainPEMDConfig, TrainVtMConfig
 from clothkit.planning.settings import NormaliseConfig, PlanConfig
 from clothkit.report.settings import ReportConfig
 from clothkit.simulation.settings import SimulateConfig

@@ -21,9 +21,9 @@ def test_variants_are_turned_copies_without_nulls() -> None:
             )
         np.testing.assert_array_equal(after[..., 2], before[..., 2])
         # The displacement turns with the cloth: its angle to a vector on the cloth stays, but for a mirror's sign.
-        arrow = (lambda v: v[0, 31, 31, :2] - v[0, 0, 0, :2])
+        arrows = [v[0, 31, 31, :2] - v[0, 0, 0, :2] for v in (before, after)]
         d0, d1 = original.manipulation[row // 3, 0, 4:], augmented.manipulation[row, 0, 4:]
-        np.testing.assert_allclose(d0 @ arrow(before), d1 @ arrow(after), atol=1e-4)
+        np.testing.assert_allclose(d0 @ arrows[0], d1 @ arrows[1], atol=1e-4)
         np.testing.assert_array_equal(augmented.manipulation[row, :, :4], original.manipulation[row // 3, :, :4])
         assert float(np.linalg.norm(after - before)) > 0.1
 

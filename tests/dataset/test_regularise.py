@@ -20,7 +20,7 @@ def write_raw(folder: Path, count: int = 4) -> Path:
     rows, steps = [], []
     for sequence in range(count):
         for state in range(4):
-            position = np.concatenate([material + [0.1 * state, 0], np.full((1024, 1), 0.001)], -1)
+            position = np.concatenate([material + np.array([0.1 * state, 0]), np.full((1024, 1), 0.001)], -1)
             rows.append((sequence, state, 0, position.astype(np.float32).ravel()))
         steps += [(sequence, step, 1 + step % 2, -1, -1, 1, 1, 0.5, sequence) for step in range(3)]
     pd.DataFrame(rows, columns=["sequence", "state", "topology", "vertices"]).to_parquet(folder / "states/0.parquet")
@@ -35,7 +35,9 @@ def test_flat_cloths_become_the_flat_mesh_and_its_centre(tmp_path: Path) -> None
     dataset = regularise(write_raw(tmp_path), SETTINGS)
     expected = flat() + np.float32([0, 0, 0.0035])
     np.testing.assert_allclose(dataset.vertices, np.broadcast_to(expected, (4, 4, 32, 32, 3)), atol=1e-3)
-    np.testing.assert_allclose(dataset.centre[:, :, 0] - dataset.centre[:, :1, 0], [[0, 0.35, 0.7, 1.05]] * 4, atol=1e-3)
+    np.testing.assert_allclose(
+        dataset.centre[:, :, 0] - dataset.centre[:, :1, 0], [[0, 0.35, 0.7, 1.05]] * 4, atol=1e-3
+    )
     np.testing.assert_allclose(dataset.manipulation[3, 1], [-1, -1, 1, 1, 0.5, 3])
     assert dataset.length.tolist() == [3] * 4
 

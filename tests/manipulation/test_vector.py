@@ -4,7 +4,8 @@ import pytest
 
 from clothkit.cloth.grid import flat
 from clothkit.manipulation.geometry import release_points, to_cartesian
-from clothkit.manipulation.vector import is_null, is_single, planar, swap_grasps, turn_manipulation, turn_mesh
+from clothkit.manipulation.turns import planar, turn_manipulation, turn_mesh
+from clothkit.manipulation.vector import is_null, is_single, swap_grasps
 
 MANIPULATION = np.float32([-1, -1, -1, 1, 0.9, 0.2])
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clothkit.manipulation.geometry import release_points, to_cartesian
-from clothkit.manipulation.vector import planar
+from clothkit.manipulation.turns import planar
 from clothkit.networks.augment import Examples, augment, relabelled, turned
 from clothkit.networks.pemd_training import draw, sequences, shortened
 from tests.networks.conftest import crumpled

@@ -12,7 +12,8 @@ from clothkit.networks import pemd_training
 from clothkit.networks.layers import probabilistic_mesh
 from clothkit.networks.pemd import PEMD, initial
 from clothkit.networks.pemd_training import direction, draw, loss_position, loss_shape, shortened
-from clothkit.networks.settings import PEMDConfig, TrainingConfig, sign_sum
+from clothkit.networks.recipe import sign_sum
+from clothkit.networks.settings import PEMDConfig, TrainingConfig, TrainPEMDConfig
 from clothkit.networks.vtm_training import loss_vtm
 
 NET = PEMDConfig(latent=3, encoder=(7, 6), manipulation=5, decoder=(4, 8))

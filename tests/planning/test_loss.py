@@ -33,7 +33,9 @@ def test_accuracy_term() -> None:
 
 
 def test_uncertainty() -> None:
-    a, b = (ProbabilisticMesh(*(jnp.stack(p) for p in zip(meshes(s)[1], meshes(s + 9)[1], strict=True))) for s in (1, 2))
+    a, b = (
+        ProbabilisticMesh(*(jnp.stack(p) for p in zip(meshes(s)[1], meshes(s + 9)[1], strict=True))) for s in (1, 2)
+    )
     spread = Spread(jnp.array([1.7, 2.0]), jnp.array([0.4, 0.5]))
     expected = 0.0
     for i in range(2):

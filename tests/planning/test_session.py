@@ -73,8 +73,11 @@ def test_estimates_in_any_labels_reach_the_goals_shape() -> None:
     def seen(truth: np.ndarray, expected: np.ndarray | None, planner: session.Planner) -> np.ndarray:
         found = [np.asarray(relabel(mesh, labels[i])) for i, mesh in enumerate(truth)]
         if expected is not None:
-            near = [np.abs(np.asarray(relabel(m, k)) - e).mean() for m, e in zip(truth, expected, strict=True)
-                    for k in range(8)]
+            near = [
+                np.abs(np.asarray(relabel(m, k)) - e).mean()
+                for m, e in zip(truth, expected, strict=True)
+                for k in range(8)
+            ]
             found = [np.asarray(relabel(m, int(np.argmin(near[8 * i : 8 * i + 8])))) for i, m in enumerate(truth)]
         return np.stack(found)
 
@@ -99,7 +102,7 @@ def test_nothing_is_done_where_nothing_helps() -> None:
         calls.append(arguments)
         return toy.execute(*arguments)
 
-    sessions = run_sessions(given, toy.planner("b1", strains=8, base_iterations=0, iterations_per_step=4), execute)
+    sessions = run_sessions(given, toy.planner("b1"), execute)
     assert sessions.null[0, :2].all()
     assert not calls
     for step in (1, 2):
@@ -110,7 +113,7 @@ def test_nothing_is_done_where_nothing_helps() -> None:
 
 
 def test_three_steps_carry_plan_and_traces() -> None:
-    planner = toy.planner("b1", strains=16)
+    planner = toy.planner("b1")
     asked = []
     original = session.search
 
@@ -150,7 +153,7 @@ def test_best_of_restarts_by_hand() -> None:
 
 
 def test_an_interrupted_run_goes_on_to_the_same_rows(tmp_path: Path) -> None:
-    data, planner = dataset(), toy.planner("b1", strains=8, base_iterations=0, iterations_per_step=3)
+    data, planner = dataset(), toy.planner("b1")
     small = dataclasses.replace(planner.settings, test=2, together=1)
     planner = dataclasses.replace(planner, settings=small)
     whole = evaluate(data, planner, toy.execute, work=tmp_path / "whole")

@@ -58,9 +58,7 @@ def bent(k: int = 0) -> np.ndarray:
     return np.asarray(relabel(mesh, k))
 
 
-def execute(
-    meshes: np.ndarray, grasps: np.ndarray, displacement: np.ndarray, single: np.ndarray
-) -> np.ndarray:
+def execute(meshes: np.ndarray, grasps: np.ndarray, displacement: np.ndarray, single: np.ndarray) -> np.ndarray:
     """The toy world as a simulator: hands take the nearest vertices."""
     uv = np.stack([to_geodesic(mesh, pair) for mesh, pair in zip(meshes, grasps, strict=True)])
     manipulation = np.concatenate([uv.reshape(-1, 4), displacement], axis=-1)
@@ -70,10 +68,9 @@ def execute(
 NORMALISATION = Normalisation(((-1.0,) * 3,) * 2, ((1.0,) * 3,) * 2, (0.01,) * 3, (0.01,) * 3)
 
 
-def planner(name: str, **search: int) -> Planner:
-    """A planner of the toy world."""
-    sizes = {"strains": 64, "every": 2, **search}
-    plan = PlanConfig(test=1, train=0, search=SearchConfig(**sizes), together=2, batch=2)
+def planner(name: str) -> Planner:
+    """A planner of the toy world; all tests share its sizes, so that each plan length is compiled once."""
+    plan = PlanConfig(test=1, train=0, search=SearchConfig(strains=64, every=4), together=2, batch=2)
     chosen = system(name)
     nets = NETS[: chosen.nets]
     return Planner(

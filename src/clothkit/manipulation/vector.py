@@ -36,24 +36,3 @@ def is_single(manipulation: Manipulations) -> Bool[Array, "*batch"]:
 def swap_grasps(manipulation: Manipulations) -> Float[Array, "*batch 6"]:
     """The same manipulation with its grasp points in the other order (section 4.6, augmentation 3)."""
     return jnp.asarray(manipulation)[..., jnp.array([2, 3, 0, 1, 4, 5])]
-
-
-def planar(angle: Float[Array, "*batch"], mirrored: Bool[Array, "*batch"]) -> Float[Array, "*batch 2 2"]:
-    """The matrix that mirrors x where `mirrored` and then turns by `angle` [rad] about z (augmentation 1)."""
-    sign = jnp.where(mirrored, -1.0, 1.0)
-    c, s = jnp.cos(angle), jnp.sin(angle)
-    return jnp.stack([jnp.stack([c * sign, -s], -1), jnp.stack([s * sign, c], -1)], axis=-2)
-
-
-def turn_manipulation(
-    manipulation: Float[Array, "*batch 6"], matrix: Float[Array, "*batch 2 2"]
-) -> Float[Array, "*batch 6"]:
-    """The manipulation of the turned or mirrored cloth: labels stay on the cloth, the displacement turns with it."""
-    turned = jnp.einsum("...ij,...j->...i", matrix, manipulation[..., 4:6])
-    return jnp.concatenate([manipulation[..., :4], turned], axis=-1)
-
-
-def turn_mesh(mesh: Float[Array, "*batch u v 3"], matrix: Float[Array, "*batch 2 2"]) -> Float[Array, "*batch u v 3"]:
-    """The mesh turned or mirrored about z."""
-    xy = jnp.einsum("...ij,...uvj->...uvi", matrix, mesh[..., :2])
-    return jnp.concatenate([xy, mesh[..., 2:]], axis=-1)

@@ -11,7 +11,8 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from clothkit.cloth import equivalents
 from clothkit.cloth.equivalents import relabel_batch, relabel_manipulation_batch
-from clothkit.manipulation.vector import planar, swap_grasps, turn_manipulation, turn_mesh
+from clothkit.manipulation.turns import planar, turn_manipulation, turn_mesh
+from clothkit.manipulation.vector import swap_grasps
 
 
 class Examples(NamedTuple):

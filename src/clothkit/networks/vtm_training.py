@@ -13,7 +13,7 @@ from clothkit.cloth import voxels
 from clothkit.cloth.equivalents import equivalents, relabel_batch
 from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.dataset.store import STEPS, Dataset
-from clothkit.manipulation.vector import turn_mesh
+from clothkit.manipulation.turns import turn_mesh
 from clothkit.networks.augment import random_turns
 from clothkit.networks.layers import run
 from clothkit.networks.settings import TrainVtMConfig

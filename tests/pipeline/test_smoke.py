@@ -1,0 +1,180 @@
+"""The whole chain at smoke scale: it ends, repeats nothing, survives kills with the same bytes, reruns what it must.
+
+The pipeline runs in a copy of the tree, so that the user's data, params and cache are left alone.
+"""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+from ruamel.yaml import YAML
+
+ROOT = Path(__file__).parents[2]
+LONG_STAGES = ("simulate", "train_pemd@a", "train_vtm", "plan@main")
+
+
+class Checkout:
+    """A copy of the sources, with a git repository and params at smoke scale of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        for name in ("src", "stages", "dvc.yaml", "params.yaml", ".dvcignore"):
+            source = ROOT / name
+            if source.is_dir():
+                shutil.copytree(source, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+            else:
+                shutil.copy(source, folder / name)
+        yaml = YAML()
+        params = yaml.load(folder / "params.yaml")
+        params["scale"], params["alpha"] = "smoke", 1.0
+        yaml.dump(params, folder / "params.yaml")
+        (folder / ".gitignore").write_text("/.work/\n__pycache__/\n")
+        self.environment = {
+            **os.environ,
+            "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
+            "PYTHONPATH": str(folder / "src"),
+            "PYTHONDONTWRITEBYTECODE": "1",
+            "JAX_PLATFORMS": "cpu",
+            "DVC_NO_ANALYTICS": "1",
+        }
+        self.run("git", "init", "-q")
+        self.run("dvc", "init", "-q")
+        self.commit()
+
+    def start(self, *command: str) -> subprocess.Popen[str]:
+        """A command in a process group of its own."""
+        pipe: Any = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+        return subprocess.Popen(
+            command, cwd=self.folder, env=self.environment, text=True, start_new_session=True, **pipe
+        )
+
+    def run(self, *command: str, status: int = 0) -> str:
+        """What a command prints; it must end with the given status."""
+        process = self.start(*command)
+        output, _ = process.communicate()
+        assert process.returncode == status, output
+        return output
+
+    def commit(self) -> None:
+        """Everything into git, which `dvc exp run` needs."""
+        self.run("git", "add", "-A")
+        self.run("git", "-c", "user.name=test", "-c", "user.email=test@localhost", "commit", "-qm", "state")
+
+    def hashes(self) -> dict[str, str]:
+        """The hash of every out, by path, but for the timings."""
+        lock = YAML(typ="safe").load(self.folder / "dvc.lock")["stages"]
+        outs = [out for stage in lock.values() for out in stage["outs"]]
+        return {out["path"]: out["md5"] for out in outs if not out["path"].endswith("timings.csv")}
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Checkout:
+    """A checkout in which the chain has run once, unbroken."""
+    checkout = Checkout(tmp_path_factory.mktemp("unbroken"))
+    checkout.run("dvc", "repro")
+    return checkout
+
+
+def ran(output: str) -> set[str]:
+    """The stages that a dvc command ran."""
+    lines = [line for line in output.splitlines() if line.startswith("Running stage '")]
+    return {line.split("'")[1] for line in lines}
+
+
+def test_the_chain_ends_with_tables_pictures_and_metrics(finished: Checkout) -> None:
+    report = finished.folder / "reports" / "smoke"
+    for name in ("README.md", "metrics.json", "params.yaml", "timings.csv", "tables/table_6.csv", "tables/table_6.md"):
+        assert (report / name).stat().st_size > 0
+    assert list((report / "figures").glob("*.png"))
+    table = pd.read_csv(report / "tables" / "table_6.csv")
+    ours = table[(table["source"] == "clothkit") & (table["system"] == "main") & (table["statistic"] == "mean")]
+    assert set(ours["split"]) == {"test", "train"}
+    assert (ours[["1/0", "2/1", "3/all"]].to_numpy() > 0).all()
+
+
+def test_a_second_repro_runs_nothing(finished: Checkout) -> None:
+    assert ran(finished.run("dvc", "repro")) == set()
+
+
+def test_alpha_reruns_planning_and_the_report_only(finished: Checkout) -> None:
+    finished.commit()
+    output = finished.run("dvc", "exp", "run", "-S", "alpha=0")
+    assert ran(output) == {"plan@main", "report"}
+    finished.run("git", "checkout", "-q", "params.yaml", "dvc.lock")
+    finished.run("dvc", "checkout", "-q")
+
+
+def test_killed_anywhere_it_goes_on_to_the_same_bytes(finished: Checkout, tmp_path: Path) -> None:
+    checkout = Checkout(tmp_path)
+    for stage in LONG_STAGES:
+        process = checkout.start("dvc", "repro")
+        pieces = wait_for_pieces(checkout.folder / ".work" / stage, process)
+        os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+        assert pieces, f"{stage} ended before it was killed"
+    checkout.run("dvc", "repro")
+    assert checkout.hashes() == finished.hashes()
+
+
+def wait_for_pieces(folder: Path, process: subprocess.Popen[str], seconds: float = 240) -> list[Path]:
+    """The resumable pieces of a stage, as soon as there are any; none when the process ends first."""
+    until = time.monotonic() + seconds
+    while time.monotonic() < until and process.poll() is None:
+        pieces = [p for p in folder.rglob("*") if p.is_file() and p.suffix not in (".lock", ".tmp")]
+        if pieces:
+            return pieces
+        time.sleep(0.02)
+    return []
+
+
+@pytest.mark.parametrize(
+    ("damage", "stage", "sentence"),
+    [
+        ("truncated parquet", "regularise", "data/raw/manipulations.parquet: can't be read as parquet"),
+        ("other grid", "augment", "data/meshes.zarr: vertices has shape"),
+        ("nan", "augment", "data/meshes.zarr: vertices of sequence 1, state 2 is not finite"),
+        ("truncated net", "normalise mesh", "data/nets/pemd_a"),
+    ],
+)
+def test_bad_artifacts_end_in_one_sentence(
+    finished: Checkout, tmp_path: Path, damage: str, stage: str, sentence: str
+) -> None:
+    for name in ("src", "stages", "data", "params.yaml"):
+        source = finished.folder / name
+        shutil.copytree(source, tmp_path / name) if source.is_dir() else shutil.copy(source, tmp_path / name)
+    spoil(tmp_path / "data", damage)
+    name, *variant = stage.split()
+    environment = {**finished.environment, "PYTHONPATH": str(tmp_path / "src")}
+    command = [sys.executable, f"stages/{name}.py", *variant]
+    ended = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert ended.returncode == 1
+    assert ended.stderr.startswith(f"{name}: ")
+    assert sentence in ended.stderr
+    assert len(ended.stderr.strip().splitlines()) == 1
+
+
+def spoil(data: Path, damage: str) -> None:
+    """Break one artifact."""
+    import zarr
+
+    if damage.startswith("truncated"):
+        file = data / "raw/manipulations.parquet" if "parquet" in damage else data / "nets/pemd_a/net.msgpack"
+        content = file.read_bytes()
+        file.unlink()  # outs may be links into the cache
+        file.write_bytes(content[: len(content) // 2])
+        return
+    shutil.copytree(data / "meshes.zarr", data / "copy.zarr")
+    shutil.rmtree(data / "meshes.zarr")
+    (data / "copy.zarr").rename(data / "meshes.zarr")
+    group = zarr.open_group(data / "meshes.zarr")
+    if damage == "other grid":
+        group.create_array("vertices", shape=(10, 4, 16, 16, 3), dtype="f4", overwrite=True)
+    else:
+        group["vertices"][1, 2, 3, 4, 0] = float("nan")  # type: ignore[index]
