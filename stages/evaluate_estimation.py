@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from clothkit.dataset import store
+from clothkit.dataset.rows import write_rows
 from clothkit.evaluation import arrays, estimation
 from clothkit.networks.store import load
 from clothkit.stage import stage
@@ -15,7 +16,7 @@ def main() -> None:
         work = s.work(inputs=[meshes, vtm])
         dataset = store.load(meshes)
         found = estimation.estimates(dataset, load(vtm), s.params)
-        estimation.rows(dataset, found).to_parquet(work / "estimation.parquet", index=False)
+        write_rows(work / "estimation.parquet", estimation.rows(dataset, found), s.attributes)
         arrays.save(work / "estimates.zarr", found.arrays(), s.attributes)
         s.publish(work / "estimates.zarr", "data/evaluation/estimates.zarr")
         s.publish(work / "estimation.parquet", "data/evaluation/estimation.parquet")

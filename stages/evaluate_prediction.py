@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from clothkit.dataset import store
+from clothkit.dataset.rows import write_rows
 from clothkit.evaluation import arrays, prediction
 from clothkit.networks.store import load
 from clothkit.planning.systems import better_net
@@ -21,7 +22,7 @@ def main() -> None:
         nets = {name: load(folder) for name, folder in NETS.items()}
         better = better_net(NETS)
         rows = prediction.rows(dataset, given, nets, better, s.params)
-        rows.to_parquet(work / "prediction.parquet", index=False)
+        write_rows(work / "prediction.parquet", rows, s.attributes)
         stored = prediction.stored(dataset, given, nets[better], s.params)
         arrays.save(work / "predictions.zarr", stored, s.attributes)
         s.publish(work / "predictions.zarr", "data/evaluation/predictions.zarr")

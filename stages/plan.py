@@ -5,6 +5,7 @@ from functools import partial
 from pathlib import Path
 
 from clothkit.dataset import store
+from clothkit.dataset.rows import write_rows
 from clothkit.networks.store import load
 from clothkit.planning import normalisation
 from clothkit.planning.evaluate import evaluate
@@ -45,7 +46,7 @@ def main(name: str) -> None:
         sessions = evaluate(store.load(MESHES), planner, acting, work=pieces)
         attributes = {**s.attributes, **weights._asdict()}
         save(work / "sessions.zarr", sessions, attributes)
-        rows(sessions, name).to_parquet(work / "rows.parquet", index=False)
+        write_rows(work / "rows.parquet", rows(sessions, name), attributes)
         s.publish(work / "sessions.zarr", f"data/evaluation/planning/sessions_{name}.zarr")
         s.publish(work / "rows.parquet", f"data/evaluation/planning/{name}.parquet")
 

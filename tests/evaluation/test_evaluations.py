@@ -14,6 +14,7 @@ from clothkit.errors import InputError
 from clothkit.estimation.refine import RefineConfig
 from clothkit.evaluation import arrays, estimation, prediction
 from clothkit.evaluation.settings import EvaluateEstimationConfig, EvaluatePredictionConfig
+from clothkit.networks import pemd, vtm
 from clothkit.networks.net import Net
 from clothkit.networks.pemd import PEMDConfig, rollout
 from clothkit.networks.vtm import VtMConfig
@@ -40,14 +41,14 @@ def dataset() -> Dataset:
 @pytest.fixture(scope="module")
 def forward() -> dict[str, Net]:
     config = PEMDConfig(latent=4, encoder=(8,), manipulation=6, decoder=(8,))
-    return {name: Net(config, config.initial(key=jax.random.key(k))) for k, name in enumerate("ab")}
+    return {name: Net(config, pemd.initial(config, key=jax.random.key(k))) for k, name in enumerate("ab")}
 
 
 @pytest.fixture(scope="module")
 def estimates(dataset: Dataset) -> estimation.Estimates:
     config = VtMConfig(hidden=4)
     settings = EvaluateEstimationConfig(refine=RefineConfig(iterations=3), batch=5)
-    return estimation.estimates(dataset, Net(config, config.initial(key=jax.random.key(0))), settings)
+    return estimation.estimates(dataset, Net(config, vtm.initial(config, key=jax.random.key(0))), settings)
 
 
 def test_estimates_are_of_whole_evaluated_sequences(dataset: Dataset, estimates: estimation.Estimates) -> None:

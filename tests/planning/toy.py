@@ -46,7 +46,7 @@ def step(net: Array, latent: Array, trace: Array, manipulation: Array) -> tuple[
 
 def decode(net: Array, latent: Array, every: int) -> ProbabilisticMesh:
     mesh = latent.reshape(*latent.shape[:-1], SIDE, SIDE, 3)[..., ::every, ::every, :]
-    return ProbabilisticMesh(mesh, jnp.full_like(mesh, 0.05))
+    return ProbabilisticMesh(mesh, jnp.full_like(mesh, 0.015))
 
 
 FORWARD = Forward(encode, step, decode)

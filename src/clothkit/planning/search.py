@@ -114,6 +114,13 @@ class _Best(NamedTuple):
     loss: Float[Array, " strains"]
 
 
+class _State(NamedTuple):
+    strains: _Strains
+    best: _Best
+    restart: Bool[Array, " strains"]
+    """Which strains start anew before the next iteration."""
+
+
 class Fixed(NamedTuple):
     """What does not change during a search: for each net, latents of the eight equivalents; whitened goals."""
 
@@ -161,30 +168,25 @@ def _search_one(
         tuple(jnp.asarray(trace) for trace in problem.traces),
         whiten(equivalents(problem.goal)),
     )
-    key_start, key_loop = jax.random.split(key)
-    strains = _start(problem, length, settings, key=key_start)
-    strains = _carry(strains, problem)
     losses_of = partial(planning_loss, forward, nets, fixed, reference, weights, explicit=explicit)
 
     def total(plan: Array, common: Array, relative: Array) -> tuple[Array, Array]:
         loss, _ = losses_of(plan, common, relative, every=settings.every)
         return jnp.sum(loss), loss
 
-    def iterate(state: tuple[_Strains, _Best], key: PRNGKeyArray) -> tuple[tuple[_Strains, _Best], tuple]:
-        strains, best = state
+    def iterate(state: _State, key: PRNGKeyArray) -> tuple[_State, tuple[Array, Array]]:
+        strains = _choose(state.restart, _start(problem, length, settings, key=key), state.strains)
         gradient, loss = jax.grad(total, has_aux=True)(strains.plan, strains.common, strains.relative)
         now = _Best(strains.plan, strains.common, strains.relative, loss)
-        best = _choose(loss < best.loss, now, best)
+        best = _choose(loss < state.best.loss, now, state.best)
         stale = jnp.where(loss < strains.lowest, 0, strains.stale + 1)
-        moved = _move(strains, gradient, settings.irprop)
-        moved = moved._replace(lowest=jnp.minimum(loss, strains.lowest), stale=stale)
         restart = stale >= settings.patience
-        fresh = _start(problem, length, settings, key=key)
-        return (_choose(restart, fresh, moved), best), (loss, restart)
+        strains = _move(strains, gradient, settings.irprop)
+        strains = strains._replace(lowest=jnp.minimum(loss, strains.lowest), stale=stale)
+        return _State(strains, best, restart), (loss, restart)
 
-    best = _Best(strains.plan, strains.common, strains.relative, jnp.full(settings.strains, jnp.inf))
-    keys = jax.random.split(key_loop, settings.iterations(length))
-    (_, best), (losses, restarts) = jax.lax.scan(iterate, (strains, best), keys)
+    keys = jax.random.split(key, settings.iterations(length))
+    (_, best, _), (losses, restarts) = jax.lax.scan(iterate, _first_state(problem, length, settings), keys)
     # Among the strains' best plans the whole mesh decides.
     loss, terms = losses_of(best.plan, best.common, best.relative)
     winner = jnp.argmin(loss)
@@ -235,6 +237,31 @@ def _start(problem: Problem, length: int, settings: SearchConfig, *, key: PRNGKe
     drawn = jax.random.randint(key_relative, (count,), 0, COUNT)
     relative = jnp.where(problem.relative == DRAWN, drawn, problem.relative)
     plan = random_plans(count, length, jnp.asarray(problem.mesh), problem.candidates, key=key_plan)
+    return _fresh(plan, common, relative, settings)
+
+
+def _first_state(problem: Problem, length: int, settings: SearchConfig) -> _State:
+    """Every strain about to start, but for the first of each common equivalent in a later search: these have the
+    carried plan, its first grasp points snapped to candidates."""
+    count = settings.strains
+    carried = jnp.asarray(problem.carried)
+    first = snap(carried[0], jnp.asarray(problem.mesh), problem.candidates)
+    plan = jnp.broadcast_to(jnp.concatenate([first[None], carried[1:]]), (count, length, 6))
+    common = jnp.arange(count) % COUNT
+    relative = jnp.full(count, problem.relative)
+    strains = _fresh(plan, common, relative, settings)
+    best = _Best(strains.plan, common, relative, jnp.full(count, jnp.inf))
+    return _State(strains, best, restart=~(problem.later & (jnp.arange(count) < COUNT)))
+
+
+def _fresh(
+    plan: Float[Array, "strains n 6"],
+    common: Int[Array, " strains"],
+    relative: Int[Array, " strains"],
+    settings: SearchConfig,
+) -> _Strains:
+    """Strains at the beginning of their search, for plans in the labels of the estimate."""
+    count = len(plan)
     return _Strains(
         plan=relabel_manipulation_batch(plan, common),
         single=is_single(plan),
@@ -245,16 +272,6 @@ def _start(problem: Problem, length: int, settings: SearchConfig, *, key: PRNGKe
         lowest=jnp.full(count, jnp.inf),
         stale=jnp.zeros(count, jnp.int32),
     )
-
-
-def _carry(strains: _Strains, problem: Problem) -> _Strains:
-    """In a later search, the first strain of each common equivalent starts from the carried plan."""
-    carried = jnp.asarray(problem.carried)
-    first = snap(carried[0], jnp.asarray(problem.mesh), problem.candidates)
-    plan = jnp.broadcast_to(jnp.concatenate([first[None], carried[1:]]), strains.plan.shape)
-    started = problem.later & (jnp.arange(len(plan)) < COUNT)
-    carrying = strains._replace(plan=relabel_manipulation_batch(plan, strains.common), single=is_single(plan))
-    return _choose(started, carrying, strains)
 
 
 def _move(strains: _Strains, gradient: Float[Array, "strains n 6"], settings: IRpropConfig) -> _Strains:
