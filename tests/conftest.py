@@ -9,7 +9,19 @@ import jaxtyping
 
 # Shapes are checked everywhere but in Warp's kernels, whose annotations are Warp's own, and in pydantic's models.
 HOOK = jaxtyping.install_import_hook(
-    [f"clothkit.{floor}" for floor in ("cloth", "manipulation", "dataset", "networks", "estimation", "planning")],
+    [
+        f"clothkit.{floor}"
+        for floor in (
+            "cloth",
+            "manipulation",
+            "dataset",
+            "networks",
+            "estimation",
+            "planning",
+            "evaluation",
+            "report",
+        )
+    ],
     "beartype.beartype",
 )
 

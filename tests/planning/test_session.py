@@ -86,7 +86,8 @@ def test_estimates_in_any_labels_reach_the_goals_shape() -> None:
     with mock.patch.object(session, "_estimates", seen):
         sessions = run_sessions(given, planner, toy.execute)
     outcome = sessions.state[np.arange(2), sessions.length]
-    np.testing.assert_array_less(np.asarray(error(outcome, sessions.goal, aligned=True)), [0.05, 0.02])
+    errors = np.asarray(error(outcome, sessions.goal, aligned=True))
+    np.testing.assert_array_less(errors, 0.5 * rows(sessions, "main").error_no_action)
     if not sessions.null[0].any():
         # The labels that the first plan found stay.
         assert sessions.relative[0, 1] == sessions.relative[0, 0]
@@ -153,16 +154,16 @@ def test_best_of_restarts_by_hand() -> None:
 
 
 def test_an_interrupted_run_goes_on_to_the_same_rows(tmp_path: Path) -> None:
-    data, planner = dataset(), toy.planner("b1")
-    small = dataclasses.replace(planner.settings, test=2, together=1)
-    planner = dataclasses.replace(planner, settings=small)
+    # Sequences of one manipulation have one task each.
+    data = dataset()
+    data, planner = dataclasses.replace(data, length=np.ones_like(data.length)), toy.planner("b1")
     whole = evaluate(data, planner, toy.execute, work=tmp_path / "whole")
     calls = 0
 
     def killed(*arguments: np.ndarray) -> np.ndarray:
         nonlocal calls
         calls += 1
-        if calls == 5:
+        if calls == 2:
             raise KeyboardInterrupt
         return toy.execute(*arguments)
 
@@ -177,8 +178,8 @@ def test_an_interrupted_run_goes_on_to_the_same_rows(tmp_path: Path) -> None:
     assert [p.read_bytes() for p in files[0]] == [p.read_bytes() for p in files[1]]
     back = load(tmp_path / "a.zarr")
     np.testing.assert_array_equal(back.plan, whole.plan)
-    assert back.split.tolist() == whole.split.tolist() == ["test"] * 12
-    assert len(join([back, back])) == 24
+    assert back.split.tolist() == whole.split.tolist() == ["test"] * 2
+    assert len(join([back, back])) == 4
 
 
 def test_more_sequences_than_there_are_is_told(tmp_path: Path) -> None:

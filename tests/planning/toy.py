@@ -68,11 +68,14 @@ def execute(meshes: np.ndarray, grasps: np.ndarray, displacement: np.ndarray, si
 NORMALISATION = Normalisation(((-1.0,) * 3,) * 2, ((1.0,) * 3,) * 2, (0.01,) * 3, (0.01,) * 3)
 
 
+SEARCH = SearchConfig(strains=64, every=4, iterations_per_step=10)
+BATCH, CANDIDATES = 2, CandidateConfig()
+"""All tests share these sizes, so that the search is compiled once per plan length."""
+
+
 def planner(name: str) -> Planner:
-    """A planner of the toy world; all tests share its sizes, so that each plan length is compiled once."""
-    plan = PlanConfig(test=1, train=0, search=SearchConfig(strains=64, every=4), together=2, batch=2)
+    """A planner of the toy world."""
+    plan = PlanConfig(test=2, train=0, search=SEARCH, together=1, batch=BATCH)
     chosen = system(name)
     nets = NETS[: chosen.nets]
-    return Planner(
-        chosen, nets, 0, None, NORMALISATION, Weights(1.0, 5.0, 1.25), plan, CandidateConfig(), forward=FORWARD
-    )
+    return Planner(chosen, nets, 0, None, NORMALISATION, Weights(1.0, 5.0, 1.25), plan, CANDIDATES, forward=FORWARD)

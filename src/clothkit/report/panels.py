@@ -43,7 +43,8 @@ def sheet(
     """
     width, height = (PANEL * (sum(shares) + SPACE * (len(shares) - 1)) for shares in (widths, heights))
     top = 0.35 if title else 0.1
-    total_width, total_height = left + width + 0.1, top + height + 0.1
+    # A title needs its room even above a single column.
+    total_width, total_height = max(left + width + 0.1, 4.5 if title else 0), top + height + 0.1
     figure = Figure(figsize=(total_width, total_height))
     FigureCanvasAgg(figure)
     axes: np.ndarray = np.empty((len(heights), len(widths)), dtype=object)
