@@ -2,28 +2,16 @@
 
 import os
 
-os.environ.setdefault("XLA_FLAGS", "--xla_force_host_platform_device_count=1")
+# Tests compile much and compute little.
+os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
 
 import hypothesis
 import jaxtyping
 
-# Shapes are checked everywhere but in Warp's kernels, whose annotations are Warp's own, and in pydantic's models.
-HOOK = jaxtyping.install_import_hook(
-    [
-        f"clothkit.{floor}"
-        for floor in (
-            "cloth",
-            "manipulation",
-            "dataset",
-            "networks",
-            "estimation",
-            "planning",
-            "evaluation",
-            "report",
-        )
-    ],
-    "beartype.beartype",
-)
+FLOORS = ("cloth", "manipulation", "dataset", "networks", "estimation", "planning", "evaluation", "report")
+
+# Not in simulation, where the annotations of Warp's kernels are Warp's own.
+HOOK = jaxtyping.install_import_hook([f"clothkit.{floor}" for floor in FLOORS], "beartype.beartype")
 
 hypothesis.settings.register_profile("clothkit", max_examples=20, deadline=None, derandomize=True)
 hypothesis.settings.load_profile("clothkit")

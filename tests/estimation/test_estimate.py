@@ -11,7 +11,7 @@ from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.estimation.estimate import estimate, labelled_like
 from clothkit.estimation.refine import RefineConfig
 from clothkit.networks.net import Net
-from clothkit.networks.vtm import VtMConfig
+from clothkit.networks.vtm import VtMConfig, initial
 
 
 def lopsided() -> np.ndarray:
@@ -33,7 +33,7 @@ def test_labels_follow_the_prediction(k: int) -> None:
 
 def test_estimates_of_a_small_net() -> None:
     config = VtMConfig(hidden=4)
-    net = Net(config, config.initial(key=jax.random.key(0)))
+    net = Net(config, initial(config, key=jax.random.key(0)))
     seen = np.zeros((2, 32, 32, 16), bool)
     seen[:, 8:24, 8:24, 0] = True
     refining = RefineConfig(iterations=5)

@@ -125,8 +125,7 @@ def test_later_searches_start_from_what_is_left_of_the_plan() -> None:
     # Not quite on the candidate: snapping mends it.
     carried = np.asarray(BEST + jnp.array([0.1, 0.1, 0.1, 0.1, 0, 0]))[None]
     warm = first(find(problem(mesh, goal, carried=carried, relative=np.int32(0), later=np.bool_(True))))
-    np.testing.assert_allclose(warm.losses[0, :8], warm.losses[0, 0], rtol=1e-3)
-    assert warm.losses[0, 0] < warm.losses[0, 8:].min()
+    assert warm.losses[0, :8].max() < warm.losses[0, 8:].min()
     np.testing.assert_allclose(warm.plan[0], BEST, atol=0.05)
     assert warm.relative == 0
 

@@ -86,8 +86,12 @@ def test_estimates_in_any_labels_reach_the_goals_shape() -> None:
     with mock.patch.object(session, "_estimates", seen):
         sessions = run_sessions(given, planner, toy.execute)
     outcome = sessions.state[np.arange(2), sessions.length]
-    errors = np.asarray(error(outcome, sessions.goal, aligned=True))
-    np.testing.assert_array_less(errors, 0.5 * rows(sessions, "main").error_no_action)
+    errors, before = np.asarray(error(outcome, sessions.goal, aligned=True)), rows(sessions, "main").error_no_action
+    # Few strains for so many labels: one search may fail, but then the null check sees it.
+    assert ((errors < 0.5 * before) | sessions.null[:, 0]).all()
+    assert not sessions.null[:, 0].all()
+    # Labels are those that bring the goal under the estimate's.
+    assert sessions.relative[:, 0].tolist() == [5, 6]
     if not sessions.null[0].any():
         # The labels that the first plan found stay.
         assert sessions.relative[0, 1] == sessions.relative[0, 0]
@@ -113,7 +117,7 @@ def test_nothing_is_done_where_nothing_helps() -> None:
     assert rows(sessions, "b1").error.tolist() == pytest.approx([0])
 
 
-def test_three_steps_carry_plan_and_traces() -> None:
+def test_a_second_search_is_given_the_first_ones_plan_and_traces() -> None:
     planner = toy.planner("b1")
     asked = []
     original = session.search
@@ -123,14 +127,14 @@ def test_three_steps_carry_plan_and_traces() -> None:
         return original(forward, nets, problems, *rest, **more)
 
     with mock.patch.object(session, "search", spy):
-        sessions = run_sessions(tasks(Task(0, 0, 3)), planner, toy.execute)
-    assert [problems.carried.shape[1] for problems in asked] == [3, 2, 1]
+        sessions = run_sessions(tasks(Task(0, 0, 2)), planner, toy.execute)
+    assert [problems.carried.shape[1] for problems in asked] == [2, 1]
     for step, problems in enumerate(asked[1:], start=1):
         assert problems.later.all()
-        np.testing.assert_array_equal(problems.carried[0], sessions.plan[0, step - 1, 1 : 4 - step])
+        np.testing.assert_array_equal(problems.carried[0], sessions.plan[0, step - 1, 1 : 3 - step])
         # A toy trace counts the manipulations that were executed.
         assert (problems.traces[0][0] == (~sessions.null[0, :step]).sum()).all()
-    assert rows(sessions, "b1").error[0] < 0.3 * rows(sessions, "b1").error_no_action[0]
+    assert (asked[1].relative == sessions.relative[0, 0]).all()
 
 
 def test_a_broken_simulation_is_told() -> None:

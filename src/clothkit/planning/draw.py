@@ -23,7 +23,7 @@ class Candidates(NamedTuple):
     """Grasp points of one mesh, padded to a fixed number so that every task has the same shapes."""
 
     uv: Float[Array, "candidates 2"] | Float[np.ndarray, "candidates 2"]
-    count: Int[Array, ""] | Int[np.ndarray, ""] | int
+    present: Int[Array, ""] | Int[np.ndarray, ""] | int
 
 
 def random_manipulations(shape: tuple[int, ...], *, key: PRNGKeyArray) -> Float[Array, "*shape 6"]:
@@ -58,10 +58,10 @@ def _first_manipulations(
     strains: int, mesh: Float[Array, "u v 3"], candidates: Candidates, *, key: PRNGKeyArray
 ) -> Float[Array, "strains 6"]:
     key_hands, key_grasps, key_displacement = jax.random.split(key, 3)
-    single = (jax.random.uniform(key_hands, (strains, 1)) < SINGLE_SHARE) | (candidates.count < 2)
+    single = (jax.random.uniform(key_hands, (strains, 1)) < SINGLE_SHARE) | (candidates.present < 2)
     chance = jax.random.uniform(key_grasps, (2, strains, FIRST_STEP_DRAWS))
-    one = jnp.floor(chance[0] * candidates.count).astype(jnp.int32)
-    other = jnp.floor(chance[1] * (candidates.count - 1)).astype(jnp.int32)
+    one = jnp.floor(chance[0] * candidates.present).astype(jnp.int32)
+    other = jnp.floor(chance[1] * (candidates.present - 1)).astype(jnp.int32)
     other = jnp.where(single, one, other + (other >= one))
     displacement = jax.random.uniform(key_displacement, (strains, FIRST_STEP_DRAWS, 2), minval=-REACH, maxval=REACH)
 
@@ -84,5 +84,5 @@ def snap(manipulation: Float[Array, "6"], mesh: Float[Array, "u v 3"], candidate
     points = jnp.concatenate([wanted, uv])
     xy = to_cartesian(jnp.broadcast_to(mesh, (len(points), *mesh.shape)), points)[:, :2]
     squared = jnp.sum((xy[:2, None] - xy[None, 2:]) ** 2, axis=-1)
-    nearest = jnp.argmin(jnp.where(jnp.arange(len(uv)) < candidates.count, squared, jnp.inf), axis=-1)
+    nearest = jnp.argmin(jnp.where(jnp.arange(len(uv)) < candidates.present, squared, jnp.inf), axis=-1)
     return jnp.concatenate([uv[nearest].reshape(4), manipulation[4:]])

@@ -6,6 +6,7 @@ Losses take whitened goals: a goal is whitened once, a prediction at every step 
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from clothkit.cloth.mesh import ProbabilisticMesh, nll, whiten_probabilistic
@@ -13,7 +14,7 @@ from clothkit.cloth.mesh import ProbabilisticMesh, nll, whiten_probabilistic
 LARGEST_EXPONENT = 20.0
 """Beyond this, e^x in eq. (15) goes on as its tangent: finite in float32, with a gradient of the right sign."""
 
-Scalar = float | Float[Array, ""]
+Scalar = float | int | np.float32 | Float[Array, ""]
 
 
 class Weights(NamedTuple):
@@ -34,8 +35,8 @@ class Range(NamedTuple):
 class Spread(NamedTuple):
     """mu_v and sigma_v of eq. (15): how far the nets' predictions differ on the validation split, for each step."""
 
-    mean: Float[Array, " n"]
-    std: Float[Array, " n"]
+    mean: Float[Array | np.ndarray, " n"]
+    std: Float[Array | np.ndarray, " n"]
 
 
 def accuracy(

@@ -23,6 +23,9 @@ from clothkit.planning.settings import NormaliseConfig
 LEAST_SPAN = 0.01
 """Least high - low: nets that barely trained may find random plans as good as the recorded ones."""
 
+LEAST_DEVIATION = 0.01
+"""Least sigma_v, as a share of mu_v: a handful of validation sequences may have none to speak of."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Normalisation:
@@ -67,7 +70,7 @@ def normalise(forward: Forward, nets: tuple[Any, Any], validation: Dataset, sett
         low.append([_median(goal, outcome) for outcome in recorded])
         between = np.asarray(jax.jit(diff)(*recorded))
         mu.append(float(between.mean()))
-        sigma.append(float(between.std()))
+        sigma.append(max(float(between.std()), LEAST_DEVIATION * mu[-1]))
         losses: list[list[Array]] = [[], []]
         for draw in range(settings.draws):
             random = random_manipulations(plan.shape[:2], key=jax.random.fold_in(key, STEPS * draw + length))

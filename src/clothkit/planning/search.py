@@ -251,7 +251,7 @@ def _first_state(problem: Problem, length: int, settings: SearchConfig) -> _Stat
     relative = jnp.full(count, problem.relative)
     strains = _fresh(plan, common, relative, settings)
     best = _Best(strains.plan, common, relative, jnp.full(count, jnp.inf))
-    return _State(strains, best, restart=~(problem.later & (jnp.arange(count) < COUNT)))
+    return _State(strains, best, restart=~(jnp.asarray(problem.later) & (jnp.arange(count) < COUNT)))
 
 
 def _fresh(

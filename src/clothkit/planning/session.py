@@ -228,7 +228,9 @@ def _note(
     iterations = found.losses.shape[1]
     progress = np.minimum.accumulate(found.losses.min(-1), axis=1)
     sessions.progress[chosen, step, :iterations] = progress
-    sessions.restarts[chosen, step] = best_of_restarts(found.losses, found.restarts, sessions.restarts.shape[-1])
+    sessions.restarts[chosen, step] = best_of_restarts(
+        np.asarray(found.losses), np.asarray(found.restarts), sessions.restarts.shape[-1]
+    )
 
 
 def best_of_restarts(

@@ -1,0 +1,59 @@
+"""Eq. (14) and the moments of eq. (15) on the toy world, and what a file of them must hold."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from clothkit.errors import InputError
+from clothkit.planning.normalisation import load, normalise, save
+from clothkit.planning.settings import NormaliseConfig
+from tests.planning import toy
+from tests.planning.test_session import dataset
+
+
+def whitened(mean: np.ndarray, std: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray | None]:
+    spread = np.maximum(mean.std((0, 1)), 0.005)
+    return (mean - mean.mean((0, 1))) / spread, None if std is None else std / spread
+
+
+def test_medians_and_moments_by_hand() -> None:
+    data = dataset()
+    found = normalise(toy.FORWARD, toy.NETS, data, NormaliseConfig(draws=2))
+    scores, differences = [], []
+    for d in range(len(data)):
+        for i in range(3):
+            outcomes = [
+                np.asarray(toy.dragged(data.vertices[d, i], data.manipulation[d, i], float(net))) for net in toy.NETS
+            ]
+            std = np.full_like(outcomes[0], 0.015)
+            (mean, sigma), (other, other_sigma) = (whitened(outcome, std) for outcome in outcomes)
+            scores.append(-norm.logpdf(whitened(data.vertices[d, i + 1])[0], mean, sigma).mean())
+            differences.append(((mean - other) ** 2).mean() / 2 + ((sigma - other_sigma) ** 2).mean() / 2)
+    assert found.low[0][0] == pytest.approx(np.median(scores), rel=1e-3)
+    assert found.mu[0] == pytest.approx(np.mean(differences), rel=1e-2)
+    assert found.sigma[0] == pytest.approx(np.std(differences), rel=1e-2)
+    assert (np.array(found.low) < np.array(found.high)).all()
+    reference = found.reference(2)
+    assert reference.spans[1] == (np.float32(found.low[1][1]), np.float32(found.high[1][1]))
+    assert reference.spread.mean.shape == (2,)
+
+
+def test_files(tmp_path: Path) -> None:
+    path = tmp_path / "mesh.json"
+    save(path, toy.NORMALISATION, {"seed": 0})
+    assert load(path) == toy.NORMALISATION
+    stored = json.loads(path.read_text())
+    path.write_text(json.dumps({**stored, "high": [[-2.0] * 3] * 2}))
+    with pytest.raises(InputError, match=r"mesh\.json.*low below high"):
+        load(path)
+    path.write_text(path.read_text()[:40])
+    with pytest.raises(InputError, match=r"mesh\.json.*expected JSON"):
+        load(path)
+    with pytest.raises(InputError, match="not found"):
+        load(tmp_path / "no.json")
+    with pytest.raises(InputError, match="the same"):
+        dataclasses.replace(toy.NORMALISATION, sigma=(0.0, 1.0, 1.0))
