@@ -1,5 +1,6 @@
 """Plans and executes every task with one of the systems: `python stages/plan.py main` (or b1, b2, b3)."""
 
+import hashlib
 import sys
 from functools import partial
 from pathlib import Path
@@ -41,9 +42,10 @@ def main(name: str) -> None:
             s.params,
             s.shared.stages.simulate.candidates,
         )
-        acting = partial(execute, settings=s.shared.stages.simulate.simulation)
-        pieces = work / f"alpha_{alpha}_beta_{weights.beta}_gamma_{weights.gamma}"
-        sessions = evaluate(store.load(MESHES), planner, acting, work=pieces)
+        simulation = s.shared.stages.simulate.simulation
+        # Pieces of a run with other weights or another world are not this run's.
+        pieces = work / hashlib.sha256(repr((weights, planner.grasping, simulation)).encode()).hexdigest()[:16]
+        sessions = evaluate(store.load(MESHES), planner, partial(execute, settings=simulation), work=pieces)
         attributes = {**s.attributes, **weights._asdict()}
         save(work / "sessions.zarr", sessions, attributes)
         write_rows(work / "rows.parquet", rows(sessions, name), attributes)
