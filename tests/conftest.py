@@ -1,9 +1,15 @@
 """Strict tests: array shapes and types are checked against their annotations at every call, warnings are errors."""
 
 import os
+import shutil
+import tempfile
 
-# Tests compile much and compute little.
+# Tests compile much and compute little; many of them, and the stages that they start, compile the same programs.
 os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
+OWN_CACHE = None
+if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+    OWN_CACHE = os.environ["JAX_COMPILATION_CACHE_DIR"] = tempfile.mkdtemp(prefix="clothkit-tests-")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 
 import hypothesis
 import jaxtyping
@@ -15,3 +21,9 @@ HOOK = jaxtyping.install_import_hook([f"clothkit.{floor}" for floor in FLOORS], 
 
 hypothesis.settings.register_profile("clothkit", max_examples=20, deadline=None, derandomize=True)
 hypothesis.settings.load_profile("clothkit")
+
+
+def pytest_unconfigure() -> None:
+    """Drop the compiled programs, in the process that made the directory for them."""
+    if OWN_CACHE:
+        shutil.rmtree(OWN_CACHE, ignore_errors=True)
