@@ -7,7 +7,16 @@ import pytest
 from scipy.stats import norm
 
 from clothkit.cloth.mesh import ProbabilisticMesh, whiten
-from clothkit.planning.loss import LARGEST_EXPONENT, Range, Spread, accuracy, bounded_exp, diff, uncertainty
+from clothkit.planning.loss import (
+    LARGEST_EXPONENT,
+    Range,
+    Spread,
+    accuracy,
+    accuracy_of_each,
+    bounded_exp,
+    diff,
+    uncertainty,
+)
 
 
 def meshes(seed: int, *batch: int) -> tuple[np.ndarray, ProbabilisticMesh]:
@@ -30,6 +39,16 @@ def test_accuracy_term() -> None:
     np.testing.assert_allclose(accuracy(whiten(goal), outcome), nll, rtol=1e-4)
     span = Range(-0.5, 2.5)
     np.testing.assert_allclose(accuracy(whiten(goal), outcome, span), (nll + 0.5) / 3, rtol=1e-4)
+
+
+def test_accuracy_of_each_is_accuracy_for_each() -> None:
+    goals = whiten(meshes(3, 5)[0])
+    _, outcomes = meshes(4, 2)
+    found = accuracy_of_each(goals, outcomes, Range(-0.5, 2.5))
+    expected = [
+        [accuracy(g, ProbabilisticMesh(m, s), Range(-0.5, 2.5)) for g in goals] for m, s in zip(*outcomes, strict=True)
+    ]
+    np.testing.assert_allclose(found, expected, rtol=1e-4)
 
 
 def test_uncertainty() -> None:

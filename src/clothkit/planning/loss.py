@@ -47,6 +47,20 @@ def accuracy(
     return loss if span is None else (loss - span.low) / (span.high - span.low)
 
 
+def accuracy_of_each(
+    goals: Float[Array, "goals u v 3"], outcome: ProbabilisticMesh, span: Range | None = None
+) -> Float[Array, "strains goals"]:
+    """`accuracy` of a batch of outcomes for each of several whitened goals: the squares written out as two products."""
+    outcome = whiten_probabilistic(outcome)
+    count = len(outcome.std)
+    precision = 1 / jnp.asarray(outcome.std).reshape(count, -1) ** 2
+    mean, flat = jnp.asarray(outcome.mean).reshape(count, -1), goals.reshape(len(goals), -1)
+    squares = precision @ (flat**2).T - 2 * (mean * precision) @ flat.T + jnp.sum(mean**2 * precision, 1, keepdims=True)
+    constant = 0.5 * jnp.log(2 * jnp.pi) - 0.5 * jnp.mean(jnp.log(precision), axis=1, keepdims=True)
+    loss = 0.5 * squares / flat.shape[1] + constant
+    return loss if span is None else (loss - span.low) / (span.high - span.low)
+
+
 def diff(a: ProbabilisticMesh, b: ProbabilisticMesh) -> Float[Array, "*batch"]:
     """How far two predictions differ as plain arrays: the mean squared error of all six channels, whitened."""
     a, b = whiten_probabilistic(a), whiten_probabilistic(b)

@@ -24,14 +24,15 @@ from clothkit.cloth.equivalents import (
 from clothkit.cloth.grid import SIDE
 from clothkit.cloth.mesh import whiten
 from clothkit.config import config
+from clothkit.manipulation.geometry import release_points, to_cartesian
 from clothkit.manipulation.vector import is_single
 from clothkit.planning.draw import Candidates, random_plans, snap
 from clothkit.planning.forward import Forward, unroll
 from clothkit.planning.irprop import IRpropConfig, irprop_minus
-from clothkit.planning.loss import Range, Spread, Weights, accuracy, diff, uncertainty
+from clothkit.planning.loss import Range, Spread, Weights, accuracy, accuracy_of_each, diff, uncertainty
 
-DRAWN = -1
-"""A relative labelling that is not known yet: strains draw one."""
+UNKNOWN = -1
+"""A relative labelling that is not known yet: each evaluation takes the one that fits best."""
 
 COMPOSED = np.array([[compose(j, k) for k in range(COUNT)] for j in range(COUNT)], np.int32)
 INVERSE = np.array([inverse(k) for k in range(COUNT)], np.int32)
@@ -71,7 +72,7 @@ class Problem(NamedTuple):
     traces: tuple[Float[Array | np.ndarray, "8 latent"], ...]
     """For each net, the memory trace of each common equivalent."""
     relative: Int[Array | np.ndarray, ""]
-    """The relabelling of the goal that fits the estimate's labels, or `DRAWN`."""
+    """The relabelling of the goal that fits the estimate's labels, or `UNKNOWN`."""
     later: Bool[Array | np.ndarray, ""]
     """Whether `carried` holds what is left of a session's last plan; if so each common equivalent gets an eighth of the
     strains, of which one starts from it."""
@@ -99,6 +100,8 @@ class _Strains(NamedTuple):
 
     plan: Float[Array, "strains n 6"]
     single: Bool[Array, "strains n"]
+    grasps: Float[Array, "strains 2 2"]
+    """Where the first grasp points lie, xy in the estimate."""
     common: Int[Array, " strains"]
     relative: Int[Array, " strains"]
     rate: Float[Array, "strains n 6"]
@@ -170,17 +173,20 @@ def _search_one(
     )
     losses_of = partial(planning_loss, forward, nets, fixed, reference, weights, explicit=explicit)
 
-    def total(plan: Array, common: Array, relative: Array) -> tuple[Array, Array]:
-        loss, _ = losses_of(plan, common, relative, every=settings.every)
-        return jnp.sum(loss), loss
+    def total(plan: Array, common: Array, relative: Array) -> tuple[Array, tuple[Array, Array]]:
+        loss, _, relative = losses_of(plan, common, relative, every=settings.every)
+        return jnp.sum(loss), (loss, relative)
 
     def iterate(state: _State, key: PRNGKeyArray) -> tuple[_State, tuple[Array, Array]]:
         strains = _choose(state.restart, _start(problem, length, settings, key=key), state.strains)
-        gradient, loss = jax.grad(total, has_aux=True)(strains.plan, strains.common, strains.relative)
-        now = _Best(strains.plan, strains.common, strains.relative, loss)
+        gradient, (loss, relative) = jax.grad(total, has_aux=True)(strains.plan, strains.common, strains.relative)
+        # No recorded manipulation has its hands on different sides of m, so the nets' word on such a plan is worthless.
+        apart = ~jnp.asarray(release_points(strains.grasps, strains.plan[:, 0, 4:]).same_side)
+        loss = jnp.where(apart, jnp.inf, loss)
+        now = _Best(strains.plan, strains.common, relative, loss)
         best = _choose(loss < state.best.loss, now, state.best)
         stale = jnp.where(loss < strains.lowest, 0, strains.stale + 1)
-        restart = stale >= settings.patience
+        restart = apart | (stale >= settings.patience)
         strains = _move(strains, gradient, settings.irprop)
         strains = strains._replace(lowest=jnp.minimum(loss, strains.lowest), stale=stale)
         return _State(strains, best, restart), (loss, restart)
@@ -188,8 +194,8 @@ def _search_one(
     keys = jax.random.split(key, settings.iterations(length))
     (_, best, _), (losses, restarts) = jax.lax.scan(iterate, _first_state(problem, length, settings), keys)
     # Among the strains' best plans the whole mesh decides.
-    loss, terms = losses_of(best.plan, best.common, best.relative)
-    winner = jnp.argmin(loss)
+    loss, terms, _ = losses_of(best.plan, best.common, best.relative)
+    winner = jnp.argmin(jnp.where(jnp.isinf(best.loss), jnp.inf, loss))
     plan, common, relative = best.plan[winner], best.common[winner], best.relative[winner]
     plan = relabel_manipulation(plan, jnp.asarray(INVERSE)[common])
     return Found(plan, loss[winner], terms[winner], common, relative, losses, restarts)
@@ -207,9 +213,12 @@ def planning_loss(
     *,
     explicit: bool,
     every: int = 1,
-) -> tuple[Float[Array, " strains"], Float[Array, "strains terms"]]:
-    """Eq. (13) of each strain's plan, and its terms; with one net the plain NLL. Over each `every`-th vertex."""
-    goal = fixed.goals[jnp.asarray(COMPOSED)[relative, common], ::every, ::every]
+) -> tuple[Float[Array, " strains"], Float[Array, "strains terms"], Int[Array, " strains"]]:
+    """Eq. (13) of each strain's plan, its terms, and the goal's relative labelling; with one net the plain NLL.
+
+    A relative labelling that is `UNKNOWN` is the one that makes the accuracy terms least, as in eq. (12). Over each
+    `every`-th vertex.
+    """
     # Intermediate states are decoded, along with the outcome, only where the loss asks for them.
     decoded = slice(None) if explicit else slice(-1, None)
     states = [
@@ -217,27 +226,30 @@ def planning_loss(
         for net, latent, trace in zip(nets, fixed.latents, fixed.traces, strict=True)
     ]
     outcomes = [jax.tree.map(lambda part: part[-1], predicted) for predicted in states]
-    nothing = jnp.zeros(len(plan))
+    spans = reference.spans if len(nets) > 1 else (None,)
+    goals = fixed.goals[:, ::every, ::every]
+    each = [accuracy_of_each(goals, outcome, span) for outcome, span in zip(outcomes, spans, strict=True)]
+    nearest = jnp.argmin(jax.lax.stop_gradient(sum(each)), axis=1)
+    found = jnp.asarray(COMPOSED)[nearest, jnp.asarray(INVERSE)[common]]
+    relative = jnp.where(relative == UNKNOWN, found, relative)
+    goal = goals[jnp.asarray(COMPOSED)[relative, common]]
+    accuracies = [accuracy(goal, outcome, span) for outcome, span in zip(outcomes, spans, strict=True)]
+    u = jnp.zeros(len(plan))
     if len(nets) == 1:
-        loss = accuracy(goal, outcomes[0])
-        return loss, jnp.stack([loss, nothing], axis=-1)
-    accuracies = [accuracy(goal, outcome, span) for outcome, span in zip(outcomes, reference.spans, strict=True)]
-    u = nothing
+        return accuracies[0], jnp.stack([accuracies[0], u], axis=-1), relative
     if explicit:
         u = uncertainty(diff(*states), reference.spread, beta=weights.beta, gamma=weights.gamma)
-    return sum(accuracies) + weights.alpha * u, jnp.stack([*accuracies, u], axis=-1)
+    return sum(accuracies) + weights.alpha * u, jnp.stack([*accuracies, u], axis=-1), relative
 
 
 def _start(problem: Problem, length: int, settings: SearchConfig, *, key: PRNGKeyArray) -> _Strains:
-    """Strains at random plans, in random labels as far as these are not known (design 6.10)."""
-    key_plan, key_common, key_relative = jax.random.split(key, 3)
+    """Strains at random plans, in random common equivalents (design 6.10)."""
+    key_plan, key_common = jax.random.split(key)
     count = settings.strains
     drawn = jax.random.randint(key_common, (count,), 0, COUNT)
     common = jnp.where(problem.later, jnp.arange(count) % COUNT, drawn)
-    drawn = jax.random.randint(key_relative, (count,), 0, COUNT)
-    relative = jnp.where(problem.relative == DRAWN, drawn, problem.relative)
     plan = random_plans(count, length, jnp.asarray(problem.mesh), problem.candidates, key=key_plan)
-    return _fresh(plan, common, relative, settings)
+    return _fresh(plan, common, problem, settings)
 
 
 def _first_state(problem: Problem, length: int, settings: SearchConfig) -> _State:
@@ -247,26 +259,26 @@ def _first_state(problem: Problem, length: int, settings: SearchConfig) -> _Stat
     carried = jnp.asarray(problem.carried)
     first = snap(carried[0], jnp.asarray(problem.mesh), problem.candidates)
     plan = jnp.broadcast_to(jnp.concatenate([first[None], carried[1:]]), (count, length, 6))
-    common = jnp.arange(count) % COUNT
-    relative = jnp.full(count, problem.relative)
-    strains = _fresh(plan, common, relative, settings)
-    best = _Best(strains.plan, common, relative, jnp.full(count, jnp.inf))
+    strains = _fresh(plan, jnp.arange(count) % COUNT, problem, settings)
+    best = _Best(strains.plan, strains.common, strains.relative, jnp.full(count, jnp.inf))
     return _State(strains, best, restart=~(jnp.asarray(problem.later) & (jnp.arange(count) < COUNT)))
 
 
 def _fresh(
     plan: Float[Array, "strains n 6"],
     common: Int[Array, " strains"],
-    relative: Int[Array, " strains"],
+    problem: Problem,
     settings: SearchConfig,
 ) -> _Strains:
     """Strains at the beginning of their search, for plans in the labels of the estimate."""
     count = len(plan)
+    mesh = jnp.broadcast_to(problem.mesh, (count, 2, SIDE, SIDE, 3))
     return _Strains(
         plan=relabel_manipulation_batch(plan, common),
         single=is_single(plan),
+        grasps=to_cartesian(mesh, plan[:, 0, :4].reshape(count, 2, 2))[..., :2],
         common=common,
-        relative=relative,
+        relative=jnp.full(count, problem.relative),
         rate=jnp.full(plan.shape, settings.irprop.initial),
         gradient=jnp.zeros(plan.shape),
         lowest=jnp.full(count, jnp.inf),

@@ -30,7 +30,7 @@ from clothkit.planning.loss import Weights
 from clothkit.planning.normalisation import Normalisation
 from clothkit.planning.predict import Expected, expect
 from clothkit.planning.record import Sessions, Sizes, Tasks, blank
-from clothkit.planning.search import DRAWN, Found, Problem, search
+from clothkit.planning.search import UNKNOWN, Found, Problem, search
 from clothkit.planning.settings import PlanConfig
 from clothkit.planning.systems import System
 
@@ -187,7 +187,7 @@ def _problems(
         rest = sessions.plan[chosen, step - 1, 1 : length + 1]
     else:
         known = planner.system.true_meshes
-        relative = np.full(len(chosen), 0 if known else DRAWN, np.int32)
+        relative = np.full(len(chosen), 0 if known else UNKNOWN, np.int32)
         rest = np.zeros((len(chosen), length, 6), np.float32)
     return Problem(
         mesh=sessions.estimate[chosen, step],
