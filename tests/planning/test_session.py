@@ -87,15 +87,13 @@ def test_estimates_in_any_labels_reach_the_goals_shape() -> None:
         sessions = run_sessions(given, planner, toy.execute)
     outcome = sessions.state[np.arange(2), sessions.length]
     errors, before = np.asarray(error(outcome, sessions.goal, aligned=True)), rows(sessions, "main").error_no_action
-    # Few strains for so many labels: one search may fail, but then the null check sees it.
-    assert ((errors < 0.5 * before) | sessions.null[:, 0]).all()
-    assert not sessions.null[:, 0].all()
+    assert (errors < 0.5 * before).all()
+    assert not sessions.null[:, 0].any()
     # Labels are those that bring the goal under the estimate's.
     assert sessions.relative[:, 0].tolist() == [5, 6]
-    if not sessions.null[0].any():
-        # The labels that the first plan found stay.
-        assert sessions.relative[0, 1] == sessions.relative[0, 0]
-        np.testing.assert_allclose(sessions.estimate[0, 1], relabel(sessions.state[0, 1], labels[0]), atol=1e-5)
+    # The labels that the first plan found stay.
+    assert sessions.relative[0, 1] == sessions.relative[0, 0]
+    np.testing.assert_allclose(sessions.estimate[0, 1], relabel(sessions.state[0, 1], labels[0]), atol=1e-5)
 
 
 def test_nothing_is_done_where_nothing_helps() -> None:
