@@ -85,7 +85,7 @@ def attempt_sequences(numbers: range, settings: SimulateConfig) -> Attempts:
         found.residual_speed[indices, step + 1] = outcome.residual_speed
         found.hands[indices, step] = np.where(single, 1, 2)
         found.releases[indices, step] = [hands.releases for hands in taken]
-        vertices = np.array([hands.vertices for hands in taken])
+        vertices = np.array([hands.vertices[:, 0] for hands in taken])
         vertices[:, 1] = np.where(single, vertices[:, 0], vertices[:, 1])
         uv = geodesic(side).reshape(-1, 2)[vertices].reshape(-1, 4)
         found.manipulation[indices, step] = np.concatenate([uv, displacement], axis=1)

@@ -11,21 +11,23 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy import ndimage
 
 from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.manipulation.geometry import release_points, topmost_vertex
 from clothkit.simulation.processes import cores, make_pool
 from clothkit.simulation.settings import SimulationConfig
-from clothkit.simulation.world import Outcome, Worlds
+from clothkit.simulation.world import Outcome, Worlds, arcs
 
+LAYERS = 16  # that a hand can take
 WORTH_A_WORKER = 2  # worlds; fewer are not worth a process of their own
 
 
 class Hands(NamedTuple):
     """What the hands of one world do."""
 
-    vertices: Int[np.ndarray, "2"]
-    """Grasped vertices, u * side + v, -1 for no hand."""
+    vertices: Int[np.ndarray, "2 layers"]
+    """Vertices that each hand takes, u * side + v, the topmost first, -1 for none."""
     releases: Float[np.ndarray, "2 2"]
     """Release points xy [m]."""
 
@@ -59,7 +61,27 @@ def place_hands(
     taken = [grasp(mesh, point, within=settings.spacing / 2) for point in points]
     places = mesh.reshape(-1, 3)[[taken[0], taken[-1]], :2].astype(np.float64)
     releases = np.asarray(release_points(places, displacement.astype(np.float64)).points, np.float32)
-    return Hands(np.array([taken[0], -1 if single else taken[-1]]), releases)
+    vertices = np.full((2, LAYERS), -1)
+    for hand, vertex in enumerate(taken):
+        below = layers_below(mesh, vertex, within=settings.spacing / 2) if settings.grasp == "all" else []
+        column = [vertex, *below][:LAYERS]
+        vertices[hand, : len(column)] = column
+    return Hands(vertices, releases)
+
+
+def layers_below(mesh: Float[np.ndarray, "u v 3"], vertex: int, *, within: float) -> list[int]:
+    """The vertex nearest below a grasped one of every layer that lies there, from the top down. Any one length unit.
+
+    Layers are connected patches of the grid that lie within reach in xy.
+    """
+    side = mesh.shape[0]
+    vertices = mesh.reshape(-1, 3)
+    distance = np.linalg.norm(vertices[:, :2] - vertices[vertex, :2], axis=-1)
+    patches, count = ndimage.label((distance <= 2 * within).reshape(side, side), structure=np.ones((3, 3)))
+    labels = patches.ravel()
+    nearest = [np.flatnonzero(labels == k)[distance[labels == k].argmin()] for k in range(1, count + 1)]
+    below = [int(k) for k in nearest if labels[k] != labels[vertex] and vertices[k, 2] < vertices[vertex, 2]]
+    return sorted(below, key=lambda k: -vertices[k, 2])
 
 
 def perform(
@@ -74,9 +96,9 @@ def perform(
         place_hands(*arguments, worlds.settings)
         for arguments in zip(states, grasps, displacements, single.tolist(), strict=True)
     ]
-    vertices = np.array([h.vertices for h in hands], int).reshape(-1, 2)
+    vertices = np.array([h.vertices for h in hands], int).reshape(-1, 2, LAYERS)
     releases = np.array([h.releases for h in hands], float).reshape(-1, 2, 2)
-    return hands, worlds.execute(states, vertices, releases)
+    return hands, worlds.execute(states, arcs(states, vertices, releases, worlds.settings))
 
 
 def execute(

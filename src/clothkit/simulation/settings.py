@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from annotated_types import Ge, Gt
+from annotated_types import Ge, Gt, Lt
 
 from clothkit.config import config
 from clothkit.manipulation.candidates import CandidateConfig
@@ -14,41 +14,39 @@ NotNegative = Annotated[float, Ge(0.0)]
 
 @config
 class Material:
-    """The cloth and the table."""
+    """The cloth and the table, in SI units; the meaning of none depends on the grid or the time step."""
 
+    density: Positive = 0.187  # kg/m^2
+    stretch_stiffness: Positive = 2000.0  # N/m, tension per strain along the threads
+    shear_stiffness: Positive = 0.01  # N/m, shear force per length and angle
+    shear_limit: Annotated[float, Gt(0.0), Lt(1.57)] = 0.76  # rad, the angle at which shearing locks
+    bending_stiffness: Positive = 2e-5  # N m, moment per width and curvature
+    bending_friction: NotNegative = 3e-4  # N, moment per width that resists any change of curvature
+    bending_limit: Positive = 31.0  # 1/m, curvature beyond which the moment no longer grows
     thickness: Positive = 2e-3  # m, distance of touching layers
-    edge_thickness: Positive = 1.5e-3  # m, distance of touching edges
-    bending_length: Positive = 0.022  # m, cube root of bending stiffness over weight
-    bending_saturation: Positive = 0.4  # grid spacings of second difference, where the moment stops growing
-    crease_length: Positive = 0.4  # grid spacings, vertices two apart come no closer
-    crease_stiffness: Positive = 4.0  # times that of bending
-    shear_compliance: NotNegative = 50.0  # per unit mass over dt squared
-    diagonal_shortest: Positive = 0.35  # of its rest length: the free diagonal's range
-    diagonal_longest: Positive = 1.02
-    cloth_friction: NotNegative = 0.5
+    cloth_friction: NotNegative = 0.3
     table_friction: NotNegative = 0.7
-    viscosity: NotNegative = 0.3  # share of the neighbours' velocity difference taken over in a substep
+    viscosity: NotNegative = 8e-3  # m^2/s, of velocity differences within the cloth
+    drag: NotNegative = 2.0  # 1/s, of the air
 
 
 @config
 class Settling:
-    """From release to rest. Air drag grows, and the top speed falls, until the cloth is calm."""
+    """From release to rest."""
 
-    gravity: Positive = 1.5  # factor on gravity
-    press_height: Positive = 0.02  # m, what stands above is pulled down harder
-    press_gain: NotNegative = 300.0  # 1/m, added to the factor per height
-    press_limit: NotNegative = 9.0  # largest addition
-    drag: NotNegative = 4.0  # 1/s
-    drag_growth: NotNegative = 4.0  # 1/s
-    contact_damping: NotNegative = 50.0  # 1/s
-    calm_after: NotNegative = 0.6  # s, from then on the top speed decays
-    speed_decay: NotNegative = 5.0  # 1/s
-    last_speed: Positive = 0.008  # m/s, the top speed decays to this
-    rest_speed: Positive = 0.01  # m/s, mean over a check's interval
-    check_interval: Positive = 0.05  # s
-    checks: Annotated[int, Gt(0)] = 2  # passed in a row
-    longest: Positive = 2.0  # s
-    rounds: Annotated[int, Gt(0)] = 3  # of untangling, each but the last followed by settling
+    drag: NotNegative = 4.0  # 1/s, of the air, in place of the material's
+    rest_speed: Positive = 0.01  # m/s, of the fastest vertex, at every time step
+    rest_time: Positive = 0.25  # s, for so long
+    longest: Positive = 4.0  # s
+
+
+@config
+class Guard:
+    """Against tangles: a world in which edges begin to pierce triangles goes back, and takes care."""
+
+    interval: Positive = 0.025  # s, between two searches
+    care: Positive = 0.15  # s, of care after what was undone
+    passes: Annotated[int, Gt(1)] = 4  # over the contacts, instead of one, while care is taken
 
 
 @config
@@ -61,12 +59,12 @@ class SimulationConfig:
     hand_speed: Positive = 0.42  # m/s, mean along the arc
     shortest_move: Positive = 0.4  # s
     highest_lift: Positive = 0.2  # normalised, section 4.2.2: hands end at min(highest_lift, k / 2)
-    drag: NotNegative = 2.0  # 1/s, while hands move
-    top_speed: Positive = 2.0  # m/s
-    largest_step: Positive = 0.7e-3  # m, no vertex moves further in a substep: nothing tunnels
+    grasp: Literal["top", "all"] = "top"  # layers that a hand takes
+    top_speed: Positive = 0.7  # m/s, so that no vertex moves further than layers are apart in a time step
     push_speed: Positive = 0.3  # m/s, at which penetrations are removed
     material: Material = Material()
     settling: Settling = Settling()
+    guard: Guard = Guard()
     device: Literal["cpu", "cuda"] = "cpu"
 
     @property
@@ -81,8 +79,8 @@ class Limits:
 
     height: Positive = 0.125  # normalised, of the highest vertex: the viewport's
     residual_speed: Positive = 0.01  # m/s
-    strain_p99: Positive = 0.06  # 99th percentile of |length / rest - 1| over the grid's edges
-    strain_worst: Positive = 0.3
+    strain_p99: Positive = 0.03  # 99th percentile of |length / rest - 1| over the grid's edges
+    strain_worst: Positive = 0.1
     intersections: Annotated[int, Ge(0)] = 0
     below_table: NotNegative = 0.0  # m, how far a vertex may lie below the table
 

@@ -4,62 +4,67 @@ import numpy as np
 import warp as wp
 from jaxtyping import Float
 
-from clothkit.simulation.kernels.state import CONTACTS, EDGE_PAIRS, TABLE_SIZE, VIOLATED, Solver, State
+from clothkit.simulation.kernels.state import CELLS, CONTACTS, EDGE_PAIRS, HELD, MEMORY, PATH, Solver, State
 from clothkit.simulation.settings import SimulationConfig
 
 GRAVITY = 9.81  # m/s^2
 LANES_ON_CUDA = 256
 LAUNCH_SECONDS = 0.1  # simulated in a launch
+EDGE_THICKNESS = 1.0  # of the thickness, distance of touching edges
+LARGEST_SHARE = 0.2  # of a neighbour's velocity difference in a substep: explicit viscosity is stable below 1 / 4
 
 
 def make_solver(settings: SimulationConfig) -> Solver:
-    """The kernels' settings, SI units. Bending stiffness is weight times the bending length cubed."""
-    material, settling, dt, h = settings.material, settings.settling, settings.time_step, settings.spacing
-    bending = 1 / (GRAVITY * material.bending_length**3 / h**4 * dt**2)
-    check_every = round(settling.check_interval / dt)
+    """The kernels' settings, SI units."""
+    material, settling = settings.material, settings.settling
+    dt, h = settings.time_step, settings.spacing
+    mass = material.density * h**2  # of a vertex
+
+    def compliance(stiffness: float) -> float:
+        """Of a spring [N/m], per mass of a vertex, over dt squared."""
+        return mass / (stiffness * dt**2)
+
+    # Energies per area are stretch e^2 / 2, shear g^2 / 2 and bending k^2 / 2 times the stiffness. A grid edge stands
+    # for the area h^2 with the strain (l - h) / h; a diagonal's strain is half the shear angle; a second difference c
+    # has the curvature |c| / h^2.
+    bending = compliance(material.bending_stiffness / h**2)
     solver = Solver()
     values = {
         "side": settings.side,
-        "substeps": check_every * max(1, round(LAUNCH_SECONDS / settling.check_interval)),
+        "substeps": round(LAUNCH_SECONDS / settings.time_step),
         "spacing": h,
         "time_step": dt,
-        "stretch_compliance": 0.0,
-        "shear_compliance": material.shear_compliance,
-        "diagonal_shortest": material.diagonal_shortest * h * 2**0.5,
-        "diagonal_longest": material.diagonal_longest * h * 2**0.5,
+        "stretch_compliance": compliance(material.stretch_stiffness),
+        "shear_compliance": compliance(material.shear_stiffness),
+        "diagonal_shortest": 0.3 * 2**0.5 * h,
+        "diagonal_longest": (1 + np.sin(material.shear_limit)) ** 0.5 * 2**0.5 * h,
         "bending_compliance": bending,
-        "bending_saturation": material.bending_saturation * h,
-        "crease_compliance": bending / material.crease_stiffness,
-        "crease_length": material.crease_length * h,
+        "bending_friction": material.bending_friction * dt**2 / mass,
+        "bending_saturation": material.bending_limit * h**2,
+        "crease_compliance": bending / 4,
+        "crease_length": 0.4 * h,
         "gravity": GRAVITY,
-        "settle_gravity": settling.gravity,
-        "press_height": settling.press_height,
-        "press_gain": settling.press_gain,
-        "press_limit": settling.press_limit,
-        "viscosity": material.viscosity,
-        "drag_moving": settings.drag,
+        "viscosity": min(material.viscosity * dt / h**2, LARGEST_SHARE),
+        "drag": material.drag,
         "drag_settling": settling.drag,
-        "drag_growth": settling.drag_growth,
         "top_speed": settings.top_speed,
-        "calm_after": settling.calm_after,
-        "speed_decay": settling.speed_decay,
-        "last_speed": settling.last_speed,
-        "largest_step": settings.largest_step,
         "thickness": material.thickness,
-        "edge_thickness": material.edge_thickness,
+        "edge_thickness": EDGE_THICKNESS * material.thickness,
         "margin": 0.2 * h,
         "prediction_time": 0.015,
         "prediction_error": 0.33 * 0.2 * h,
         "memory_gap": 0.6 * material.thickness,
-        "bend_feature": 0.3 * h,
+        "bend_feature": 0.15 * h,
+        "gap_growth": 0.5 * settling.rest_speed * dt,
         "push_step": settings.push_speed * dt,
         "cloth_friction": material.cloth_friction,
         "table_friction": material.table_friction,
-        "contact_damping": settling.contact_damping * dt,
-        "check_every": check_every,
-        "checks": settling.checks,
-        "rest_step": settling.rest_speed * settling.check_interval,
+        "rest_speed": settling.rest_speed,
+        "rest_time": settling.rest_time,
         "longest_settling": settling.longest,
+        "guard_interval": settings.guard.interval,
+        "care_time": settings.guard.care,
+        "careful_passes": settings.guard.passes,
     }
     for name, value in values.items():
         setattr(solver, name, value)
@@ -68,28 +73,32 @@ def make_solver(settings: SimulationConfig) -> Solver:
 
 def make_state(worlds: int, side: int, device: str) -> State:
     """Empty state of so many worlds on the device."""
-    n = side * side
-    one, each, edges = (worlds,), (worlds, n), (worlds, 3 * n)
+    n, cells = side * side, int(CELLS) ** 2 + 1
+    one, each, edges, held = (worlds,), (worlds, n), (worlds, 3 * n), (worlds, int(HELD))
     vectors: dict[str, tuple[int, ...]] = {
-        **dict.fromkeys(("position", "velocity", "previous", "correction", "checked"), each),
+        **dict.fromkeys(("position", "velocity", "previous", "correction", "saved_position", "saved_velocity"), each),
         **dict.fromkeys(("list_position", "list_velocity", "quad_centre", "quad_normal", "quad_velocity"), each),
-        **dict.fromkeys(("hand_start", "hand_direction"), (worlds, 2)),
-        "feature_middle": edges,
+        **dict.fromkeys(("feature_middle", "edge_middle"), edges),
+        "held_offset": held,
+        "path": (worlds, 2, int(PATH)),
+        "low": one,
     }
     floats: dict[str, tuple[int, ...]] = {
         "free": each,
-        **dict.fromkeys(("hand_radius", "hand_angle"), (worlds, 2)),
-        **dict.fromkeys(("move_time", "time", "moving", "fastest", "list_age", "deviation", "motion"), one),
+        **dict.fromkeys(("move_time", "time", "fastest", "calm", "residual", "saved_time", "careful_until"), one),
+        **dict.fromkeys(("list_age", "deviation", "motion"), one),
+        **dict.fromkeys(("pair_gap", "pair_gap_before"), (worlds, int(EDGE_PAIRS))),
     }
     integers: dict[str, tuple[int, ...]] = {
-        **dict.fromkeys(("touching", "quad_next", "quad_cell", "contacts", "in_bend"), each),
-        **dict.fromkeys(("feature", "feature_next", "feature_cell"), edges),
-        **dict.fromkeys(("quad_head", "feature_head"), (worlds, int(TABLE_SIZE))),
+        **dict.fromkeys(("quad", "contacts", "in_bend", "twisted"), each),
+        **dict.fromkeys(("feature", "edge", "cell"), edges),
+        **dict.fromkeys(("quad_first", "edge_first"), (worlds, cells)),
         **dict.fromkeys(("contact", "contact_before"), (worlds, n, int(CONTACTS))),
-        **dict.fromkeys(("hand_vertex", "pierced"), (worlds, 2)),
-        **dict.fromkeys(("done", "calm", "features", "pairs"), one),
+        **dict.fromkeys(("held", "held_by"), held),
+        **dict.fromkeys(("done", "features", "pairs", "saved_crossings", "crossings", "returns", "lost"), one),
         "pair": (worlds, int(EDGE_PAIRS), 3),
-        "violated": (worlds, int(VIOLATED), 3),
+        "pair_before": (worlds, int(EDGE_PAIRS), 3),
+        "memory": (worlds, int(MEMORY)),
     }
     state = State()
     for shapes, dtype in ((vectors, wp.vec3), (floats, wp.float32), (integers, wp.int32)):

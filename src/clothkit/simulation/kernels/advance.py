@@ -1,13 +1,14 @@
-"""The time loop: motion, hands, elasticity, contacts, table, and the check for rest, for a launch's substeps."""
+"""The time loop: motion, hands, contact lists, elasticity, contacts, table, guard and rest, for a launch's substeps."""
 
 # Warp: int(0), float(0.0) and bool(True) declare variables that loops may change; `in` and `and` are its own.
-# ruff: noqa: SIM102, UP018
+# ruff: noqa: UP018
 import warp as wp
 
+from clothkit.simulation.kernels.crossings import count_crossings
 from clothkit.simulation.kernels.edges import list_pairs, solve_pairs
-from clothkit.simulation.kernels.elasticity import solve_bending, solve_stretch
+from clothkit.simulation.kernels.elasticity import solve_bending, solve_shear, solve_stretch
 from clothkit.simulation.kernels.faces import list_contacts, solve_contacts
-from clothkit.simulation.kernels.state import Solver, State, synchronise
+from clothkit.simulation.kernels.state import HELD, PATH, Solver, State, synchronise
 
 
 @wp.func
@@ -28,15 +29,10 @@ def neighbours_difference(state: State, w: int, i: int, n: int, v: wp.vec3):
 
 
 @wp.func
-def move(solver: Solver, state: State, w: int, lane: int, lanes: int, since: float, top_speed: float):
-    """Move the vertices freely for a substep, and note how far they are from where the lists were made for.
-
-    `since` is the time since release, negative before. After release what stands high is pulled down harder: this
-    pressing is no physics, but the states are equilibria under it.
-    """
+def move(solver: Solver, state: State, w: int, lane: int, lanes: int, released: bool):
+    """Move the vertices freely for a substep, and note how far they are from where the lists were made for."""
     dt = solver.time_step
-    drag = wp.where(since <= 0.0, solver.drag_moving, solver.drag_settling * (1.0 + solver.drag_growth * since))
-    damping = 1.0 / (1.0 + drag * dt)
+    damping = 1.0 / (1.0 + wp.where(released, solver.drag_settling, solver.drag) * dt)
     age = state.list_age[w] + dt
     deviation = float(0.0)
     motion = float(0.0)
@@ -44,16 +40,8 @@ def move(solver: Solver, state: State, w: int, lane: int, lanes: int, since: flo
         x = state.position[w, i]
         state.previous[w, i] = x
         v = state.velocity[w, i]
-        v = v + neighbours_difference(state, w, i, solver.side, v) * (0.25 * solver.viscosity)
-        pull = float(1.0)
-        if since > 0.0:
-            pull = solver.settle_gravity + wp.min(
-                solver.press_gain * wp.max(x[2] - solver.press_height, 0.0), solver.press_limit
-            )
-        v = (v - wp.vec3(0.0, 0.0, solver.gravity * pull * dt)) * damping
-        speed = wp.length(v)
-        if speed > top_speed:
-            v = v * (top_speed / speed)
+        v = v + neighbours_difference(state, w, i, solver.side, v) * solver.viscosity
+        v = (v - wp.vec3(0.0, 0.0, solver.gravity * dt)) * damping
         x = x + v * (dt * state.free[w, i])
         state.position[w, i] = x
         d = x - state.list_position[w, i]
@@ -63,6 +51,7 @@ def move(solver: Solver, state: State, w: int, lane: int, lanes: int, since: flo
     if lane == 0:
         state.deviation[w] = 0.0
         state.motion[w] = 0.0
+        state.fastest[w] = 0.0
     synchronise()
     wp.atomic_max(state.deviation, w, deviation)
     wp.atomic_max(state.motion, w, motion)
@@ -70,28 +59,24 @@ def move(solver: Solver, state: State, w: int, lane: int, lanes: int, since: flo
 
 @wp.func
 def move_hands(state: State, w: int, lane: int, lanes: int, t: float):
-    """Put the grasped vertices where the hands are on their arcs (section 4.2.2), or release them."""
-    for k in range(lane, 2, lanes):
-        i = state.hand_vertex[w, k]
+    """Put what is held where the hands are on their paths, or let it go."""
+    place = t / state.move_time[w] * float(PATH - 1)
+    held = place <= float(PATH - 1)
+    k0 = wp.min(int(place), PATH - 2)
+    for slot in range(lane, HELD, lanes):
+        i = state.held[w, slot]
         if i >= 0:
-            tau = t / state.move_time[w]
-            if tau <= 1.0:
-                angle = state.hand_angle[w, k] * tau * tau * (3.0 - 2.0 * tau)
-                radius = state.hand_radius[w, k]
+            if held:
+                hand = state.held_by[w, slot]
+                at = wp.lerp(state.path[w, hand, k0], state.path[w, hand, k0 + 1], place - float(k0))
                 state.free[w, i] = 0.0
-                state.position[w, i] = (
-                    state.hand_start[w, k]
-                    + state.hand_direction[w, k] * (radius * (1.0 - wp.cos(angle)))
-                    + wp.vec3(0.0, 0.0, radius * wp.sin(angle))
-                )
+                state.position[w, i] = at + state.held_offset[w, slot]
             else:
                 state.free[w, i] = 1.0
-                state.hand_vertex[w, k] = -1
-                state.velocity[w, i] = wp.vec3(0.0, 0.0, 0.0)
 
 
 @wp.func
-def refresh_lists(solver: Solver, state: State, w: int, lane: int, lanes: int):
+def refresh_lists(solver: Solver, state: State, w: int, lane: int, lanes: int, careful: bool):
     """Make new contact lists when a vertex has left its predicted path or the prediction has run out.
 
     They last longer when no vertex has gone further than the allowed deviation, as in a cloth that creeps to rest.
@@ -105,7 +90,7 @@ def refresh_lists(solver: Solver, state: State, w: int, lane: int, lanes: int):
     if stale:
         list_contacts(solver, state, w, lane, lanes)
         if lane == 0:
-            list_pairs(solver, state, w)
+            list_pairs(solver, state, w, careful)
         age = float(0.0)
     if lane == 0:
         state.list_age[w] = age
@@ -113,22 +98,18 @@ def refresh_lists(solver: Solver, state: State, w: int, lane: int, lanes: int):
 
 
 @wp.func
-def finish(solver: Solver, state: State, w: int, lane: int, lanes: int, since: float, top_speed: float):
-    """Keep the vertices on the table and under the speed limits, and set their velocities."""
+def finish(solver: Solver, state: State, w: int, lane: int, lanes: int):
+    """Keep the vertices on the table and below the top speed, and set their velocities."""
     dt = solver.time_step
-    damping = float(1.0)
-    if since > 0.0:
-        damping = 1.0 / (1.0 + solver.contact_damping * (1.0 + 10.0 * wp.max(since - solver.calm_after, 0.0)))
-    largest_step = wp.min(solver.largest_step, top_speed * dt)
+    largest_step = solver.top_speed * dt
     floor = 0.5 * solver.thickness
+    fastest = float(0.0)
     for i in range(lane, solver.side * solver.side, lanes):
         x = state.position[w, i]
         if lanes > 1:
             x = x + state.correction[w, i]
             state.correction[w, i] = wp.vec3(0.0, 0.0, 0.0)
         before = state.previous[w, i]
-        touches = state.touching[w, i] == 1
-        state.touching[w, i] = 0
         if state.free[w, i] > 0.0:
             d = x - before
             length = wp.length(d)
@@ -141,47 +122,93 @@ def finish(solver: Solver, state: State, w: int, lane: int, lanes: int, since: f
                 slip = wp.sqrt(dx * dx + dy * dy) + 1.0e-12
                 friction = wp.min(1.0, solver.table_friction * penetration / slip)
                 x = wp.vec3(x[0] - friction * dx, x[1] - friction * dy, floor)
-                touches = True
         v = (x - before) / dt
-        if touches:
-            v = v * damping
+        fastest = wp.max(fastest, wp.dot(v, v))
         state.velocity[w, i] = v
         state.position[w, i] = x
+    synchronise()
+    wp.atomic_max(state.fastest, w, fastest)
     synchronise()
 
 
 @wp.func
-def check_rest(solver: Solver, state: State, w: int, lane: int, lanes: int, since: float):
-    """Return whether the world is done: at rest for some checks in a row, out of time, or no longer finite."""
-    limit = solver.rest_step * solver.rest_step
-    count = float(0.0)
-    largest = float(0.0)
-    for i in range(lane, solver.side * solver.side, lanes):
-        x = state.position[w, i]
-        d = x - state.checked[w, i]
-        state.checked[w, i] = x
-        squared = wp.dot(d, d)
-        largest = wp.max(largest, squared)
-        if not squared < limit:
-            count += 1.0
-        if not squared < 1.0e4:
-            count += 1.0e7
+def substep(solver: Solver, state: State, w: int, lane: int, lanes: int, t: float):
+    """Advance a world by one time step to the time t; while it takes care, all
+    edges are watched and the contacts solved over and over."""
+    move(solver, state, w, lane, lanes, t > state.move_time[w])
+    move_hands(state, w, lane, lanes, t)
+    careful = t < state.careful_until[w]
+    refresh_lists(solver, state, w, lane, lanes, careful)
+    solve_bending(solver, state, w, lane, lanes)
+    solve_shear(solver, state, w, lane, lanes)
+    solve_stretch(solver, state, w, lane, lanes)
+    passes = wp.where(careful, solver.careful_passes, 1)
+    for _ in range(passes):
+        solve_contacts(solver, state, w, lane, lanes)
+        solve_pairs(solver, state, w, lane, lanes)
+        synchronise()
+    finish(solver, state, w, lane, lanes)
+
+
+@wp.func
+def guard(solver: Solver, state: State, w: int, lane: int, lanes: int, t: float):
+    """Return the time to go on from: t, or that of the saved state when a crossing has come about since.
+
+    What care could not avoid is let be.
+    """
     if lane == 0:
-        state.moving[w] = 0.0
-        state.fastest[w] = 0.0
+        state.crossings[w] = 0
     synchronise()
-    wp.atomic_add(state.moving, w, count)
-    wp.atomic_max(state.fastest, w, wp.sqrt(largest))
+    wp.atomic_add(state.crossings, w, count_crossings(solver, state, w, lane, lanes))
     synchronise()
+    crossings = state.crossings[w]
+    careful = t <= state.careful_until[w]
+    back = crossings > state.saved_crossings[w] and not careful
+    n = solver.side
+    synchronise()
+    for i in range(lane, n * n, lanes):
+        if back:
+            state.position[w, i] = state.saved_position[w, i]
+            state.velocity[w, i] = state.saved_velocity[w, i]
+            state.list_position[w, i] = wp.vec3(1.0e3, 1.0e3, 1.0e3)
+            state.contacts[w, i] = 0
+        else:
+            state.saved_position[w, i] = state.position[w, i]
+            state.saved_velocity[w, i] = state.velocity[w, i]
     if lane == 0:
-        state.calm[w] = wp.where(state.moving[w] == 0.0, state.calm[w] + 1, 0)
+        if back:
+            state.returns[w] += 1
+            state.careful_until[w] = t + solver.care_time
+            state.calm[w] = 0.0
+            state.pairs[w] = 0
+        else:
+            if crossings > state.saved_crossings[w]:
+                state.lost[w] += crossings - state.saved_crossings[w]
+            state.saved_crossings[w] = crossings
+            state.saved_time[w] = t
     synchronise()
-    rested = state.calm[w] >= solver.checks
-    if rested or since > solver.longest_settling or state.moving[w] > 1.0e6:
+    return wp.where(back, state.saved_time[w], t)
+
+
+@wp.func
+def check_rest(solver: Solver, state: State, w: int, lane: int, since: float):
+    """Return whether the world is done: 1 at rest for long enough, 2 out of time or no longer finite, else 0."""
+    squared = state.fastest[w]
+    calm = state.calm[w] + solver.time_step
+    residual = wp.max(state.residual[w], wp.sqrt(squared))
+    synchronise()
+    slow = squared < solver.rest_speed * solver.rest_speed
+    if lane == 0:
+        state.calm[w] = wp.where(slow, calm, 0.0)
+        state.residual[w] = wp.where(slow, residual, 0.0)
+    synchronise()
+    if slow and calm >= solver.rest_time:
+        return 1
+    if since > solver.longest_settling or not (squared < 1.0e6):
         if lane == 0:
-            state.done[w] = wp.where(rested, 1, 2)
-        return True
-    return False
+            state.residual[w] = wp.sqrt(squared)
+        return 2
+    return 0
 
 
 @wp.kernel
@@ -191,25 +218,21 @@ def advance(solver: Solver, state: State, lanes: int):
     if state.done[w] != 0:
         return
     t = state.time[w]
-    move_time = state.move_time[w]
-    for substep in range(solver.substeps):
+    for _ in range(solver.substeps):
         t = t + solver.time_step
-        since = t - move_time
-        late = wp.max(since - solver.calm_after, 0.0)
-        top_speed = wp.max(solver.top_speed * wp.exp(-solver.speed_decay * late), solver.last_speed)
-        move(solver, state, w, lane, lanes, since, top_speed)
-        move_hands(state, w, lane, lanes, t)
-        refresh_lists(solver, state, w, lane, lanes)
-        solve_bending(solver, state, w, lane, lanes)
-        solve_stretch(solver, state, w, lane, lanes)
-        solve_contacts(solver, state, w, lane, lanes)
-        solve_pairs(solver, state, w, lane, lanes)
-        synchronise()
-        finish(solver, state, w, lane, lanes, since, top_speed)
-        if since > 0.0 and (substep + 1) % solver.check_every == 0:
-            if check_rest(solver, state, w, lane, lanes, since):
-                if lane == 0:
-                    state.time[w] = t
-                return
+        substep(solver, state, w, lane, lanes, t)
+        done = int(0)
+        since = t - state.move_time[w]
+        if since > 0.0:
+            done = check_rest(solver, state, w, lane, since)
+        if done > 0 or t - state.saved_time[w] >= solver.guard_interval:
+            now = guard(solver, state, w, lane, lanes, t)
+            if now < t:
+                done = 0
+            t = now
+        if done > 0:
+            if lane == 0:
+                state.done[w] = done
+            break
     if lane == 0:
         state.time[w] = t

@@ -7,7 +7,9 @@ Without them every third fold ends in a tangle: edges cross where no vertex pass
 # ruff: noqa: RUF046, SIM102, SIM109, UP018
 import warp as wp
 
-from clothkit.simulation.kernels.state import EDGE_PAIRS, VIOLATED, Solver, State, Vectors, cell_at, cell_of, edge_end
+from clothkit.simulation.kernels.faces import parting
+from clothkit.simulation.kernels.search import CELL, cell_column, cell_row, sort_features
+from clothkit.simulation.kernels.state import CELLS, EDGE_PAIRS, MEMORY, Solver, State, Vectors, edge_end
 
 
 @wp.func
@@ -34,48 +36,35 @@ def inside(s: float, t: float, slack: float):
 
 
 @wp.func
-def save_violated(solver: Solver, state: State, w: int):
-    """Save the pairs that are on the wrong side of each other, and return their number."""
-    x = state.position[w]
-    count = int(0)
-    for k in range(state.pairs[w]):
-        side = state.pair[w, k, 2]
-        if side != 0 and count < VIOLATED:
-            e = state.pair[w, k, 0]
-            g = state.pair[w, k, 1]
-            near = nearest_on_lines(x, e / 3, edge_end(e, solver.side), g / 3, edge_end(g, solver.side))
-            if near[3] == 0.0 and inside(near[0], near[1], 0.0):
-                if near[2] * float(side) < 0.0 and wp.abs(near[2]) < solver.thickness:
-                    state.violated[w, count, 0] = e
-                    state.violated[w, count, 1] = g
-                    state.violated[w, count, 2] = side
-                    count += 1
-    return count
+def bent(solver: Solver, c: wp.vec3, before: int):
+    """Return 1 for a second difference that makes a feature; it stays one until it is half as large."""
+    limit = solver.bend_feature * wp.where(before == 1, 0.5, 1.0)
+    return wp.where(wp.dot(c, c) > limit * limit, 1, 0)
 
 
 @wp.func
 def mark_bends(solver: Solver, state: State, w: int):
-    """Mark the vertices that lie in a bend."""
+    """Mark the vertices that lie in a bend and the quads that are twisted."""
     n = solver.side
-    limit = solver.bend_feature * solver.bend_feature
+    x = state.position[w]
     for i in range(n * n):
         row = i / n
         column = i % n
-        bent = int(0)
+        before = state.in_bend[w, i]
+        found = int(0)
         if row > 0 and row < n - 1:
-            c = state.position[w, i - n] - 2.0 * state.position[w, i] + state.position[w, i + n]
-            if wp.dot(c, c) > limit:
-                bent = 1
-        if column > 0 and column < n - 1:
-            c = state.position[w, i - 1] - 2.0 * state.position[w, i] + state.position[w, i + 1]
-            if wp.dot(c, c) > limit:
-                bent = 1
-        state.in_bend[w, i] = bent
+            found = bent(solver, x[i - n] - 2.0 * x[i] + x[i + n], before)
+        if found == 0 and column > 0 and column < n - 1:
+            found = bent(solver, x[i - 1] - 2.0 * x[i] + x[i + 1], before)
+        state.in_bend[w, i] = found
+        if row < n - 1 and column < n - 1:
+            twist = x[i] - x[i + 1] - x[i + n] + x[i + n + 1]
+            state.twisted[w, i] = bent(solver, twist, state.twisted[w, i])
 
 
 @wp.func
-def list_features(solver: Solver, state: State, w: int, per_metre: float):
-    """List the edges on the border and in bends."""
+def list_features(solver: Solver, state: State, w: int, everywhere: bool):
+    """List the edges on the border and in bends, and the diagonals of twisted quads; or all edges."""
     n = solver.side
     count = int(0)
     for i in range(n * n):
@@ -88,24 +77,59 @@ def list_features(solver: Solver, state: State, w: int, per_metre: float):
                 on_border = (kind == 0 and (column == 0 or column == n - 1)) or (
                     kind == 1 and (row == 0 or row == n - 1)
                 )
-                if on_border or state.in_bend[w, i] == 1 or state.in_bend[w, j] == 1:
-                    middle = (state.position[w, i] + state.position[w, j]) * 0.5
+                twisted = kind == 2 and state.twisted[w, i] == 1
+                if everywhere or on_border or twisted or state.in_bend[w, i] == 1 or state.in_bend[w, j] == 1:
                     state.feature[w, count] = edge
-                    state.feature_middle[w, count] = middle
-                    state.feature_cell[w, count] = cell_at(middle, per_metre)
+                    state.feature_middle[w, count] = (state.position[w, i] + state.position[w, j]) * 0.5
                     count += 1
     state.features[w] = count
 
 
 @wp.func
-def side_of_pair(solver: Solver, state: State, w: int, e: int, g: int):
-    """Return the side (1 or -1) of two edges, 0 when they run parallel, 2 when they are out of reach."""
+def memory_place(e: int, g: int):
+    """Return the place in the memory where the search for a pair begins."""
+    return (e * 1031 + g * 17) & (MEMORY - 1)
+
+
+@wp.func
+def remember_pairs(state: State, w: int):
+    """Keep the pairs as they are, to be found by their edges while the new ones are listed."""
+    for place in range(MEMORY):
+        state.memory[w, place] = 0
+    for k in range(state.pairs[w]):
+        e = state.pair[w, k, 0]
+        g = state.pair[w, k, 1]
+        state.pair_before[w, k, 0] = e
+        state.pair_before[w, k, 1] = g
+        state.pair_before[w, k, 2] = state.pair[w, k, 2]
+        state.pair_gap_before[w, k] = state.pair_gap[w, k]
+        place = memory_place(e, g)
+        while state.memory[w, place] != 0:
+            place = (place + 1) & (MEMORY - 1)
+        state.memory[w, place] = k + 1
+
+
+@wp.func
+def remembered_pair(state: State, w: int, e: int, g: int):
+    """Return the number of the earlier pair of these edges, -1 if there was none."""
+    place = memory_place(e, g)
+    while state.memory[w, place] != 0:
+        k = state.memory[w, place] - 1
+        if state.pair_before[w, k, 0] == e and state.pair_before[w, k, 1] == g:
+            return k
+        place = (place + 1) & (MEMORY - 1)
+    return -1
+
+
+@wp.func
+def gap_of_pair(solver: Solver, state: State, w: int, e: int, g: int):
+    """Return the side (1 or -1) of two edges and their gap, side 0 when they run parallel, 2 when out of reach."""
     a0 = e / 3
     a1 = edge_end(e, solver.side)
     b0 = g / 3
     b1 = edge_end(g, solver.side)
     if a0 == b0 or a0 == b1 or a1 == b0 or a1 == b1:
-        return 2
+        return wp.vec2(2.0, 0.0)
     va = state.velocity[w, a0] + state.velocity[w, a1]
     vb = state.velocity[w, b0] + state.velocity[w, b1]
     allowance = solver.margin + solver.prediction_time * 0.5 * wp.length(va - vb)
@@ -117,51 +141,57 @@ def side_of_pair(solver: Solver, state: State, w: int, e: int, g: int):
         m = (x[b0] + x[b1] - x[a0] - x[a1]) * 0.5
         along = wp.dot(m, d)
         if wp.dot(m, m) - along * along / wp.dot(d, d) < reach * reach:
-            return 0
-        return 2
-    if wp.abs(near[2]) < reach and inside(near[0], near[1], 0.1 + allowance / solver.spacing):
-        return wp.where(near[2] >= 0.0, 1, -1)
-    return 2
+            return wp.vec2(0.0, solver.edge_thickness)
+        return wp.vec2(2.0, 0.0)
+    gap = wp.abs(near[2])
+    if gap < reach and inside(near[0], near[1], 0.1 + allowance / solver.spacing):
+        kept = wp.where(inside(near[0], near[1], 0.0), wp.min(gap, solver.edge_thickness), solver.edge_thickness)
+        return wp.vec2(wp.where(near[2] >= 0.0, 1.0, -1.0), kept)
+    return wp.vec2(2.0, 0.0)
 
 
 @wp.func
-def list_pairs(solver: Solver, state: State, w: int):
-    """List the pairs of feature edges that may touch within the prediction time (one lane)."""
-    wrong = save_violated(solver, state, w)
-    cell_side = 1.35 * solver.spacing
-    per_metre = 1.0 / cell_side
-    for k in range(state.features[w]):
-        state.feature_head[w, state.feature_cell[w, k]] = -1
+def list_pairs(solver: Solver, state: State, w: int, everywhere: bool):
+    """List the pairs of feature edges, or of all, that may touch within the prediction time (one lane).
+
+    A pair that is found closer than edges touch, since its edges have only now become features, is parted slowly.
+    """
+    remember_pairs(state, w)
     mark_bends(solver, state, w)
-    list_features(solver, state, w, per_metre)
+    list_features(solver, state, w, everywhere)
+    sort_features(solver, state, w)
+    low = state.low[w]
+    largest = CELL * CELL * solver.spacing * solver.spacing
     count = int(0)
-    for k in range(state.features[w]):
-        e = state.feature[w, k]
-        middle = state.feature_middle[w, k]
-        cx = int(wp.floor(middle[0] * per_metre))
-        cy = int(wp.floor(middle[1] * per_metre))
-        cz = int(wp.floor(middle[2] * per_metre))
-        for ox in range(-1, 2):
-            for oy in range(-1, 2):
-                for oz in range(-1, 2):
-                    other = state.feature_head[w, cell_of(cx + ox, cy + oy, cz + oz)]
-                    while other >= 0:
-                        d = state.feature_middle[w, other] - middle
-                        if wp.dot(d, d) < cell_side * cell_side and count < EDGE_PAIRS:
-                            g = state.feature[w, other]
-                            side = side_of_pair(solver, state, w, e, g)
-                            if side != 2:
-                                for v in range(wrong):
-                                    if side != 0 and state.violated[w, v, 0] == e and state.violated[w, v, 1] == g:
-                                        side = state.violated[w, v, 2]
-                                state.pair[w, count, 0] = e
-                                state.pair[w, count, 1] = g
-                                state.pair[w, count, 2] = side
-                                count += 1
-                        other = state.feature_next[w, other]
-        cell = state.feature_cell[w, k]
-        state.feature_next[w, k] = state.feature_head[w, cell]
-        state.feature_head[w, cell] = k
+    for own in range(state.features[w]):
+        first = state.edge[w, own]
+        middle = state.edge_middle[w, own]
+        row = cell_row(solver, low, middle)
+        column = cell_column(solver, low, middle)
+        for near in range(row - 1, row + 1):
+            cell = near * CELLS + column
+            # Of the own row only what lies before: every pair once.
+            end = wp.where(near == row, own, state.edge_first[w, cell + 2])
+            for other in range(state.edge_first[w, cell - 1], end):
+                d = state.edge_middle[w, other] - middle
+                if wp.dot(d, d) < largest and count < EDGE_PAIRS:
+                    e = wp.min(first, state.edge[w, other])
+                    g = wp.max(first, state.edge[w, other])
+                    found = gap_of_pair(solver, state, w, e, g)
+                    side = int(found[0])
+                    kept = found[1]
+                    if side != 2:
+                        if side != 0 and kept < solver.edge_thickness:
+                            before = remembered_pair(state, w, e, g)
+                            if before >= 0:
+                                kept = state.pair_gap_before[w, before]
+                                if state.pair_before[w, before, 2] != 0:
+                                    side = state.pair_before[w, before, 2]
+                        state.pair[w, count, 0] = e
+                        state.pair[w, count, 1] = g
+                        state.pair[w, count, 2] = side
+                        state.pair_gap[w, count] = kept
+                        count += 1
     state.pairs[w] = count
 
 
@@ -186,7 +216,11 @@ def solve_pair(solver: Solver, state: State, w: int, k: int, lanes: int):
         return
     side = float(state.pair[w, k, 2])
     gap = near[2] * side
-    if gap >= solver.edge_thickness or gap < -2.0 * solver.thickness:
+    kept = state.pair_gap[w, k]
+    if kept < solver.edge_thickness:
+        kept = wp.min(kept + solver.gap_growth, solver.edge_thickness)
+        state.pair_gap[w, k] = kept
+    if gap >= kept or gap < -2.0 * solver.thickness:
         return
     p0 = x[a0]
     p1 = x[a1]
@@ -198,13 +232,14 @@ def solve_pair(solver: Solver, state: State, w: int, k: int, lanes: int):
     slip = moved_a - moved_b
     approach = wp.dot(slip, normal)
     slip = slip - normal * approach
-    push = wp.min(solver.edge_thickness - gap, wp.max(0.0, -approach) * 2.0 + solver.push_step)
+    push = parting(solver, kept - gap, approach)
     friction = wp.min(1.0, solver.cloth_friction * push / (wp.length(slip) + 1.0e-12))
     wa0 = state.free[w, a0] * (1.0 - s)
     wa1 = state.free[w, a1] * s
     wb0 = state.free[w, b0] * (1.0 - t)
     wb1 = state.free[w, b1] * t
-    out = (normal * push - slip * friction) / ((1.0 - s) * wa0 + s * wa1 + (1.0 - t) * wb0 + t * wb1 + 1.0e-9)
+    scale = 1.0 / ((1.0 - s) * wa0 + s * wa1 + (1.0 - t) * wb0 + t * wb1 + 1.0e-9)
+    out = (normal * push - slip * friction) * scale
     if lanes == 1:
         x[a0] = p0 + out * wa0
         x[a1] = p1 + out * wa1

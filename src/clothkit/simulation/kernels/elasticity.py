@@ -34,17 +34,21 @@ def limit_distance(x: Vectors, free: Floats, i: int, j: int, shortest: float, lo
 
 
 @wp.func
-def bend(solver: Solver, x: Vectors, free: Floats, i: int, j: int, k: int):
-    """Straighten three vertices in a row, with a moment that saturates, and keep the outer two apart."""
+def bend(solver: Solver, x: Vectors, previous: Vectors, free: Floats, i: int, j: int, k: int):
+    """Straighten three vertices in a row, with a moment that saturates and dry friction, and keep the outer two apart."""
     wi = free[i]
     wj = free[j]
     wk = free[k]
     xi = x[i]
     xj = x[j]
     xk = x[k]
+    weight = wi + 4.0 * wj + wk + 1.0e-9
     c = xi - 2.0 * xj + xk
     compliance = solver.bending_compliance * wp.max(1.0, wp.length(c) / solver.bending_saturation)
-    multiplier = c * (1.0 / (wi + 4.0 * wj + wk + compliance))
+    multiplier = c * (1.0 / (weight + compliance))
+    change = (c - multiplier * weight - (previous[i] - 2.0 * previous[j] + previous[k])) * (1.0 / weight)
+    size = wp.length(change)
+    multiplier = multiplier + change * wp.min(1.0, solver.bending_friction / (size + 1.0e-12))
     xi = xi - multiplier * wi
     xk = xk - multiplier * wk
     d = xk - xi
@@ -63,6 +67,7 @@ def bend(solver: Solver, x: Vectors, free: Floats, i: int, j: int, k: int):
 def solve_bending(solver: Solver, state: State, w: int, lane: int, lanes: int):
     """Bend along both directions of the grid, three colours each."""
     x = state.position[w]
+    previous = state.previous[w]
     free = state.free[w]
     n = solver.side
     width = wp.min(lanes, 32)
@@ -73,21 +78,48 @@ def solve_bending(solver: Solver, state: State, w: int, lane: int, lanes: int):
         for i in range(row0 * 3 + colour, n - 2, rows * 3):
             for j in range(column0, n, width):
                 a = i * n + j
-                bend(solver, x, free, a, a + n, a + 2 * n)
+                bend(solver, x, previous, free, a, a + n, a + 2 * n)
         synchronise()
         for i in range(row0, n, rows):
             for j in range(column0 * 3 + colour, n - 2, width * 3):
                 a = i * n + j
-                bend(solver, x, free, a, a + 1, a + 2)
+                bend(solver, x, previous, free, a, a + 1, a + 2)
+        synchronise()
+
+
+@wp.func
+def shear(solver: Solver, x: Vectors, free: Floats, i: int, j: int):
+    """Move the ends of a diagonal towards its rest length, weakly, and into its range."""
+    keep_distance(x, free, i, j, solver.spacing * 1.41421356, solver.shear_compliance)
+    limit_distance(x, free, i, j, solver.diagonal_shortest, solver.diagonal_longest, 1.0)
+
+
+@wp.func
+def solve_shear(solver: Solver, state: State, w: int, lane: int, lanes: int):
+    """Shear the quads along both diagonals, two colours each."""
+    x = state.position[w]
+    free = state.free[w]
+    n = solver.side
+    width = wp.min(lanes, 32)
+    rows = lanes / width
+    row0 = lane / width
+    column0 = lane % width
+    for colour in range(2):
+        for i in range(row0 * 2 + colour, n - 1, rows * 2):
+            for j in range(column0, n - 1, width):
+                a = i * n + j
+                shear(solver, x, free, a, a + n + 1)
+        synchronise()
+        for i in range(row0 * 2 + colour, n - 1, rows * 2):
+            for j in range(column0, n - 1, width):
+                a = i * n + j
+                shear(solver, x, free, a + 1, a + n)
         synchronise()
 
 
 @wp.func
 def solve_stretch(solver: Solver, state: State, w: int, lane: int, lanes: int):
-    """Keep the edges' lengths, two colours per direction, then shear: one diagonal kept, the other limited.
-
-    Two stiff diagonals would lock creases that run across the grid, and make them tall.
-    """
+    """Keep the edges' lengths, two colours per direction."""
     x = state.position[w]
     free = state.free[w]
     n = solver.side
@@ -105,18 +137,4 @@ def solve_stretch(solver: Solver, state: State, w: int, lane: int, lanes: int):
             for j in range(column0 * 2 + colour, n - 1, width * 2):
                 a = i * n + j
                 keep_distance(x, free, a, a + 1, solver.spacing, solver.stretch_compliance)
-        synchronise()
-    diagonal = solver.spacing * 1.41421356
-    for colour in range(2):
-        for i in range(row0 * 2 + colour, n - 1, rows * 2):
-            for j in range(column0, n - 1, width):
-                a = i * n + j
-                keep_distance(x, free, a, a + n + 1, diagonal, solver.shear_compliance)
-        synchronise()
-        for i in range(row0 * 2 + colour, n - 1, rows * 2):
-            for j in range(column0, n - 1, width):
-                a = i * n + j
-                limit_distance(
-                    x, free, a + 1, a + n, solver.diagonal_shortest, solver.diagonal_longest, solver.shear_compliance
-                )
         synchronise()

@@ -4,43 +4,18 @@
 # ruff: noqa: RUF046, UP018
 import warp as wp
 
-from clothkit.simulation.kernels.state import CONTACTS, Solver, State, Vectors, cell_at, cell_of, synchronise
+from clothkit.simulation.kernels.search import CELL, cell_column, cell_row, sort_quads
+from clothkit.simulation.kernels.state import CELLS, CONTACTS, Solver, State, Vectors, synchronise
 
 
 @wp.func
-def remembered_side(state: State, w: int, vertex: int, count: int, row: int, column: int, side: int):
-    """Return the side (1 or -1) on which the vertex was of this quad or a neighbour of it, 0 when unknown."""
-    found = int(0)
+def remembered_side(state: State, w: int, vertex: int, count: int, quad: int):
+    """Return the side (1 or -1) on which the vertex was of a quad, 0 when unknown."""
     for k in range(count):
         entry = state.contact_before[w, vertex, k]
-        quad = wp.abs(entry) - 1
-        if found == 0 and wp.abs(quad / side - row) <= 1 and wp.abs(quad % side - column) <= 1:
-            found = wp.where(entry > 0, 1, -1)
-    return found
-
-
-@wp.func
-def insert_quads(solver: Solver, state: State, w: int, lane: int, lanes: int, per_metre: float):
-    """Put the quads into the hash grid by their centres."""
-    n = solver.side
-    for quad in range(lane, n * n, lanes):
-        state.quad_head[w, state.quad_cell[w, quad]] = -1
-    synchronise()
-    for quad in range(lane, n * n - n, lanes):
-        if quad % n < n - 1:
-            p00 = state.position[w, quad]
-            p01 = state.position[w, quad + 1]
-            p10 = state.position[w, quad + n]
-            p11 = state.position[w, quad + n + 1]
-            centre = (p00 + p01 + p10 + p11) * 0.25
-            normal = wp.cross(p11 - p00 + p10 - p01, p11 - p00 + p01 - p10)
-            cell = cell_at(centre, per_metre)
-            state.quad_cell[w, quad] = cell
-            state.quad_centre[w, quad] = centre
-            state.quad_normal[w, quad] = normal / (wp.length(normal) + 1.0e-12)
-            state.quad_velocity[w, quad] = (state.velocity[w, quad] + state.velocity[w, quad + n + 1]) * 0.5
-            state.quad_next[w, quad] = wp.atomic_exch(state.quad_head, w, cell, quad)
-    synchronise()
+        if wp.abs(entry) - 1 == quad:
+            return wp.where(entry > 0, 1, -1)
+    return 0
 
 
 @wp.func
@@ -56,20 +31,102 @@ def spans(solver: Solver, x: Vectors, quad: int, r: wp.vec3, reach: float):
     a22 = wp.dot(e2, e2)
     b1 = wp.dot(r, e1)
     b2 = wp.dot(r, e2)
-    limit = (0.56 + reach / solver.spacing) * (a11 * a22 - a12 * a12 + 1.0e-14)
+    limit = (0.5 + reach / solver.spacing) * (a11 * a22 - a12 * a12 + 1.0e-14)
     return wp.abs(b1 * a22 - b2 * a12) < limit and wp.abs(b2 * a11 - b1 * a12) < limit
+
+
+@wp.func
+def share_along(p: wp.vec3, a: wp.vec3, b: wp.vec3):
+    """Return where the segment a-b comes closest to a point, 0..1."""
+    d = b - a
+    return wp.clamp(wp.dot(p - a, d) / (wp.dot(d, d) + 1.0e-16), 0.0, 1.0)
+
+
+@wp.func
+def nearest_on_triangle(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3):
+    """Return the weights of the triangle's point nearest to p."""
+    ab = b - a
+    ac = c - a
+    ap = p - a
+    d00 = wp.dot(ab, ab)
+    d01 = wp.dot(ab, ac)
+    d11 = wp.dot(ac, ac)
+    d20 = wp.dot(ap, ab)
+    d21 = wp.dot(ap, ac)
+    scale = 1.0 / (d00 * d11 - d01 * d01 + 1.0e-16)
+    fb = (d11 * d20 - d01 * d21) * scale
+    fc = (d00 * d21 - d01 * d20) * scale
+    fa = 1.0 - fb - fc
+    if fa >= 0.0 and fb >= 0.0 and fc >= 0.0:
+        return wp.vec3(fa, fb, fc)
+    best = float(1.0e6)
+    weights = wp.vec3(1.0, 0.0, 0.0)
+    if fc < 0.0:
+        t = share_along(p, a, b)
+        d = ap - ab * t
+        best = wp.dot(d, d)
+        weights = wp.vec3(1.0 - t, t, 0.0)
+    if fb < 0.0:
+        t = share_along(p, a, c)
+        d = ap - ac * t
+        if wp.dot(d, d) < best:
+            best = wp.dot(d, d)
+            weights = wp.vec3(1.0 - t, 0.0, t)
+    if fa < 0.0:
+        t = share_along(p, b, c)
+        d = p - b - (c - b) * t
+        if wp.dot(d, d) < best:
+            weights = wp.vec3(0.0, 1.0 - t, t)
+    return weights
+
+
+@wp.func
+def inside_triangle(weights: wp.vec3):
+    """Return whether a point of a triangle lies on none of its edges."""
+    return weights[0] > 0.0 and weights[1] > 0.0 and weights[2] > 0.0
+
+
+@wp.func
+def lies_above(to_lower: wp.vec3, to_upper: wp.vec3, p00: wp.vec3, p01: wp.vec3, p10: wp.vec3, p11: wp.vec3):
+    """Return whether what lies that far from a quad's triangles is on the side of its normal: by the nearer triangle."""
+    d_lower = wp.dot(to_lower, to_lower)
+    d_upper = wp.dot(to_upper, to_upper)
+    diagonal = p11 - p00
+    lower = wp.cross(p10 - p00, diagonal)
+    upper = wp.cross(diagonal, p01 - p00)
+    if wp.abs(d_lower - d_upper) < 1.0e-3 * d_lower:
+        return wp.dot(to_lower, lower / wp.length(lower) + upper / wp.length(upper)) >= 0.0
+    if d_lower < d_upper:
+        return wp.dot(to_lower, lower) >= 0.0
+    return wp.dot(to_upper, upper) >= 0.0
+
+
+@wp.func
+def side_of(x: Vectors, i: int, quad: int, n: int):
+    """Return the side (1 or -1) of a quad on which a vertex lies."""
+    p00 = x[quad]
+    p01 = x[quad + 1]
+    p10 = x[quad + n]
+    p11 = x[quad + n + 1]
+    lower = nearest_on_triangle(x[i], p00, p10, p11)
+    upper = nearest_on_triangle(x[i], p00, p11, p01)
+    to_lower = x[i] - (p00 * lower[0] + p10 * lower[1] + p11 * lower[2])
+    to_upper = x[i] - (p00 * upper[0] + p11 * upper[1] + p01 * upper[2])
+    return wp.where(lies_above(to_lower, to_upper, p00, p01, p10, p11), 1, -1)
 
 
 @wp.func
 def list_contacts(solver: Solver, state: State, w: int, lane: int, lanes: int):
     """List for every vertex the quads that it may touch within the prediction time; its own four are left out."""
     n = solver.side
-    cell_side = 1.4 * solver.spacing
-    per_metre = 1.0 / cell_side
-    insert_quads(solver, state, w, lane, lanes, per_metre)
+    if lane == 0:
+        sort_quads(solver, state, w)
+    synchronise()
+    low = state.low[w]
+    largest = CELL * CELL * solver.spacing * solver.spacing
     position = state.position[w]
     for i in range(lane, n * n, lanes):
-        x = state.position[w, i]
+        x = position[i]
         v = state.velocity[w, i]
         state.list_position[w, i] = x
         state.list_velocity[w, i] = v
@@ -77,114 +134,132 @@ def list_contacts(solver: Solver, state: State, w: int, lane: int, lanes: int):
         for k in range(before):
             state.contact_before[w, i, k] = state.contact[w, i, k]
         count = int(0)
-        cx = int(wp.floor(x[0] * per_metre))
-        cy = int(wp.floor(x[1] * per_metre))
-        cz = int(wp.floor(x[2] * per_metre))
-        for ox in range(-1, 2):
-            for oy in range(-1, 2):
-                for oz in range(-1, 2):
-                    quad = state.quad_head[w, cell_of(cx + ox, cy + oy, cz + oz)]
-                    while quad >= 0:
-                        r = x - state.quad_centre[w, quad]
-                        if wp.dot(r, r) < cell_side * cell_side and count < CONTACTS:
-                            gap = wp.dot(r, state.quad_normal[w, quad])
-                            relative = wp.length(v - state.quad_velocity[w, quad])
-                            reach = solver.margin + solver.prediction_time * relative
-                            own = i == quad or i == quad + 1 or i == quad + n or i == quad + n + 1
-                            if (
-                                wp.abs(gap) < solver.thickness + reach
-                                and not own
-                                and spans(solver, position, quad, r, reach)
-                            ):
-                                side = wp.where(gap >= 0.0, 1, -1)
-                                if wp.abs(gap) < solver.memory_gap:
-                                    remembered = remembered_side(state, w, i, before, quad / n, quad % n, n)
-                                    side = wp.where(remembered != 0, remembered, side)
-                                state.contact[w, i, count] = side * (quad + 1)
-                                count += 1
-                        quad = state.quad_next[w, quad]
+        row = cell_row(solver, low, x)
+        column = cell_column(solver, low, x)
+        for near in range(row - 1, row + 2):
+            cell = near * CELLS + column
+            for place in range(state.quad_first[w, cell - 1], state.quad_first[w, cell + 2]):
+                r = x - state.quad_centre[w, place]
+                gap = wp.dot(r, state.quad_normal[w, place])
+                relative = wp.length(v - state.quad_velocity[w, place])
+                reach = solver.margin + solver.prediction_time * relative
+                if wp.abs(gap) < solver.thickness + reach and wp.dot(r, r) < largest and count < CONTACTS:
+                    quad = state.quad[w, place]
+                    own = i == quad or i == quad + 1 or i == quad + n or i == quad + n + 1
+                    if not own and spans(solver, position, quad, r, reach):
+                        side = side_of(position, i, quad, n)
+                        if wp.abs(gap) < solver.memory_gap and spans(solver, position, quad, r, 0.0):
+                            remembered = remembered_side(state, w, i, before, quad)
+                            side = wp.where(remembered != 0, remembered, side)
+                        state.contact[w, i, count] = side * (quad + 1)
+                        count += 1
         state.contacts[w, i] = count
     synchronise()
 
 
 @wp.func
-def solve_contact(solver: Solver, state: State, w: int, i: int, entry: int, lanes: int):
-    """Push a vertex and the triangle under it apart to the cloth's thickness, with Coulomb friction."""
+def parting(solver: Solver, overlap: float, approach: float):
+    """Return how far what touches is pushed apart: by the overlap, at most at a speed that gives no jolt."""
+    return wp.min(overlap, wp.max(0.0, -approach) * 2.0 + solver.push_step)
+
+
+@wp.func
+def part_from_triangle(
+    solver: Solver, state: State, w: int, i: int, a: int, b: int, c: int, weights: wp.vec3, side: float, lanes: int
+):
+    """Push a vertex and the point of a triangle nearest to it apart to the cloth's thickness, with Coulomb friction.
+
+    Over the triangle the side, 1 where it is counter-clockwise, decides what is out; beyond its edges, what lies
+    between the two. So the push is continuous where the vertex slides from a triangle to the next or off the border.
+    """
     position = state.position[w]
     previous = state.previous[w]
     free = state.free[w]
-    n = solver.side
     thickness = solver.thickness
-    sign = wp.where(entry > 0, 1.0, -1.0)
-    a = wp.abs(entry) - 1
-    c = a + n + 1
-    p00 = position[a]
-    p01 = position[a + 1]
-    p10 = position[a + n]
-    p11 = position[c]
+    pa = position[a]
+    pb = position[b]
+    pc = position[c]
     x = position[i]
-    e1 = (p10 - p00 + p11 - p01) * 0.5
-    e2 = (p01 - p00 + p11 - p10) * 0.5
-    r = x - (p00 + p01 + p10 + p11) * 0.25
-    normal = wp.cross(e1, e2)
-    height = sign * wp.dot(r, normal)
-    if height > 0.0 and height * height > 2.25 * thickness * thickness * (wp.dot(normal, normal) + 1.0e-20):
-        return
-    a11 = wp.dot(e1, e1)
-    a12 = wp.dot(e1, e2)
-    a22 = wp.dot(e2, e2)
-    scale = 1.0 / (a11 * a22 - a12 * a12 + 1.0e-14)
-    b1 = wp.dot(r, e1)
-    b2 = wp.dot(r, e2)
-    along = (b1 * a22 - b2 * a12) * scale
-    across = (b2 * a11 - b1 * a12) * scale
-    if wp.abs(along) > 0.56 or wp.abs(across) > 0.56:
-        return
-    upper = across >= along
-    b = wp.where(upper, a + 1, a + n)
-    p1 = wp.where(upper, p01, p10)
-    side1 = p1 - p00
-    side2 = p11 - p00
-    face = wp.cross(side1, side2) * wp.where(upper, -sign, sign)
-    face = face / (wp.length(face) + 1.0e-12)
-    ra = x - p00
-    gap = wp.dot(ra, face)
-    if gap >= thickness or gap < -2.0 * thickness:
-        return
-    d00 = wp.dot(side1, side1)
-    d01 = wp.dot(side1, side2)
-    d11 = wp.dot(side2, side2)
-    d20 = wp.dot(ra, side1)
-    d21 = wp.dot(ra, side2)
-    scale = 1.0 / (d00 * d11 - d01 * d01 + 1.0e-16)
-    fb = (d11 * d20 - d01 * d21) * scale
-    fc = (d00 * d21 - d01 * d20) * scale
-    fa = 1.0 - fb - fc
-    if fa < -0.06 or fb < -0.06 or fc < -0.06:
+    fa = weights[0]
+    fb = weights[1]
+    fc = weights[2]
+    out = x - (pa * fa + pb * fb + pc * fc)
+    face = wp.normalize(wp.cross(pb - pa, pc - pa)) * side
+    gap = wp.dot(out, face)
+    if fa > 0.0 and fb > 0.0 and fc > 0.0:
+        if gap < -thickness:
+            return
+    else:
+        if gap < 0.0:
+            return
+        gap = wp.length(out)
+        face = out / (gap + 1.0e-12)
+    if gap >= thickness:
         return
     before = previous[a] * fa + previous[b] * fb + previous[c] * fc
-    slip = (x - previous[i]) - (p00 * fa + p1 * fb + p11 * fc - before)
+    slip = (x - previous[i]) - (pa * fa + pb * fb + pc * fc - before)
     approach = wp.dot(slip, face)
     slip = slip - face * approach
-    push = wp.min(thickness - gap, wp.max(0.0, -approach) * 2.0 + solver.push_step)
+    push = parting(solver, thickness - gap, approach)
     friction = wp.min(1.0, solver.cloth_friction * push / (wp.length(slip) + 1.0e-12))
     wa = free[a] * fa
     wb = free[b] * fb
     wc = free[c] * fc
     wi = free[i]
-    out = (face * push - slip * friction) / (wi + fa * wa + fb * wb + fc * wc + 1.0e-9)
-    state.touching[w, i] = 1
-    state.touching[w, a] = 1
+    d = (face * push - slip * friction) / (wi + fa * wa + fb * wb + fc * wc + 1.0e-9)
     if lanes == 1:
-        position[a] = p00 - out * wa
-        position[b] = p1 - out * wb
-        position[c] = p11 - out * wc
-        position[i] = x + out * wi
+        position[a] = pa - d * wa
+        position[b] = pb - d * wb
+        position[c] = pc - d * wc
+        position[i] = x + d * wi
     else:
-        wp.atomic_sub(state.correction, w, a, out * wa)
-        wp.atomic_sub(state.correction, w, b, out * wb)
-        wp.atomic_sub(state.correction, w, c, out * wc)
-        wp.atomic_add(state.correction, w, i, out * wi)
+        wp.atomic_sub(state.correction, w, a, d * wa)
+        wp.atomic_sub(state.correction, w, b, d * wb)
+        wp.atomic_sub(state.correction, w, c, d * wc)
+        wp.atomic_add(state.correction, w, i, d * wi)
+
+
+@wp.func
+def solve_contact(solver: Solver, state: State, w: int, i: int, k: int, lanes: int):
+    """Part a vertex from both triangles of a quad, when it is near the quad at all.
+
+    The side on which the vertex is to stay is held while it lies close over one of them, and noted while it does not.
+    """
+    position = state.position[w]
+    n = solver.side
+    entry = state.contact[w, i, k]
+    a = wp.abs(entry) - 1
+    p00 = position[a]
+    p01 = position[a + 1]
+    p10 = position[a + n]
+    p11 = position[a + n + 1]
+    x = position[i]
+    r = x - (p00 + p01 + p10 + p11) * 0.25
+    normal = wp.cross(p11 - p00 + p10 - p01, p11 - p00 + p01 - p10)
+    squared = wp.dot(normal, normal) + 1.0e-20
+    height = wp.dot(r, normal)
+    twist = wp.abs(wp.dot(p00 - p01 - p10 + p11, normal)) * 0.25
+    far = 2.0 * solver.thickness
+    above = wp.max(wp.abs(height) - twist, 0.0)
+    if above * above > far * far * squared:
+        state.contact[w, i, k] = wp.where(height >= 0.0, a + 1, -a - 1)
+        return
+    lower = nearest_on_triangle(x, p00, p10, p11)
+    upper = nearest_on_triangle(x, p00, p11, p01)
+    to_lower = x - (p00 * lower[0] + p10 * lower[1] + p11 * lower[2])
+    to_upper = x - (p00 * upper[0] + p11 * upper[1] + p01 * upper[2])
+    d_lower = wp.dot(to_lower, to_lower)
+    d_upper = wp.dot(to_upper, to_upper)
+    nearest = wp.min(d_lower, d_upper)
+    held = inside_triangle(wp.where(d_lower < d_upper, lower, upper)) and nearest < far * far
+    if not held:
+        noted = wp.where(lies_above(to_lower, to_upper, p00, p01, p10, p11), a + 1, -a - 1)
+        state.contact[w, i, k] = noted
+        entry = noted
+    if nearest < solver.thickness * solver.thickness:
+        side = wp.where(entry > 0, 1.0, -1.0)
+        part_from_triangle(solver, state, w, i, a, a + n, a + n + 1, lower, side, lanes)
+        part_from_triangle(solver, state, w, i, a, a + n + 1, a + 1, upper, side, lanes)
 
 
 @wp.func
@@ -192,5 +267,5 @@ def solve_contacts(solver: Solver, state: State, w: int, lane: int, lanes: int):
     """Solve the listed contacts of vertices with triangles."""
     for i in range(lane, solver.side * solver.side, lanes):
         for k in range(state.contacts[w, i]):
-            solve_contact(solver, state, w, i, state.contact[w, i, k], lanes)
+            solve_contact(solver, state, w, i, k, lanes)
     synchronise()

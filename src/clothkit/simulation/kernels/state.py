@@ -32,10 +32,12 @@ def _initialise() -> None:
 
 _initialise()
 
-TABLE_SIZE = wp.constant(32 * 32 * 16)  # cells of a hash grid
-CONTACTS = wp.constant(24)  # quads that a vertex can touch at a time
-EDGE_PAIRS = wp.constant(12000)  # pairs of edges that can be watched at a time
-VIOLATED = wp.constant(64)  # violated pairs whose side is remembered through a rebuild
+CELLS = wp.constant(64)  # of the search grid, along x and along y
+CONTACTS = wp.constant(32)  # quads that a vertex can touch at a time
+EDGE_PAIRS = wp.constant(16000)  # pairs of edges that can be watched at a time
+MEMORY = wp.constant(32768)  # places for the pairs that are remembered through a rebuild, a power of two
+HELD = wp.constant(32)  # vertices that the hands can hold, over all layers
+PATH = wp.constant(257)  # points of a hand's path, at equal times
 
 Vectors = wp.array(dtype=wp.vec3)  # of one world: the functions that run most take these, not a whole State
 Floats = wp.array(dtype=float)
@@ -52,28 +54,19 @@ class Solver:
 
     stretch_compliance: float  # 1
     shear_compliance: float  # 1
-    diagonal_shortest: float  # m, the free diagonal is limited to this range
+    diagonal_shortest: float  # m, diagonals are limited to this range
     diagonal_longest: float  # m
     bending_compliance: float  # 1
+    bending_friction: float  # m, largest multiplier that keeps a second difference as it was
     bending_saturation: float  # m, the second difference beyond which the bending moment no longer grows
     crease_compliance: float  # 1
     crease_length: float  # m, vertices two apart come no closer
 
     gravity: float  # m/s^2
-    settle_gravity: float  # 1, factor on gravity after release
-    press_height: float  # m, what stands above is pulled down after release
-    press_gain: float  # 1/m, added to the factor on gravity per height above
-    press_limit: float  # 1, largest addition
-    viscosity: float  # 1, share of the neighbours' velocity difference taken over in a substep
-    drag_moving: float  # 1/s
-    drag_settling: float  # 1/s, at release
-    drag_growth: float  # 1/s, of the drag, relative, after release
-
+    viscosity: float  # 1, share of a neighbour's velocity difference taken over in a substep
+    drag: float  # 1/s
+    drag_settling: float  # 1/s, after release
     top_speed: float  # m/s
-    calm_after: float  # s after release; then the top speed decays and the contacts are damped
-    speed_decay: float  # 1/s
-    last_speed: float  # m/s, the top speed decays to this
-    largest_step: float  # m, no vertex moves further in a substep
 
     thickness: float  # m, distance of touching layers
     edge_thickness: float  # m, distance of touching edges
@@ -83,14 +76,16 @@ class Solver:
     memory_gap: float  # m, closer layers stay on the side on which they were
     bend_feature: float  # m, the second difference above which a vertex lies in a bend
     push_step: float  # m, penetration removed in a substep
+    gap_growth: float  # m, by which the gap that a new pair of edges keeps grows in a substep
     cloth_friction: float  # 1
     table_friction: float  # 1
-    contact_damping: float  # 1, per substep, after release
 
-    check_every: int  # substeps between two checks for rest
-    checks: int  # successive checks to be passed
-    rest_step: float  # m, a vertex at rest moves less between two checks
+    rest_speed: float  # m/s
+    rest_time: float  # s, a world is at rest when every vertex was slower for so long
     longest_settling: float  # s
+    guard_interval: float  # s, between two searches for crossings
+    care_time: float  # s, how long care is taken after a crossing was undone
+    careful_passes: int  # over the contacts in a substep while care is taken
 
 
 @wp.struct
@@ -101,33 +96,40 @@ class State:
     velocity: wp.array2d(dtype=wp.vec3)  # m/s
     previous: wp.array2d(dtype=wp.vec3)  # m, at the start of the substep
     correction: wp.array2d(dtype=wp.vec3)  # m, sum over contacts (several lanes only)
-    checked: wp.array2d(dtype=wp.vec3)  # m, at the last check for rest
     free: wp.array2d(dtype=float)  # inverse mass: 1, or 0 where grasped
-    touching: wp.array2d(dtype=int)  # 1 where the cloth touches itself
 
-    hand_vertex: wp.array2d(dtype=int)  # [world, hand], -1 for none
-    hand_start: wp.array2d(dtype=wp.vec3)  # m
-    hand_direction: wp.array2d(dtype=wp.vec3)  # unit, horizontal
-    hand_radius: wp.array2d(dtype=float)  # m, of the arc
-    hand_angle: wp.array2d(dtype=float)  # rad, of the whole arc
+    held: wp.array2d(dtype=int)  # [world, slot], vertex, -1 for none
+    held_by: wp.array2d(dtype=int)  # [world, slot], hand
+    held_offset: wp.array2d(dtype=wp.vec3)  # m, from the hand
+    path: wp.array3d(dtype=wp.vec3)  # [world, hand, point], m, at equal times
     move_time: wp.array(dtype=float)  # s, until release
     time: wp.array(dtype=float)  # s, since the grasp
     done: wp.array(dtype=int)  # 0 running, 1 at rest, 2 gave up
-    calm: wp.array(dtype=int)  # checks for rest passed in a row
-    moving: wp.array(dtype=float)  # vertices that failed the last check for rest
-    fastest: wp.array(dtype=float)  # m, largest motion of a vertex between the last two checks
+    fastest: wp.array(dtype=float)  # (m/s)^2, of the substep's fastest vertex
+    calm: wp.array(dtype=float)  # s, since a vertex was last faster than at rest
+    residual: wp.array(dtype=float)  # m/s, of the fastest vertex while calm
+
+    saved_position: wp.array2d(dtype=wp.vec3)  # m, when the last search found no new crossing
+    saved_velocity: wp.array2d(dtype=wp.vec3)  # m/s
+    saved_time: wp.array(dtype=float)  # s
+    saved_crossings: wp.array(dtype=int)
+    crossings: wp.array(dtype=int)
+    careful_until: wp.array(dtype=float)  # s, care is taken until then
+    returns: wp.array(dtype=int)  # how often the world went back to what was saved
+    lost: wp.array(dtype=int)  # crossings that care could not avoid
 
     list_age: wp.array(dtype=float)  # s, of the contact lists
     deviation: wp.array(dtype=float)  # m^2, largest from the predicted motion
     motion: wp.array(dtype=float)  # m^2, largest since the contact lists were made
     list_position: wp.array2d(dtype=wp.vec3)  # m, when the lists were made
     list_velocity: wp.array2d(dtype=wp.vec3)  # m/s
-    quad_head: wp.array2d(dtype=int)  # [world, cell], first quad of the cell
-    quad_next: wp.array2d(dtype=int)
-    quad_cell: wp.array2d(dtype=int)
-    quad_centre: wp.array2d(dtype=wp.vec3)
-    quad_normal: wp.array2d(dtype=wp.vec3)  # unit
-    quad_velocity: wp.array2d(dtype=wp.vec3)
+    low: wp.array(dtype=wp.vec3)  # m, corner of the search grid
+    cell: wp.array2d(dtype=int)  # of each quad or edge that is being sorted
+    quad_first: wp.array2d(dtype=int)  # [world, cell], its first place among the sorted quads
+    quad: wp.array2d(dtype=int)  # [world, place], quads sorted by cell
+    quad_centre: wp.array2d(dtype=wp.vec3)  # [world, place], m
+    quad_normal: wp.array2d(dtype=wp.vec3)  # [world, place], unit
+    quad_velocity: wp.array2d(dtype=wp.vec3)  # [world, place], m/s
     contacts: wp.array2d(dtype=int)  # [world, vertex], number of quads near it
     contact: wp.array3d(dtype=int)  # [world, vertex, contact], quad + 1, negative below
     contact_before: wp.array3d(dtype=int)
@@ -136,14 +138,16 @@ class State:
     features: wp.array(dtype=int)  # number of edges on the border or in a bend
     feature: wp.array2d(dtype=int)  # [world, feature], edge
     feature_middle: wp.array2d(dtype=wp.vec3)
-    feature_head: wp.array2d(dtype=int)
-    feature_next: wp.array2d(dtype=int)
-    feature_cell: wp.array2d(dtype=int)
+    edge_first: wp.array2d(dtype=int)  # [world, cell], its first place among the sorted features
+    edge: wp.array2d(dtype=int)  # [world, place], edges sorted by cell
+    edge_middle: wp.array2d(dtype=wp.vec3)  # [world, place], m
     pairs: wp.array(dtype=int)  # number of pairs of edges near each other
     pair: wp.array3d(dtype=int)  # [world, pair, (edge, edge, side or 0)]
-    violated: wp.array3d(dtype=int)
-
-    pierced: wp.array2d(dtype=int)  # [world, (found at first, left at last)]
+    pair_gap: wp.array2d(dtype=float)  # [world, pair], m, what is kept between the two now
+    pair_before: wp.array3d(dtype=int)
+    pair_gap_before: wp.array2d(dtype=float)
+    memory: wp.array2d(dtype=int)  # [world, place], number of the earlier pair + 1, 0 where empty
+    twisted: wp.array2d(dtype=int)  # [world, quad]
 
 
 @wp.func_native("""
@@ -153,18 +157,6 @@ __syncthreads();
 """)
 def synchronise():
     """Wait for the block's other lanes; nothing on the CPU."""
-
-
-@wp.func
-def cell_of(x: int, y: int, z: int):
-    """Return the hash cell of integer coordinates."""
-    return ((x & 31) * 32 + (y & 31)) * 16 + (z & 15)
-
-
-@wp.func
-def cell_at(p: wp.vec3, per_metre: float):
-    """Return the hash cell of a point, for cells of side 1 / per_metre."""
-    return cell_of(int(wp.floor(p[0] * per_metre)), int(wp.floor(p[1] * per_metre)), int(wp.floor(p[2] * per_metre)))
 
 
 @wp.func

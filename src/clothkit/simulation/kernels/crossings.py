@@ -1,0 +1,85 @@
+"""The guard against tangles: edges that pierce triangles are searched for every so often.
+
+A world in which there are more than before goes back to the last state without them and takes smaller steps for a while.
+"""
+
+# Warp: int(0), float(0.0) and bool(True) declare variables that loops may change.
+# ruff: noqa: RUF046
+import warp as wp
+
+from clothkit.simulation.kernels.search import CELL, cell_column, cell_row
+from clothkit.simulation.kernels.state import CELLS, Solver, State, Vectors, edge_end
+
+
+@wp.func
+def crosses(p: wp.vec3, q: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3):
+    """Return whether the segment p-q passes through a triangle."""
+    normal = wp.cross(b - a, c - a)
+    dp = wp.dot(p - a, normal)
+    dq = wp.dot(q - a, normal)
+    if dp * dq >= 0.0:
+        return False
+    d = q - p
+    ab = wp.dot(wp.cross(a - p, b - p), d)
+    bc = wp.dot(wp.cross(b - p, c - p), d)
+    ca = wp.dot(wp.cross(c - p, a - p), d)
+    return (ab > 0.0 and bc > 0.0 and ca > 0.0) or (ab < 0.0 and bc < 0.0 and ca < 0.0)
+
+
+@wp.func
+def crossings_of(solver: Solver, state: State, w: int, x: Vectors, i: int, j: int):
+    """Return how many triangles an edge pierces, of those with which it shares no vertex."""
+    n = solver.side
+    p = x[i]
+    q = x[j]
+    middle = (p + q) * 0.5
+    low = state.low[w]
+    row = cell_row(solver, low, middle)
+    column = cell_column(solver, low, middle)
+    largest = CELL * CELL * solver.spacing * solver.spacing
+    # Quads have moved since they were sorted, and are not quite flat: what is this far from their plane can't reach it.
+    slack = solver.margin + 0.2 * solver.spacing
+    found = int(0)
+    for near in range(row - 1, row + 2):
+        cell = near * CELLS + column
+        for place in range(state.quad_first[w, cell - 1], state.quad_first[w, cell + 2]):
+            centre = state.quad_centre[w, place]
+            r = middle - centre
+            if wp.dot(r, r) < largest:
+                normal = state.quad_normal[w, place]
+                above_p = wp.dot(p - centre, normal)
+                above_q = wp.dot(q - centre, normal)
+                if wp.max(above_p, above_q) > -slack and wp.min(above_p, above_q) < slack:
+                    a = state.quad[w, place]
+                    b = a + 1
+                    c = a + n
+                    d = c + 1
+                    if i != a and i != d and j != a and j != d:
+                        if i != b and j != b:
+                            if crosses(p, q, x[a], x[d], x[b]):
+                                found += 1
+                        if i != c and j != c:
+                            if crosses(p, q, x[a], x[c], x[d]):
+                                found += 1
+    return found
+
+
+@wp.func
+def count_crossings(solver: Solver, state: State, w: int, lane: int, lanes: int):
+    """Return this lane's share of the pierced triangles, near contacts and features only, by the last contact lists."""
+    x = state.position[w]
+    n = solver.side
+    found = int(0)
+    for edge in range(lane, 3 * n * n, lanes):
+        i = edge / 3
+        kind = edge % 3
+        row = i / n
+        column = i % n
+        if (kind == 1 or row < n - 1) and (kind == 0 or column < n - 1):
+            j = edge_end(edge, n)
+            touched = state.contacts[w, i] + state.contacts[w, j]
+            bent = state.in_bend[w, i] + state.in_bend[w, j]
+            border = row == 0 or column == 0 or row == n - 1 or column == n - 1
+            if touched > 0 or bent > 0 or border:
+                found += crossings_of(solver, state, w, x, i, j)
+    return found

@@ -1,0 +1,93 @@
+"""The search grid: quads and edges sorted by the square of the table over which they lie, remade with the contact lists.
+
+Columns of cells suffice, since a folded cloth is flat. A row of neighbouring cells is one run of the sorted arrays.
+"""
+
+# Warp: int(0), float(0.0) and bool(True) declare variables that loops may change.
+# ruff: noqa: RUF046
+import warp as wp
+
+from clothkit.simulation.kernels.state import CELLS, Solver, State, synchronise
+
+CELL = wp.constant(1.4)  # grid spacings; a search looks one cell around
+
+
+@wp.func
+def cell_row(solver: Solver, low: wp.vec3, p: wp.vec3):
+    """Return the row of cells of a point; what lies far off shares the last row."""
+    return wp.clamp(int((p[0] - low[0]) / (CELL * solver.spacing)), 1, CELLS - 2)
+
+
+@wp.func
+def cell_column(solver: Solver, low: wp.vec3, p: wp.vec3):
+    """Return the column of cells of a point; what lies far off shares the last column."""
+    return wp.clamp(int((p[1] - low[1]) / (CELL * solver.spacing)), 1, CELLS - 2)
+
+
+@wp.func
+def cell_of(solver: Solver, low: wp.vec3, p: wp.vec3):
+    """Return the cell of a point."""
+    return cell_row(solver, low, p) * CELLS + cell_column(solver, low, p)
+
+
+@wp.func
+def place_grid(solver: Solver, state: State, w: int):
+    """Put the search grid's corner a cell below the cloth's lowest x and y."""
+    low = state.position[w, 0]
+    for i in range(solver.side * solver.side):
+        low = wp.min(low, state.position[w, i])
+    cell = CELL * solver.spacing
+    state.low[w] = low - wp.vec3(cell, cell, 0.0)
+
+
+@wp.func
+def sort_quads(solver: Solver, state: State, w: int):
+    """Sort the quads by cell, with what the searches need to know of them (counting sort, one lane)."""
+    n = solver.side
+    place_grid(solver, state, w)
+    low = state.low[w]
+    for cell in range(CELLS * CELLS + 1):
+        state.quad_first[w, cell] = 0
+    for quad in range(n * n - n):
+        if quad % n < n - 1:
+            centre = (state.position[w, quad] + state.position[w, quad + n + 1]) * 0.5
+            cell = cell_of(solver, low, centre)
+            state.cell[w, quad] = cell
+            state.quad_first[w, cell] += 1
+    for cell in range(CELLS * CELLS):
+        state.quad_first[w, cell + 1] += state.quad_first[w, cell]
+    for back in range(n * n - n):
+        quad = n * n - n - 1 - back
+        if quad % n < n - 1:
+            # Filled from a cell's end downwards, so that what was its end is its start.
+            place = state.quad_first[w, state.cell[w, quad]] - 1
+            state.quad_first[w, state.cell[w, quad]] = place
+            p00 = state.position[w, quad]
+            p01 = state.position[w, quad + 1]
+            p10 = state.position[w, quad + n]
+            p11 = state.position[w, quad + n + 1]
+            normal = wp.cross(p11 - p00 + p10 - p01, p11 - p00 + p01 - p10)
+            state.quad[w, place] = quad
+            state.quad_centre[w, place] = (p00 + p01 + p10 + p11) * 0.25
+            state.quad_normal[w, place] = normal / (wp.length(normal) + 1.0e-12)
+            state.quad_velocity[w, place] = (state.velocity[w, quad] + state.velocity[w, quad + n + 1]) * 0.5
+
+
+@wp.func
+def sort_features(solver: Solver, state: State, w: int):
+    """Sort the feature edges by the cells of their middles (counting sort, one lane)."""
+    low = state.low[w]
+    for cell in range(CELLS * CELLS + 1):
+        state.edge_first[w, cell] = 0
+    for k in range(state.features[w]):
+        cell = cell_of(solver, low, state.feature_middle[w, k])
+        state.cell[w, k] = cell
+        state.edge_first[w, cell] += 1
+    for cell in range(CELLS * CELLS):
+        state.edge_first[w, cell + 1] += state.edge_first[w, cell]
+    for back in range(state.features[w]):
+        k = state.features[w] - 1 - back
+        place = state.edge_first[w, state.cell[w, k]] - 1
+        state.edge_first[w, state.cell[w, k]] = place
+        state.edge[w, place] = state.feature[w, k]
+        state.edge_middle[w, place] = state.feature_middle[w, k]
