@@ -29,10 +29,10 @@ def neighbours_difference(state: State, w: int, i: int, n: int, v: wp.vec3):
 
 
 @wp.func
-def move(solver: Solver, state: State, w: int, lane: int, lanes: int, released: bool):
+def move(solver: Solver, state: State, w: int, lane: int, lanes: int):
     """Move the vertices freely for a substep, and note how far they are from where the lists were made for."""
     dt = solver.time_step
-    damping = 1.0 / (1.0 + wp.where(released, solver.drag_settling, solver.drag) * dt)
+    damping = 1.0 / (1.0 + solver.drag * dt)
     age = state.list_age[w] + dt
     deviation = float(0.0)
     motion = float(0.0)
@@ -135,7 +135,7 @@ def finish(solver: Solver, state: State, w: int, lane: int, lanes: int):
 def substep(solver: Solver, state: State, w: int, lane: int, lanes: int, t: float):
     """Advance a world by one time step to the time t; while it takes care, all
     edges are watched and the contacts solved over and over."""
-    move(solver, state, w, lane, lanes, t > state.move_time[w])
+    move(solver, state, w, lane, lanes)
     move_hands(state, w, lane, lanes, t)
     careful = t < state.careful_until[w]
     refresh_lists(solver, state, w, lane, lanes, careful)

@@ -37,29 +37,32 @@ def crossings_of(solver: Solver, state: State, w: int, x: Vectors, i: int, j: in
     row = cell_row(solver, low, middle)
     column = cell_column(solver, low, middle)
     largest = CELL * CELL * solver.spacing * solver.spacing
-    # Quads have moved since they were sorted, and are not quite flat: what is this far from their plane can't reach it.
+    # Quads have moved since they were sorted: what was this far from their plane can't have reached it.
     slack = solver.margin + 0.2 * solver.spacing
+    half = 0.5 * wp.length(q - p)
     found = int(0)
     for near in range(row - 1, row + 2):
         cell = near * CELLS + column
         for place in range(state.quad_first[w, cell - 1], state.quad_first[w, cell + 2]):
-            centre = state.quad_centre[w, place]
-            r = middle - centre
-            if wp.dot(r, r) < largest:
-                normal = state.quad_normal[w, place]
-                above_p = wp.dot(p - centre, normal)
-                above_q = wp.dot(q - centre, normal)
-                if wp.max(above_p, above_q) > -slack and wp.min(above_p, above_q) < slack:
-                    a = state.quad[w, place]
-                    b = a + 1
-                    c = a + n
-                    d = c + 1
-                    if i != a and i != d and j != a and j != d:
+            r = middle - state.quad_centre[w, place]
+            if wp.dot(r, r) < largest and wp.abs(wp.dot(r, state.quad_normal[w, place])) < slack + half:
+                a = state.quad[w, place]
+                b = a + 1
+                c = a + n
+                d = c + 1
+                if i != a and i != d and j != a and j != d:
+                    xa = x[a]
+                    normal = wp.cross(x[d] - xa, x[b] - x[c])
+                    # The other corners are as far from the plane through a along both diagonals as the quad is twisted.
+                    twist = wp.abs(wp.dot(x[b] - xa, normal))
+                    above_p = wp.dot(p - xa, normal)
+                    above_q = wp.dot(q - xa, normal)
+                    if wp.max(above_p, above_q) > -twist and wp.min(above_p, above_q) < twist:
                         if i != b and j != b:
-                            if crosses(p, q, x[a], x[d], x[b]):
+                            if crosses(p, q, xa, x[d], x[b]):
                                 found += 1
                         if i != c and j != c:
-                            if crosses(p, q, x[a], x[c], x[d]):
+                            if crosses(p, q, xa, x[c], x[d]):
                                 found += 1
     return found
 

@@ -66,6 +66,7 @@ def mark_bends(solver: Solver, state: State, w: int):
 def list_features(solver: Solver, state: State, w: int, everywhere: bool):
     """List the edges on the border and in bends, and the diagonals of twisted quads; or all edges."""
     n = solver.side
+    x = state.position[w]
     count = int(0)
     for i in range(n * n):
         row = i / n
@@ -80,7 +81,10 @@ def list_features(solver: Solver, state: State, w: int, everywhere: bool):
                 twisted = kind == 2 and state.twisted[w, i] == 1
                 if everywhere or on_border or twisted or state.in_bend[w, i] == 1 or state.in_bend[w, j] == 1:
                     state.feature[w, count] = edge
-                    state.feature_middle[w, count] = (state.position[w, i] + state.position[w, j]) * 0.5
+                    half = (x[j] - x[i]) * 0.5
+                    state.feature_middle[w, count] = (x[i] + x[j]) * 0.5
+                    state.feature_half[w, count] = wp.vec3(wp.abs(half[0]), wp.abs(half[1]), wp.abs(half[2]))
+                    state.feature_velocity[w, count] = (state.velocity[w, i] + state.velocity[w, j]) * 0.5
                     count += 1
     state.features[w] = count
 
@@ -122,7 +126,7 @@ def remembered_pair(state: State, w: int, e: int, g: int):
 
 
 @wp.func
-def gap_of_pair(solver: Solver, state: State, w: int, e: int, g: int):
+def gap_of_pair(solver: Solver, state: State, w: int, e: int, g: int, allowance: float):
     """Return the side (1 or -1) of two edges and their gap, side 0 when they run parallel, 2 when out of reach."""
     a0 = e / 3
     a1 = edge_end(e, solver.side)
@@ -130,9 +134,6 @@ def gap_of_pair(solver: Solver, state: State, w: int, e: int, g: int):
     b1 = edge_end(g, solver.side)
     if a0 == b0 or a0 == b1 or a1 == b0 or a1 == b1:
         return wp.vec2(2.0, 0.0)
-    va = state.velocity[w, a0] + state.velocity[w, a1]
-    vb = state.velocity[w, b0] + state.velocity[w, b1]
-    allowance = solver.margin + solver.prediction_time * 0.5 * wp.length(va - vb)
     reach = solver.edge_thickness + allowance
     x = state.position[w]
     near = nearest_on_lines(x, a0, a1, b0, b1)
@@ -161,23 +162,27 @@ def list_pairs(solver: Solver, state: State, w: int, everywhere: bool):
     list_features(solver, state, w, everywhere)
     sort_features(solver, state, w)
     low = state.low[w]
-    largest = CELL * CELL * solver.spacing * solver.spacing
     count = int(0)
+    place = int(0)
     for own in range(state.features[w]):
-        first = state.edge[w, own]
-        middle = state.edge_middle[w, own]
+        e = state.feature[w, own]
+        middle = state.feature_middle[w, own]
+        half = state.feature_half[w, own]
+        velocity = state.feature_velocity[w, own]
         row = cell_row(solver, low, middle)
         column = cell_column(solver, low, middle)
-        for near in range(row - 1, row + 1):
+        start = count
+        for near in range(row - 1, row + 2):
             cell = near * CELLS + column
-            # Of the own row only what lies before: every pair once.
-            end = wp.where(near == row, own, state.edge_first[w, cell + 2])
-            for other in range(state.edge_first[w, cell - 1], end):
+            for other in range(state.edge_first[w, cell - 1], state.edge_first[w, cell + 2]):
+                g = state.edge[w, other]
                 d = state.edge_middle[w, other] - middle
-                if wp.dot(d, d) < largest and count < EDGE_PAIRS:
-                    e = wp.min(first, state.edge[w, other])
-                    g = wp.max(first, state.edge[w, other])
-                    found = gap_of_pair(solver, state, w, e, g)
+                room = half + state.edge_half[w, other]
+                allowance = solver.margin + solver.prediction_time * wp.length(state.edge_velocity[w, other] - velocity)
+                reach = solver.edge_thickness + allowance
+                apart = wp.max(wp.max(wp.abs(d[0]) - room[0], wp.abs(d[1]) - room[1]), wp.abs(d[2]) - room[2])
+                if g < e and apart < reach and count < EDGE_PAIRS:
+                    found = gap_of_pair(solver, state, w, e, g, allowance)
                     side = int(found[0])
                     kept = found[1]
                     if side != 2:
@@ -187,10 +192,17 @@ def list_pairs(solver: Solver, state: State, w: int, everywhere: bool):
                                 kept = state.pair_gap_before[w, before]
                                 if state.pair_before[w, before, 2] != 0:
                                     side = state.pair_before[w, before, 2]
+                        # In the edges' order, so that lists made anew are solved as before.
+                        place = count
+                        while place > start and state.pair[w, place - 1, 1] > g:
+                            state.pair[w, place, 1] = state.pair[w, place - 1, 1]
+                            state.pair[w, place, 2] = state.pair[w, place - 1, 2]
+                            state.pair_gap[w, place] = state.pair_gap[w, place - 1]
+                            place -= 1
                         state.pair[w, count, 0] = e
-                        state.pair[w, count, 1] = g
-                        state.pair[w, count, 2] = side
-                        state.pair_gap[w, count] = kept
+                        state.pair[w, place, 1] = g
+                        state.pair[w, place, 2] = side
+                        state.pair_gap[w, place] = kept
                         count += 1
     state.pairs[w] = count
 

@@ -44,11 +44,16 @@ def bend(solver: Solver, x: Vectors, previous: Vectors, free: Floats, i: int, j:
     xk = x[k]
     weight = wi + 4.0 * wj + wk + 1.0e-9
     c = xi - 2.0 * xj + xk
-    compliance = solver.bending_compliance * wp.max(1.0, wp.length(c) / solver.bending_saturation)
+    squared = wp.dot(c, c)
+    compliance = solver.bending_compliance
+    if squared > solver.bending_saturation * solver.bending_saturation:
+        compliance = compliance * (wp.sqrt(squared) / solver.bending_saturation)
     multiplier = c * (1.0 / (weight + compliance))
-    change = (c - multiplier * weight - (previous[i] - 2.0 * previous[j] + previous[k])) * (1.0 / weight)
-    size = wp.length(change)
-    multiplier = multiplier + change * wp.min(1.0, solver.bending_friction / (size + 1.0e-12))
+    change = (c - previous[i] + 2.0 * previous[j] - previous[k]) * (1.0 / weight) - multiplier
+    squared = wp.dot(change, change)
+    if squared > solver.bending_friction * solver.bending_friction:
+        change = change * (solver.bending_friction / wp.sqrt(squared))
+    multiplier = multiplier + change
     xi = xi - multiplier * wi
     xk = xk - multiplier * wk
     d = xk - xi

@@ -134,6 +134,7 @@ def list_contacts(solver: Solver, state: State, w: int, lane: int, lanes: int):
         for k in range(before):
             state.contact_before[w, i, k] = state.contact[w, i, k]
         count = int(0)
+        slot = int(0)
         row = cell_row(solver, low, x)
         column = cell_column(solver, low, x)
         for near in range(row - 1, row + 2):
@@ -151,7 +152,12 @@ def list_contacts(solver: Solver, state: State, w: int, lane: int, lanes: int):
                         if wp.abs(gap) < solver.memory_gap and spans(solver, position, quad, r, 0.0):
                             remembered = remembered_side(state, w, i, before, quad)
                             side = wp.where(remembered != 0, remembered, side)
-                        state.contact[w, i, count] = side * (quad + 1)
+                        # In the quads' order, so that lists made anew are solved as before.
+                        slot = count
+                        while slot > 0 and wp.abs(state.contact[w, i, slot - 1]) > quad + 1:
+                            state.contact[w, i, slot] = state.contact[w, i, slot - 1]
+                            slot -= 1
+                        state.contact[w, i, slot] = side * (quad + 1)
                         count += 1
         state.contacts[w, i] = count
     synchronise()

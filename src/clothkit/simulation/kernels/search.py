@@ -91,3 +91,5 @@ def sort_features(solver: Solver, state: State, w: int):
         state.edge_first[w, state.cell[w, k]] = place
         state.edge[w, place] = state.feature[w, k]
         state.edge_middle[w, place] = state.feature_middle[w, k]
+        state.edge_half[w, place] = state.feature_half[w, k]
+        state.edge_velocity[w, place] = state.feature_velocity[w, k]

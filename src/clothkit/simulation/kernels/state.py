@@ -65,7 +65,6 @@ class Solver:
     gravity: float  # m/s^2
     viscosity: float  # 1, share of a neighbour's velocity difference taken over in a substep
     drag: float  # 1/s
-    drag_settling: float  # 1/s, after release
     top_speed: float  # m/s
 
     thickness: float  # m, distance of touching layers
@@ -138,9 +137,13 @@ class State:
     features: wp.array(dtype=int)  # number of edges on the border or in a bend
     feature: wp.array2d(dtype=int)  # [world, feature], edge
     feature_middle: wp.array2d(dtype=wp.vec3)
+    feature_half: wp.array2d(dtype=wp.vec3)  # m, from the middle to the end, without signs
+    feature_velocity: wp.array2d(dtype=wp.vec3)
     edge_first: wp.array2d(dtype=int)  # [world, cell], its first place among the sorted features
     edge: wp.array2d(dtype=int)  # [world, place], edges sorted by cell
     edge_middle: wp.array2d(dtype=wp.vec3)  # [world, place], m
+    edge_half: wp.array2d(dtype=wp.vec3)
+    edge_velocity: wp.array2d(dtype=wp.vec3)
     pairs: wp.array(dtype=int)  # number of pairs of edges near each other
     pair: wp.array3d(dtype=int)  # [world, pair, (edge, edge, side or 0)]
     pair_gap: wp.array2d(dtype=float)  # [world, pair], m, what is kept between the two now
