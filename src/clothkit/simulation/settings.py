@@ -19,6 +19,7 @@ class Material:
     density: Positive = 0.187  # kg/m^2
     stretch_stiffness: Positive = 2000.0  # N/m, tension per strain along the threads
     shear_stiffness: Positive = 0.05  # N/m, shear force per length and angle
+    shear_friction: NotNegative = 0.0  # N/m, shear force per length that resists any change of angle
     shear_limit: Annotated[float, Gt(0.0), Lt(1.57)] = 0.76  # rad, the angle at which shearing locks
     bending_stiffness: Positive = 2e-5  # N m, moment per width and curvature
     bending_friction: NotNegative = 4e-4  # N, moment per width that resists any change of curvature
@@ -43,7 +44,7 @@ class Settling:
 class Guard:
     """Against tangles: a world in which edges begin to pierce triangles goes back, and takes care."""
 
-    interval: Positive = 0.1  # s, between two searches
+    interval: Positive = 0.15  # s, between two searches
     care: Positive = 0.2  # s, of care after what was undone
     passes: Annotated[int, Gt(1)] = 4  # over the contacts, instead of one, while care is taken
 

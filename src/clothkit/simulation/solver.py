@@ -10,7 +10,7 @@ from clothkit.simulation.settings import SimulationConfig
 GRAVITY = 9.81  # m/s^2
 LANES_ON_CUDA = 256
 LAUNCH_SECONDS = 0.1  # simulated in a launch
-EDGE_THICKNESS = 1.0  # of the thickness, distance of touching edges
+EDGE_THICKNESS = 0.75  # of the thickness, distance of touching edges
 LARGEST_SHARE = 0.2  # of a neighbour's velocity difference in a substep: explicit viscosity is stable below 1 / 4
 
 
@@ -36,6 +36,7 @@ def make_solver(settings: SimulationConfig) -> Solver:
         "time_step": dt,
         "stretch_compliance": compliance(material.stretch_stiffness),
         "shear_compliance": compliance(material.shear_stiffness),
+        "shear_friction": material.shear_friction * h / 2**0.5 * dt**2 / mass,
         "diagonal_shortest": 0.3 * 2**0.5 * h,
         "diagonal_longest": (1 + np.sin(material.shear_limit)) ** 0.5 * 2**0.5 * h,
         "bending_compliance": bending,
@@ -49,11 +50,11 @@ def make_solver(settings: SimulationConfig) -> Solver:
         "top_speed": settings.top_speed,
         "thickness": material.thickness,
         "edge_thickness": EDGE_THICKNESS * material.thickness,
-        "margin": 0.2 * h,
-        "prediction_time": 0.015,
+        "margin": 0.15 * h,
+        "prediction_time": 0.02,
         "prediction_error": 0.33 * 0.2 * h,
         "memory_gap": 0.6 * material.thickness,
-        "bend_feature": 0.25 * h,
+        "bend_feature": 0.4 * h,
         "gap_growth": 0.5 * settling.rest_speed * dt,
         "push_step": settings.push_speed * dt,
         "cloth_friction": material.cloth_friction,
@@ -86,7 +87,9 @@ def make_state(worlds: int, side: int, device: str) -> State:
         "free": each,
         **dict.fromkeys(("move_time", "time", "fastest", "calm", "residual", "saved_time", "careful_until"), one),
         **dict.fromkeys(("list_age", "deviation", "motion"), one),
-        **dict.fromkeys(("pair_gap", "pair_gap_before"), (worlds, int(EDGE_PAIRS))),
+        **dict.fromkeys(("quad_speed", "quad_twist"), each),
+        "edge_speed": edges,
+        **dict.fromkeys(("pair_gap", "pair_gap_before", "found_gap"), (worlds, int(EDGE_PAIRS))),
     }
     integers: dict[str, tuple[int, ...]] = {
         **dict.fromkeys(("quad", "contacts", "in_bend", "twisted"), each),
@@ -94,9 +97,8 @@ def make_state(worlds: int, side: int, device: str) -> State:
         **dict.fromkeys(("quad_first", "edge_first"), (worlds, cells)),
         **dict.fromkeys(("contact", "contact_before"), (worlds, n, int(CONTACTS))),
         **dict.fromkeys(("held", "held_by"), held),
-        **dict.fromkeys(("done", "features", "pairs", "saved_crossings", "crossings", "returns", "lost"), one),
-        "pair": (worlds, int(EDGE_PAIRS), 3),
-        "pair_before": (worlds, int(EDGE_PAIRS), 3),
+        **dict.fromkeys(("done", "features", "pairs", "saved_crossings", "crossings", "searched", "returns", "lost"), one),
+        **dict.fromkeys(("pair", "pair_before", "found"), (worlds, int(EDGE_PAIRS), 3)),
         "memory": (worlds, int(MEMORY)),
     }
     state = State()

@@ -99,7 +99,7 @@ class Worlds:
         state, worlds = self.state, len(states)
         for name in ("velocity", "correction", "contacts", "features", "pairs", "time", "done", "calm", "residual"):
             getattr(state, name).zero_()
-        for name in ("careful_until", "returns", "lost", "in_bend", "twisted"):
+        for name in ("careful_until", "returns", "lost", "in_bend", "twisted", "searched"):
             getattr(state, name).zero_()
         state.saved_time.fill_(-FAR)
         state.saved_crossings.fill_(UNSEARCHED)

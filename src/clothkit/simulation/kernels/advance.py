@@ -91,6 +91,7 @@ def refresh_lists(solver: Solver, state: State, w: int, lane: int, lanes: int, c
         list_contacts(solver, state, w, lane, lanes)
         if lane == 0:
             list_pairs(solver, state, w, careful)
+            state.searched[w] = 0
         age = float(0.0)
     if lane == 0:
         state.list_age[w] = age
@@ -156,8 +157,13 @@ def guard(solver: Solver, state: State, w: int, lane: int, lanes: int, t: float)
 
     What care could not avoid is let be.
     """
+    if state.searched[w] == 1:
+        # What has moved too little for new lists has not crossed anything either.
+        return t
+    synchronise()
     if lane == 0:
         state.crossings[w] = 0
+        state.searched[w] = 1
     synchronise()
     wp.atomic_add(state.crossings, w, count_crossings(solver, state, w, lane, lanes))
     synchronise()

@@ -37,15 +37,18 @@ def crossings_of(solver: Solver, state: State, w: int, x: Vectors, i: int, j: in
     row = cell_row(solver, low, middle)
     column = cell_column(solver, low, middle)
     largest = CELL * CELL * solver.spacing * solver.spacing
-    # Quads have moved since they were sorted: what was this far from their plane can't have reached it.
-    slack = solver.margin + 0.2 * solver.spacing
-    half = 0.5 * wp.length(q - p)
+    # Quads have moved since they were sorted: what was this far from their plane can't have reached
+    # it.
+    slack = 3.0 * solver.prediction_error
+    half = (q - p) * 0.5
     found = int(0)
     for near in range(row - 1, row + 2):
         cell = near * CELLS + column
         for place in range(state.quad_first[w, cell - 1], state.quad_first[w, cell + 2]):
             r = middle - state.quad_centre[w, place]
-            if wp.dot(r, r) < largest and wp.abs(wp.dot(r, state.quad_normal[w, place])) < slack + half:
+            normal = state.quad_normal[w, place]
+            beyond = wp.abs(wp.dot(r, normal)) - wp.abs(wp.dot(half, normal)) - state.quad_twist[w, place]
+            if beyond < slack and wp.dot(r, r) < largest:
                 a = state.quad[w, place]
                 b = a + 1
                 c = a + n

@@ -152,6 +152,57 @@ def gap_of_pair(solver: Solver, state: State, w: int, e: int, g: int, allowance:
 
 
 @wp.func
+def find_pair(solver: Solver, state: State, w: int, e: int, g: int, allowance: float, count: int):
+    """Note a pair when it may touch, and return the number of pairs so far."""
+    found = gap_of_pair(solver, state, w, e, g, allowance)
+    side = int(found[0])
+    kept = found[1]
+    if side == 2:
+        return count
+    if side != 0 and kept < solver.edge_thickness:
+        before = remembered_pair(state, w, e, g)
+        if before >= 0:
+            kept = state.pair_gap_before[w, before]
+            if state.pair_before[w, before, 2] != 0:
+                side = state.pair_before[w, before, 2]
+    state.found[w, count, 0] = e
+    state.found[w, count, 1] = g
+    state.found[w, count, 2] = side
+    state.found_gap[w, count] = kept
+    return count + 1
+
+
+@wp.func
+def sort_pairs(solver: Solver, state: State, w: int, count: int):
+    """Put the pairs that were found in the order of their edges, so that lists made anew are solved as before."""
+    edges = 3 * solver.side * solver.side
+    for e in range(edges):
+        state.cell[w, e] = 0
+    for k in range(count):
+        state.cell[w, state.found[w, k, 0]] += 1
+    start = int(0)
+    for e in range(edges):
+        start += state.cell[w, e]
+        state.cell[w, e] = start - state.cell[w, e]
+    for k in range(count):
+        e = state.found[w, k, 0]
+        g = state.found[w, k, 1]
+        place = state.cell[w, e]
+        state.cell[w, e] = place + 1
+        while place > 0 and state.pair[w, place - 1, 0] == e and state.pair[w, place - 1, 1] > g:
+            state.pair[w, place, 0] = e
+            state.pair[w, place, 1] = state.pair[w, place - 1, 1]
+            state.pair[w, place, 2] = state.pair[w, place - 1, 2]
+            state.pair_gap[w, place] = state.pair_gap[w, place - 1]
+            place -= 1
+        state.pair[w, place, 0] = e
+        state.pair[w, place, 1] = g
+        state.pair[w, place, 2] = state.found[w, k, 2]
+        state.pair_gap[w, place] = state.found_gap[w, k]
+    state.pairs[w] = count
+
+
+@wp.func
 def list_pairs(solver: Solver, state: State, w: int, everywhere: bool):
     """List the pairs of feature edges, or of all, that may touch within the prediction time (one lane).
 
@@ -163,48 +214,30 @@ def list_pairs(solver: Solver, state: State, w: int, everywhere: bool):
     sort_features(solver, state, w)
     low = state.low[w]
     count = int(0)
-    place = int(0)
     for own in range(state.features[w]):
-        e = state.feature[w, own]
-        middle = state.feature_middle[w, own]
-        half = state.feature_half[w, own]
-        velocity = state.feature_velocity[w, own]
+        e = state.edge[w, own]
+        middle = state.edge_middle[w, own]
+        half = state.edge_half[w, own]
+        velocity = state.edge_velocity[w, own]
+        speed = state.edge_speed[w, own]
         row = cell_row(solver, low, middle)
         column = cell_column(solver, low, middle)
-        start = count
-        for near in range(row - 1, row + 2):
+        for near in range(row - 1, row + 1):
             cell = near * CELLS + column
-            for other in range(state.edge_first[w, cell - 1], state.edge_first[w, cell + 2]):
-                g = state.edge[w, other]
+            # Of the own row only what lies before: every pair once.
+            end = wp.where(near == row, own, state.edge_first[w, cell + 2])
+            for other in range(state.edge_first[w, cell - 1], end):
                 d = state.edge_middle[w, other] - middle
                 room = half + state.edge_half[w, other]
-                allowance = solver.margin + solver.prediction_time * wp.length(state.edge_velocity[w, other] - velocity)
-                reach = solver.edge_thickness + allowance
                 apart = wp.max(wp.max(wp.abs(d[0]) - room[0], wp.abs(d[1]) - room[1]), wp.abs(d[2]) - room[2])
-                if g < e and apart < reach and count < EDGE_PAIRS:
-                    found = gap_of_pair(solver, state, w, e, g, allowance)
-                    side = int(found[0])
-                    kept = found[1]
-                    if side != 2:
-                        if side != 0 and kept < solver.edge_thickness:
-                            before = remembered_pair(state, w, e, g)
-                            if before >= 0:
-                                kept = state.pair_gap_before[w, before]
-                                if state.pair_before[w, before, 2] != 0:
-                                    side = state.pair_before[w, before, 2]
-                        # In the edges' order, so that lists made anew are solved as before.
-                        place = count
-                        while place > start and state.pair[w, place - 1, 1] > g:
-                            state.pair[w, place, 1] = state.pair[w, place - 1, 1]
-                            state.pair[w, place, 2] = state.pair[w, place - 1, 2]
-                            state.pair_gap[w, place] = state.pair_gap[w, place - 1]
-                            place -= 1
-                        state.pair[w, count, 0] = e
-                        state.pair[w, place, 1] = g
-                        state.pair[w, place, 2] = side
-                        state.pair_gap[w, place] = kept
-                        count += 1
-    state.pairs[w] = count
+                apart = apart - solver.edge_thickness - solver.margin
+                if apart < solver.prediction_time * (speed + state.edge_speed[w, other]) and count < EDGE_PAIRS:
+                    relative = wp.length(state.edge_velocity[w, other] - velocity)
+                    if apart < solver.prediction_time * relative:
+                        g = state.edge[w, other]
+                        allowance = solver.margin + solver.prediction_time * relative
+                        count = find_pair(solver, state, w, wp.min(e, g), wp.max(e, g), allowance, count)
+    sort_pairs(solver, state, w, count)
 
 
 @wp.func

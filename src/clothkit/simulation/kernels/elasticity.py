@@ -23,17 +23,6 @@ def keep_distance(x: Vectors, free: Floats, i: int, j: int, rest: float, complia
 
 
 @wp.func
-def limit_distance(x: Vectors, free: Floats, i: int, j: int, shortest: float, longest: float, compliance: float):
-    """Move two vertices towards the range of their distance, where they have left it."""
-    d = x[j] - x[i]
-    squared = wp.dot(d, d)
-    if squared < shortest * shortest:
-        keep_distance(x, free, i, j, shortest, compliance)
-    if squared > longest * longest:
-        keep_distance(x, free, i, j, longest, compliance)
-
-
-@wp.func
 def bend(solver: Solver, x: Vectors, previous: Vectors, free: Floats, i: int, j: int, k: int):
     """Straighten three vertices in a row, with a moment that saturates and dry friction, and keep the outer two apart."""
     wi = free[i]
@@ -93,16 +82,32 @@ def solve_bending(solver: Solver, state: State, w: int, lane: int, lanes: int):
 
 
 @wp.func
-def shear(solver: Solver, x: Vectors, free: Floats, i: int, j: int):
-    """Move the ends of a diagonal towards its rest length, weakly, and into its range."""
-    keep_distance(x, free, i, j, solver.spacing * 1.41421356, solver.shear_compliance)
-    limit_distance(x, free, i, j, solver.diagonal_shortest, solver.diagonal_longest, 1.0)
+def shear(solver: Solver, x: Vectors, previous: Vectors, free: Floats, i: int, j: int):
+    """Move the ends of a diagonal weakly towards its rest length, against dry friction, and firmly into its range."""
+    wi = free[i]
+    wj = free[j]
+    xi = x[i]
+    xj = x[j]
+    d = xj - xi
+    length = wp.length(d) + 1.0e-12
+    weight = wi + wj + 1.0e-9
+    rest = solver.spacing * 1.41421356
+    multiplier = (length - rest) / (weight + solver.shear_compliance)
+    change = wp.dot(d, d - previous[j] + previous[i]) / length
+    multiplier += wp.clamp(change / weight - multiplier, -solver.shear_friction, solver.shear_friction)
+    after = length - multiplier * weight
+    within = wp.clamp(after, solver.diagonal_shortest, solver.diagonal_longest)
+    multiplier += (after - within) / (weight + 1.0)
+    s = multiplier / length
+    x[i] = xi + d * (wi * s)
+    x[j] = xj - d * (wj * s)
 
 
 @wp.func
 def solve_shear(solver: Solver, state: State, w: int, lane: int, lanes: int):
     """Shear the quads along both diagonals, two colours each."""
     x = state.position[w]
+    previous = state.previous[w]
     free = state.free[w]
     n = solver.side
     width = wp.min(lanes, 32)
@@ -113,12 +118,12 @@ def solve_shear(solver: Solver, state: State, w: int, lane: int, lanes: int):
         for i in range(row0 * 2 + colour, n - 1, rows * 2):
             for j in range(column0, n - 1, width):
                 a = i * n + j
-                shear(solver, x, free, a, a + n + 1)
+                shear(solver, x, previous, free, a, a + n + 1)
         synchronise()
         for i in range(row0 * 2 + colour, n - 1, rows * 2):
             for j in range(column0, n - 1, width):
                 a = i * n + j
-                shear(solver, x, free, a + 1, a + n)
+                shear(solver, x, previous, free, a + 1, a + n)
         synchronise()
 
 

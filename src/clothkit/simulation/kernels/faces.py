@@ -19,9 +19,8 @@ def remembered_side(state: State, w: int, vertex: int, count: int, quad: int):
 
 
 @wp.func
-def spans(solver: Solver, x: Vectors, quad: int, r: wp.vec3, reach: float):
-    """Return whether the point r from the quad's centre lies over the quad, within reach."""
-    n = solver.side
+def distance_beyond(x: Vectors, quad: int, n: int, r: wp.vec3):
+    """Return how far the point r from a quad's centre lies beyond its sides, as a share of them; negative over it."""
     down = x[quad + n + 1] - x[quad]
     right = x[quad + n] - x[quad + 1]
     e1 = (down + right) * 0.5
@@ -31,8 +30,8 @@ def spans(solver: Solver, x: Vectors, quad: int, r: wp.vec3, reach: float):
     a22 = wp.dot(e2, e2)
     b1 = wp.dot(r, e1)
     b2 = wp.dot(r, e2)
-    limit = (0.5 + reach / solver.spacing) * (a11 * a22 - a12 * a12 + 1.0e-14)
-    return wp.abs(b1 * a22 - b2 * a12) < limit and wp.abs(b2 * a11 - b1 * a12) < limit
+    scale = 1.0 / (a11 * a22 - a12 * a12 + 1.0e-14)
+    return wp.max(wp.abs(b1 * a22 - b2 * a12), wp.abs(b2 * a11 - b1 * a12)) * scale - 0.5
 
 
 @wp.func
@@ -128,6 +127,7 @@ def list_contacts(solver: Solver, state: State, w: int, lane: int, lanes: int):
     for i in range(lane, n * n, lanes):
         x = position[i]
         v = state.velocity[w, i]
+        speed = wp.length(v)
         state.list_position[w, i] = x
         state.list_velocity[w, i] = v
         before = state.contacts[w, i]
@@ -142,14 +142,17 @@ def list_contacts(solver: Solver, state: State, w: int, lane: int, lanes: int):
             for place in range(state.quad_first[w, cell - 1], state.quad_first[w, cell + 2]):
                 r = x - state.quad_centre[w, place]
                 gap = wp.dot(r, state.quad_normal[w, place])
-                relative = wp.length(v - state.quad_velocity[w, place])
-                reach = solver.margin + solver.prediction_time * relative
-                if wp.abs(gap) < solver.thickness + reach and wp.dot(r, r) < largest and count < CONTACTS:
+                beyond = wp.abs(gap) - state.quad_twist[w, place] - solver.thickness - solver.margin
+                fastest = speed + state.quad_speed[w, place]
+                if beyond < solver.prediction_time * fastest and wp.dot(r, r) < largest and count < CONTACTS:
                     quad = state.quad[w, place]
                     own = i == quad or i == quad + 1 or i == quad + n or i == quad + n + 1
-                    if not own and spans(solver, position, quad, r, reach):
+                    relative = wp.length(v - state.quad_velocity[w, place])
+                    reach = solver.margin + solver.prediction_time * relative
+                    outside = distance_beyond(position, quad, n, r)
+                    if not own and beyond < solver.prediction_time * relative and outside * solver.spacing < solver.thickness + reach:
                         side = side_of(position, i, quad, n)
-                        if wp.abs(gap) < solver.memory_gap and spans(solver, position, quad, r, 0.0):
+                        if wp.abs(gap) < solver.memory_gap and outside < 0.0:
                             remembered = remembered_side(state, w, i, before, quad)
                             side = wp.where(remembered != 0, remembered, side)
                         # In the quads' order, so that lists made anew are solved as before.
@@ -245,7 +248,7 @@ def solve_contact(solver: Solver, state: State, w: int, i: int, k: int, lanes: i
     squared = wp.dot(normal, normal) + 1.0e-20
     height = wp.dot(r, normal)
     twist = wp.abs(wp.dot(p00 - p01 - p10 + p11, normal)) * 0.25
-    far = 2.0 * solver.thickness
+    far = 1.5 * solver.thickness
     above = wp.max(wp.abs(height) - twist, 0.0)
     if above * above > far * far * squared:
         state.contact[w, i, k] = wp.where(height >= 0.0, a + 1, -a - 1)
@@ -264,8 +267,11 @@ def solve_contact(solver: Solver, state: State, w: int, i: int, k: int, lanes: i
         entry = noted
     if nearest < solver.thickness * solver.thickness:
         side = wp.where(entry > 0, 1.0, -1.0)
-        part_from_triangle(solver, state, w, i, a, a + n, a + n + 1, lower, side, lanes)
-        part_from_triangle(solver, state, w, i, a, a + n + 1, a + 1, upper, side, lanes)
+        # One call for both: Warp hands the state over by value, which costs little only where the call is inlined.
+        for half in range(2):
+            b = wp.where(half == 0, a + n, a + n + 1)
+            c = wp.where(half == 0, a + n + 1, a + 1)
+            part_from_triangle(solver, state, w, i, a, b, c, wp.where(half == 0, lower, upper), side, lanes)
 
 
 @wp.func

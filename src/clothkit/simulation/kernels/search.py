@@ -66,11 +66,14 @@ def sort_quads(solver: Solver, state: State, w: int):
             p01 = state.position[w, quad + 1]
             p10 = state.position[w, quad + n]
             p11 = state.position[w, quad + n + 1]
-            normal = wp.cross(p11 - p00 + p10 - p01, p11 - p00 + p01 - p10)
+            normal = wp.normalize(wp.cross(p11 - p00 + p10 - p01, p11 - p00 + p01 - p10))
+            velocity = (state.velocity[w, quad] + state.velocity[w, quad + n + 1]) * 0.5
             state.quad[w, place] = quad
             state.quad_centre[w, place] = (p00 + p01 + p10 + p11) * 0.25
-            state.quad_normal[w, place] = normal / (wp.length(normal) + 1.0e-12)
-            state.quad_velocity[w, place] = (state.velocity[w, quad] + state.velocity[w, quad + n + 1]) * 0.5
+            state.quad_normal[w, place] = normal
+            state.quad_twist[w, place] = wp.abs(wp.dot(p00 - p01 - p10 + p11, normal)) * 0.25
+            state.quad_velocity[w, place] = velocity
+            state.quad_speed[w, place] = wp.length(velocity)
 
 
 @wp.func
@@ -93,3 +96,4 @@ def sort_features(solver: Solver, state: State, w: int):
         state.edge_middle[w, place] = state.feature_middle[w, k]
         state.edge_half[w, place] = state.feature_half[w, k]
         state.edge_velocity[w, place] = state.feature_velocity[w, k]
+        state.edge_speed[w, place] = wp.length(state.feature_velocity[w, k])

@@ -54,6 +54,7 @@ class Solver:
 
     stretch_compliance: float  # 1
     shear_compliance: float  # 1
+    shear_friction: float  # m, largest multiplier that keeps a diagonal's length as it was
     diagonal_shortest: float  # m, diagonals are limited to this range
     diagonal_longest: float  # m
     bending_compliance: float  # 1
@@ -113,6 +114,7 @@ class State:
     saved_time: wp.array(dtype=float)  # s
     saved_crossings: wp.array(dtype=int)
     crossings: wp.array(dtype=int)
+    searched: wp.array(dtype=int)  # whether the contact lists are those of the last search
     careful_until: wp.array(dtype=float)  # s, care is taken until then
     returns: wp.array(dtype=int)  # how often the world went back to what was saved
     lost: wp.array(dtype=int)  # crossings that care could not avoid
@@ -129,6 +131,8 @@ class State:
     quad_centre: wp.array2d(dtype=wp.vec3)  # [world, place], m
     quad_normal: wp.array2d(dtype=wp.vec3)  # [world, place], unit
     quad_velocity: wp.array2d(dtype=wp.vec3)  # [world, place], m/s
+    quad_speed: wp.array2d(dtype=float)  # [world, place], m/s
+    quad_twist: wp.array2d(dtype=float)  # [world, place], m, how far its corners lie from its plane
     contacts: wp.array2d(dtype=int)  # [world, vertex], number of quads near it
     contact: wp.array3d(dtype=int)  # [world, vertex, contact], quad + 1, negative below
     contact_before: wp.array3d(dtype=int)
@@ -144,9 +148,12 @@ class State:
     edge_middle: wp.array2d(dtype=wp.vec3)  # [world, place], m
     edge_half: wp.array2d(dtype=wp.vec3)
     edge_velocity: wp.array2d(dtype=wp.vec3)
+    edge_speed: wp.array2d(dtype=float)  # m/s
     pairs: wp.array(dtype=int)  # number of pairs of edges near each other
     pair: wp.array3d(dtype=int)  # [world, pair, (edge, edge, side or 0)]
     pair_gap: wp.array2d(dtype=float)  # [world, pair], m, what is kept between the two now
+    found: wp.array3d(dtype=int)  # pairs that are being listed, in any order
+    found_gap: wp.array2d(dtype=float)
     pair_before: wp.array3d(dtype=int)
     pair_gap_before: wp.array2d(dtype=float)
     memory: wp.array2d(dtype=int)  # [world, place], number of the earlier pair + 1, 0 where empty
