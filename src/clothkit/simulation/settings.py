@@ -18,16 +18,15 @@ class Material:
 
     density: Positive = 0.187  # kg/m^2
     stretch_stiffness: Positive = 2000.0  # N/m, tension per strain along the threads
-    shear_stiffness: Positive = 0.05  # N/m, shear force per length and angle
-    shear_friction: NotNegative = 0.0  # N/m, shear force per length that resists any change of angle
+    shear_stiffness: Positive = 0.1  # N/m, shear force per length and angle
     shear_limit: Annotated[float, Gt(0.0), Lt(1.57)] = 0.76  # rad, the angle at which shearing locks
     bending_stiffness: Positive = 2e-5  # N m, moment per width and curvature
-    bending_friction: NotNegative = 4e-4  # N, moment per width that resists any change of curvature
-    bending_limit: Positive = 20.0  # 1/m, curvature beyond which the moment no longer grows
+    bending_friction: NotNegative = 0.0  # N, moment per width that resists any change of curvature
+    bending_limit: Positive = 31.0  # 1/m, curvature beyond which the moment no longer grows
     thickness: Positive = 2e-3  # m, distance of touching layers
     cloth_friction: NotNegative = 0.3
     table_friction: NotNegative = 0.7
-    viscosity: NotNegative = 6e-3  # m^2/s, of velocity differences within the cloth
+    viscosity: NotNegative = 0.02  # m^2/s, of velocity differences within the cloth
     drag: NotNegative = 2.0  # 1/s, of the air
 
 
@@ -35,7 +34,8 @@ class Material:
 class Settling:
     """From release to rest."""
 
-    rest_speed: Positive = 0.01  # m/s, of the fastest vertex, at every time step
+    interval: Positive = 0.01  # s, speeds are means over so long: what trembles within it is at rest
+    rest_speed: Positive = 0.01  # m/s, of the fastest vertex
     rest_time: Positive = 0.25  # s, for so long
     longest: Positive = 4.0  # s
 

@@ -10,6 +10,7 @@ from clothkit.simulation.settings import SimulationConfig
 GRAVITY = 9.81  # m/s^2
 LANES_ON_CUDA = 256
 LAUNCH_SECONDS = 0.1  # simulated in a launch
+STRETCH_PASSES = 2
 EDGE_THICKNESS = 0.75  # of the thickness, distance of touching edges
 LARGEST_SHARE = 0.2  # of a neighbour's velocity difference in a substep: explicit viscosity is stable below 1 / 4
 
@@ -35,8 +36,7 @@ def make_solver(settings: SimulationConfig) -> Solver:
         "spacing": h,
         "time_step": dt,
         "stretch_compliance": compliance(material.stretch_stiffness),
-        "shear_compliance": compliance(material.shear_stiffness),
-        "shear_friction": material.shear_friction * h / 2**0.5 * dt**2 / mass,
+        "shear_compliance": compliance(2 * material.shear_stiffness),  # one of the two diagonals resists
         "diagonal_shortest": 0.3 * 2**0.5 * h,
         "diagonal_longest": (1 + np.sin(material.shear_limit)) ** 0.5 * 2**0.5 * h,
         "bending_compliance": bending,
@@ -50,15 +50,17 @@ def make_solver(settings: SimulationConfig) -> Solver:
         "top_speed": settings.top_speed,
         "thickness": material.thickness,
         "edge_thickness": EDGE_THICKNESS * material.thickness,
-        "margin": 0.15 * h,
+        "margin": 0.2 * h,
         "prediction_time": 0.02,
         "prediction_error": 0.33 * 0.2 * h,
         "memory_gap": 0.6 * material.thickness,
-        "bend_feature": 0.4 * h,
+        "bend_feature": 0.25 * h,
         "gap_growth": 0.5 * settling.rest_speed * dt,
+        "stretch_passes": STRETCH_PASSES,
         "push_step": settings.push_speed * dt,
         "cloth_friction": material.cloth_friction,
         "table_friction": material.table_friction,
+        "check_interval": settling.interval,
         "rest_speed": settling.rest_speed,
         "rest_time": settling.rest_time,
         "longest_settling": settling.longest,
@@ -76,7 +78,7 @@ def make_state(worlds: int, side: int, device: str) -> State:
     n, cells = side * side, int(CELLS) ** 2 + 1
     one, each, edges, held = (worlds,), (worlds, n), (worlds, 3 * n), (worlds, int(HELD))
     vectors: dict[str, tuple[int, ...]] = {
-        **dict.fromkeys(("position", "velocity", "previous", "correction", "saved_position", "saved_velocity"), each),
+        **dict.fromkeys(("position", "velocity", "previous", "correction", "checked", "saved_position", "saved_velocity"), each),
         **dict.fromkeys(("list_position", "list_velocity", "quad_centre", "quad_normal", "quad_velocity"), each),
         **dict.fromkeys(("feature_middle", "feature_half", "feature_velocity", "edge_middle", "edge_half", "edge_velocity"), edges),
         "held_offset": held,
@@ -85,14 +87,15 @@ def make_state(worlds: int, side: int, device: str) -> State:
     }
     floats: dict[str, tuple[int, ...]] = {
         "free": each,
-        **dict.fromkeys(("move_time", "time", "fastest", "calm", "residual", "saved_time", "careful_until"), one),
+        "pressed": each,
+        **dict.fromkeys(("move_time", "time", "fastest", "checked_time", "calm", "residual", "saved_time", "careful_until"), one),
         **dict.fromkeys(("list_age", "deviation", "motion"), one),
         **dict.fromkeys(("quad_speed", "quad_twist"), each),
         "edge_speed": edges,
         **dict.fromkeys(("pair_gap", "pair_gap_before", "found_gap"), (worlds, int(EDGE_PAIRS))),
     }
     integers: dict[str, tuple[int, ...]] = {
-        **dict.fromkeys(("quad", "contacts", "in_bend", "twisted"), each),
+        **dict.fromkeys(("quad", "upwards", "contacts", "in_bend", "twisted"), each),
         **dict.fromkeys(("feature", "edge", "cell"), edges),
         **dict.fromkeys(("quad_first", "edge_first"), (worlds, cells)),
         **dict.fromkeys(("contact", "contact_before"), (worlds, n, int(CONTACTS))),

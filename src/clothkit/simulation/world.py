@@ -37,7 +37,7 @@ class Outcome(NamedTuple):
     rested: Bool[np.ndarray, " worlds"]
     """Whether every vertex came to rest in time."""
     residual_speed: Float[np.ndarray, " worlds"]
-    """m/s, of the fastest vertex at any time step of the last `rest_time`; of the last time step if not at rest."""
+    """m/s, of the fastest vertex, mean over a check's interval: the highest in the last `rest_time`, or the last one."""
     settle_time: Float[np.ndarray, " worlds"]
     """Simulated seconds from release to rest, without the `rest_time` over which rest was watched."""
 
@@ -99,7 +99,7 @@ class Worlds:
         state, worlds = self.state, len(states)
         for name in ("velocity", "correction", "contacts", "features", "pairs", "time", "done", "calm", "residual"):
             getattr(state, name).zero_()
-        for name in ("careful_until", "returns", "lost", "in_bend", "twisted", "searched"):
+        for name in ("careful_until", "returns", "lost", "in_bend", "twisted", "searched", "pressed", "checked_time"):
             getattr(state, name).zero_()
         state.saved_time.fill_(-FAR)
         state.saved_crossings.fill_(UNSEARCHED)
@@ -108,6 +108,7 @@ class Worlds:
         vertices = np.ascontiguousarray(states, np.float32).reshape(worlds, -1, 3)
         self._write("position", vertices)
         self._write("saved_position", vertices)
+        self._write("checked", vertices)
         layers = motion.held.shape[-1]
         held = np.full((worlds, int(HELD)), -1, np.int32)
         held[:, : 2 * layers] = motion.held.reshape(worlds, -1)

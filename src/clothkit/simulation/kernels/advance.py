@@ -51,7 +51,6 @@ def move(solver: Solver, state: State, w: int, lane: int, lanes: int):
     if lane == 0:
         state.deviation[w] = 0.0
         state.motion[w] = 0.0
-        state.fastest[w] = 0.0
     synchronise()
     wp.atomic_max(state.deviation, w, deviation)
     wp.atomic_max(state.motion, w, motion)
@@ -104,7 +103,6 @@ def finish(solver: Solver, state: State, w: int, lane: int, lanes: int):
     dt = solver.time_step
     largest_step = solver.top_speed * dt
     floor = 0.5 * solver.thickness
-    fastest = float(0.0)
     for i in range(lane, solver.side * solver.side, lanes):
         x = state.position[w, i]
         if lanes > 1:
@@ -117,18 +115,32 @@ def finish(solver: Solver, state: State, w: int, lane: int, lanes: int):
             if length > largest_step:
                 x = before + d * (largest_step / length)
             penetration = floor - x[2]
+            state.pressed[w, i] = wp.max(penetration, 0.0)
             if penetration > 0.0:
                 dx = x[0] - before[0]
                 dy = x[1] - before[1]
                 slip = wp.sqrt(dx * dx + dy * dy) + 1.0e-12
                 friction = wp.min(1.0, solver.table_friction * penetration / slip)
                 x = wp.vec3(x[0] - friction * dx, x[1] - friction * dy, floor)
-        v = (x - before) / dt
-        fastest = wp.max(fastest, wp.dot(v, v))
-        state.velocity[w, i] = v
+        state.velocity[w, i] = (x - before) / dt
         state.position[w, i] = x
     synchronise()
-    wp.atomic_max(state.fastest, w, fastest)
+
+
+@wp.func
+def hold(solver: Solver, state: State, w: int, lane: int, lanes: int):
+    """Let the table's friction hold what was pressed on it, before layers that lie on that feel it slip."""
+    floor = 0.5 * solver.thickness
+    for i in range(lane, solver.side * solver.side, lanes):
+        pressed = state.pressed[w, i]
+        if pressed > 0.0 and state.free[w, i] > 0.0:
+            x = state.position[w, i]
+            before = state.previous[w, i]
+            dx = x[0] - before[0]
+            dy = x[1] - before[1]
+            slip = wp.sqrt(dx * dx + dy * dy) + 1.0e-12
+            friction = wp.min(1.0, solver.table_friction * pressed / slip)
+            state.position[w, i] = wp.vec3(x[0] - friction * dx, x[1] - friction * dy, x[2])
     synchronise()
 
 
@@ -142,7 +154,9 @@ def substep(solver: Solver, state: State, w: int, lane: int, lanes: int, t: floa
     refresh_lists(solver, state, w, lane, lanes, careful)
     solve_bending(solver, state, w, lane, lanes)
     solve_shear(solver, state, w, lane, lanes)
-    solve_stretch(solver, state, w, lane, lanes)
+    for _ in range(solver.stretch_passes):
+        solve_stretch(solver, state, w, lane, lanes)
+    hold(solver, state, w, lane, lanes)
     passes = wp.where(careful, solver.careful_passes, 1)
     for _ in range(passes):
         solve_contacts(solver, state, w, lane, lanes)
@@ -197,22 +211,41 @@ def guard(solver: Solver, state: State, w: int, lane: int, lanes: int, t: float)
 
 
 @wp.func
-def check_rest(solver: Solver, state: State, w: int, lane: int, since: float):
-    """Return whether the world is done: 1 at rest for long enough, 2 out of time or no longer finite, else 0."""
-    squared = state.fastest[w]
-    calm = state.calm[w] + solver.time_step
-    residual = wp.max(state.residual[w], wp.sqrt(squared))
+def check_rest(solver: Solver, state: State, w: int, lane: int, lanes: int, t: float):
+    """Return whether the world is done: 1 at rest for long enough, 2 out of time or no longer finite, else 0.
+
+    Speeds are means since the last check.
+    """
+    seconds = t - state.checked_time[w]
+    farthest = float(0.0)
+    for i in range(lane, solver.side * solver.side, lanes):
+        x = state.position[w, i]
+        d = x - state.checked[w, i]
+        state.checked[w, i] = x
+        # Not a number is not less than anything.
+        if not wp.dot(d, d) < 1.0e4:
+            farthest = 1.0e2
+        farthest = wp.max(farthest, wp.length(d))
     synchronise()
-    slow = squared < solver.rest_speed * solver.rest_speed
     if lane == 0:
-        state.calm[w] = wp.where(slow, calm, 0.0)
-        state.residual[w] = wp.where(slow, residual, 0.0)
+        state.fastest[w] = 0.0
     synchronise()
-    if slow and calm >= solver.rest_time:
+    wp.atomic_max(state.fastest, w, farthest / seconds)
+    synchronise()
+    fastest = state.fastest[w]
+    slow = fastest < solver.rest_speed
+    calm = wp.where(slow, state.calm[w] + seconds, 0.0)
+    residual = wp.where(slow and state.calm[w] > 0.0, wp.max(state.residual[w], fastest), fastest)
+    synchronise()
+    if lane == 0:
+        state.checked_time[w] = t
+        state.calm[w] = calm
+        state.residual[w] = residual
+    synchronise()
+    # Half a time step: sums of time steps are not exact.
+    if calm > solver.rest_time - 0.5 * solver.time_step:
         return 1
-    if since > solver.longest_settling or not (squared < 1.0e6):
-        if lane == 0:
-            state.residual[w] = wp.sqrt(squared)
+    if t - state.move_time[w] > solver.longest_settling or fastest > 1.0e3:
         return 2
     return 0
 
@@ -228,9 +261,8 @@ def advance(solver: Solver, state: State, lanes: int):
         t = t + solver.time_step
         substep(solver, state, w, lane, lanes, t)
         done = int(0)
-        since = t - state.move_time[w]
-        if since > 0.0:
-            done = check_rest(solver, state, w, lane, since)
+        if t > state.move_time[w] and t - state.checked_time[w] > solver.check_interval - 0.5 * solver.time_step:
+            done = check_rest(solver, state, w, lane, lanes, t)
         if done > 0 or t - state.saved_time[w] >= solver.guard_interval:
             now = guard(solver, state, w, lane, lanes, t)
             if now < t:

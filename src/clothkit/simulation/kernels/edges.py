@@ -242,7 +242,10 @@ def list_pairs(solver: Solver, state: State, w: int, everywhere: bool):
 
 @wp.func
 def solve_pair(solver: Solver, state: State, w: int, k: int, lanes: int):
-    """Push two edges apart on the side where they were, with Coulomb friction; note the side while they pass by."""
+    """Push two edges apart on the side where they were; note the side while they pass by.
+
+    Without friction: that of the vertices nearby holds, and what acts before the rest has moved drives layers on.
+    """
     e = state.pair[w, k, 0]
     g = state.pair[w, k, 1]
     a0 = e / 3
@@ -274,17 +277,14 @@ def solve_pair(solver: Solver, state: State, w: int, k: int, lanes: int):
     normal = wp.normalize(wp.cross(p1 - p0, q1 - q0)) * side
     moved_a = (p0 - state.previous[w, a0]) * (1.0 - s) + (p1 - state.previous[w, a1]) * s
     moved_b = (q0 - state.previous[w, b0]) * (1.0 - t) + (q1 - state.previous[w, b1]) * t
-    slip = moved_a - moved_b
-    approach = wp.dot(slip, normal)
-    slip = slip - normal * approach
+    approach = wp.dot(moved_a - moved_b, normal)
     push = parting(solver, kept - gap, approach)
-    friction = wp.min(1.0, solver.cloth_friction * push / (wp.length(slip) + 1.0e-12))
     wa0 = state.free[w, a0] * (1.0 - s)
     wa1 = state.free[w, a1] * s
     wb0 = state.free[w, b0] * (1.0 - t)
     wb1 = state.free[w, b1] * t
     scale = 1.0 / ((1.0 - s) * wa0 + s * wa1 + (1.0 - t) * wb0 + t * wb1 + 1.0e-9)
-    out = (normal * push - slip * friction) * scale
+    out = normal * (push * scale)
     if lanes == 1:
         x[a0] = p0 + out * wa0
         x[a1] = p1 + out * wa1

@@ -82,22 +82,26 @@ def solve_bending(solver: Solver, state: State, w: int, lane: int, lanes: int):
 
 
 @wp.func
-def shear(solver: Solver, x: Vectors, previous: Vectors, free: Floats, i: int, j: int):
-    """Move the ends of a diagonal weakly towards its rest length, against dry friction, and firmly into its range."""
+def shear(solver: Solver, x: Vectors, free: Floats, i: int, j: int):
+    """Pull the ends of a diagonal that is longer than at rest together, and keep it firmly in its range.
+
+    Sheared either way, a quad lengthens one of its diagonals; folded, it shortens them. So shear is resisted, and folds
+    across the quads are not, which would otherwise be locked and tall.
+    """
     wi = free[i]
     wj = free[j]
     xi = x[i]
     xj = x[j]
     d = xj - xi
-    length = wp.length(d) + 1.0e-12
-    weight = wi + wj + 1.0e-9
+    squared = wp.dot(d, d)
     rest = solver.spacing * 1.41421356
-    multiplier = (length - rest) / (weight + solver.shear_compliance)
-    change = wp.dot(d, d - previous[j] + previous[i]) / length
-    multiplier += wp.clamp(change / weight - multiplier, -solver.shear_friction, solver.shear_friction)
+    if squared <= rest * rest and squared >= solver.diagonal_shortest * solver.diagonal_shortest:
+        return
+    length = wp.sqrt(squared) + 1.0e-12
+    weight = wi + wj + 1.0e-9
+    multiplier = wp.max(length - rest, 0.0) / (weight + solver.shear_compliance)
     after = length - multiplier * weight
-    within = wp.clamp(after, solver.diagonal_shortest, solver.diagonal_longest)
-    multiplier += (after - within) / (weight + 1.0)
+    multiplier += (after - wp.clamp(after, solver.diagonal_shortest, solver.diagonal_longest)) / (weight + 1.0)
     s = multiplier / length
     x[i] = xi + d * (wi * s)
     x[j] = xj - d * (wj * s)
@@ -107,7 +111,6 @@ def shear(solver: Solver, x: Vectors, previous: Vectors, free: Floats, i: int, j
 def solve_shear(solver: Solver, state: State, w: int, lane: int, lanes: int):
     """Shear the quads along both diagonals, two colours each."""
     x = state.position[w]
-    previous = state.previous[w]
     free = state.free[w]
     n = solver.side
     width = wp.min(lanes, 32)
@@ -118,12 +121,12 @@ def solve_shear(solver: Solver, state: State, w: int, lane: int, lanes: int):
         for i in range(row0 * 2 + colour, n - 1, rows * 2):
             for j in range(column0, n - 1, width):
                 a = i * n + j
-                shear(solver, x, previous, free, a, a + n + 1)
+                shear(solver, x, free, a, a + n + 1)
         synchronise()
         for i in range(row0 * 2 + colour, n - 1, rows * 2):
             for j in range(column0, n - 1, width):
                 a = i * n + j
-                shear(solver, x, previous, free, a + 1, a + n)
+                shear(solver, x, free, a + 1, a + n)
         synchronise()
 
 

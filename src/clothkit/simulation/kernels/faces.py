@@ -4,7 +4,7 @@
 # ruff: noqa: RUF046, UP018
 import warp as wp
 
-from clothkit.simulation.kernels.search import CELL, cell_column, cell_row, sort_quads
+from clothkit.simulation.kernels.search import CELL, cell_column, cell_row, sort_heights, sort_quads
 from clothkit.simulation.kernels.state import CELLS, CONTACTS, Solver, State, Vectors, synchronise
 
 
@@ -120,6 +120,7 @@ def list_contacts(solver: Solver, state: State, w: int, lane: int, lanes: int):
     n = solver.side
     if lane == 0:
         sort_quads(solver, state, w)
+        sort_heights(solver, state, w)
     synchronise()
     low = state.low[w]
     largest = CELL * CELL * solver.spacing * solver.spacing
@@ -276,8 +277,12 @@ def solve_contact(solver: Solver, state: State, w: int, i: int, k: int, lanes: i
 
 @wp.func
 def solve_contacts(solver: Solver, state: State, w: int, lane: int, lanes: int):
-    """Solve the listed contacts of vertices with triangles."""
-    for i in range(lane, solver.side * solver.side, lanes):
+    """Solve the listed contacts of vertices with triangles, from the table up.
+
+    So what lies below is held by friction before what lies on it feels it slip: else layers drive each other.
+    """
+    for place in range(lane, solver.side * solver.side, lanes):
+        i = state.upwards[w, place]
         for k in range(state.contacts[w, i]):
             solve_contact(solver, state, w, i, k, lanes)
     synchronise()

@@ -10,6 +10,7 @@ import warp as wp
 from clothkit.simulation.kernels.state import CELLS, Solver, State, synchronise
 
 CELL = wp.constant(1.4)  # grid spacings; a search looks one cell around
+HEIGHTS = wp.constant(128)  # bins of the sort by height
 
 
 @wp.func
@@ -97,3 +98,23 @@ def sort_features(solver: Solver, state: State, w: int):
         state.edge_half[w, place] = state.feature_half[w, k]
         state.edge_velocity[w, place] = state.feature_velocity[w, k]
         state.edge_speed[w, place] = wp.length(state.feature_velocity[w, k])
+
+
+@wp.func
+def sort_heights(solver: Solver, state: State, w: int):
+    """Put the vertices in order from the table up (counting sort by a quarter of the thickness, one lane)."""
+    count = solver.side * solver.side
+    per_bin = 4.0 / solver.thickness
+    for k in range(HEIGHTS):
+        state.cell[w, k] = 0
+    for i in range(count):
+        k = wp.clamp(int(state.position[w, i][2] * per_bin), 0, HEIGHTS - 1)
+        state.cell[w, k] += 1
+    start = int(0)
+    for k in range(HEIGHTS):
+        start += state.cell[w, k]
+        state.cell[w, k] = start - state.cell[w, k]
+    for i in range(count):
+        k = wp.clamp(int(state.position[w, i][2] * per_bin), 0, HEIGHTS - 1)
+        state.upwards[w, state.cell[w, k]] = i
+        state.cell[w, k] += 1

@@ -54,7 +54,6 @@ class Solver:
 
     stretch_compliance: float  # 1
     shear_compliance: float  # 1
-    shear_friction: float  # m, largest multiplier that keeps a diagonal's length as it was
     diagonal_shortest: float  # m, diagonals are limited to this range
     diagonal_longest: float  # m
     bending_compliance: float  # 1
@@ -75,11 +74,13 @@ class Solver:
     prediction_error: float  # m, a vertex this far from its predicted place makes the lists stale
     memory_gap: float  # m, closer layers stay on the side on which they were
     bend_feature: float  # m, the second difference above which a vertex lies in a bend
+    stretch_passes: int  # over the edges' lengths in a substep
     push_step: float  # m, penetration removed in a substep
     gap_growth: float  # m, by which the gap that a new pair of edges keeps grows in a substep
     cloth_friction: float  # 1
     table_friction: float  # 1
 
+    check_interval: float  # s, between two checks for rest
     rest_speed: float  # m/s
     rest_time: float  # s, a world is at rest when every vertex was slower for so long
     longest_settling: float  # s
@@ -96,6 +97,7 @@ class State:
     velocity: wp.array2d(dtype=wp.vec3)  # m/s
     previous: wp.array2d(dtype=wp.vec3)  # m, at the start of the substep
     correction: wp.array2d(dtype=wp.vec3)  # m, sum over contacts (several lanes only)
+    pressed: wp.array2d(dtype=float)  # m, into the table, in the last substep
     free: wp.array2d(dtype=float)  # inverse mass: 1, or 0 where grasped
 
     held: wp.array2d(dtype=int)  # [world, slot], vertex, -1 for none
@@ -105,7 +107,9 @@ class State:
     move_time: wp.array(dtype=float)  # s, until release
     time: wp.array(dtype=float)  # s, since the grasp
     done: wp.array(dtype=int)  # 0 running, 1 at rest, 2 gave up
-    fastest: wp.array(dtype=float)  # (m/s)^2, of the substep's fastest vertex
+    checked: wp.array2d(dtype=wp.vec3)  # m, at the last check for rest
+    checked_time: wp.array(dtype=float)  # s
+    fastest: wp.array(dtype=float)  # m/s, of the vertex that was fastest between the last two checks
     calm: wp.array(dtype=float)  # s, since a vertex was last faster than at rest
     residual: wp.array(dtype=float)  # m/s, of the fastest vertex while calm
 
@@ -133,6 +137,7 @@ class State:
     quad_velocity: wp.array2d(dtype=wp.vec3)  # [world, place], m/s
     quad_speed: wp.array2d(dtype=float)  # [world, place], m/s
     quad_twist: wp.array2d(dtype=float)  # [world, place], m, how far its corners lie from its plane
+    upwards: wp.array2d(dtype=int)  # [world, place], vertices from the table up
     contacts: wp.array2d(dtype=int)  # [world, vertex], number of quads near it
     contact: wp.array3d(dtype=int)  # [world, vertex, contact], quad + 1, negative below
     contact_before: wp.array3d(dtype=int)
