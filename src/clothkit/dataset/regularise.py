@@ -16,7 +16,6 @@ from clothkit.dataset.raw import MANIPULATION_COLUMNS, STATE_COLUMNS, TOPOLOGY_C
 from clothkit.dataset.store import SPLITS, STATES, STEPS, Dataset
 from clothkit.errors import InputError
 
-
 MARGIN = 1e-3
 """How negative a barycentric weight may be for a point to count as covered: coordinates come with six digits."""
 

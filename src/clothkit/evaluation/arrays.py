@@ -41,7 +41,8 @@ def load(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
         if not isinstance(array, zarr.Array):
             raise InputError(f"{path}: expected an array {name}, found none")
         values = np.asarray(array[:])
-        ending = (array.metadata.dimension_names or ())[1:2] in (("state",), ("step",))  # type: ignore[union-attr]
+        names_of_dimensions = getattr(array.metadata, "dimension_names", None) or ()
+        ending = any(name in ("state", "step") for name in names_of_dimensions[1:2])
         if values.dtype.kind == "f" and not (_ends_whole(values) if ending else np.isfinite(values).all()):
             raise InputError(f"{path}: array {name}: expected finite values, found NaN or infinity")
         found[name] = values

@@ -146,9 +146,9 @@ def problem(settings: TrainPEMDConfig, validation: Sequences) -> Problem:
     def validate(params: PyTree) -> dict[str, float]:
         errors = np.asarray(errors_of(params, validation))
         # A task that no sequence is long enough for has no error.
-        present = [(task, float(error)) for task, error, some in zip(TASKS, errors, counted.any(1), strict=True) if some]
-        named = {f"{length}/{start}": error for (start, length), error in present}
-        return {"score": float(np.mean([error for _, error in present])), **named}
+        present = counted.any(1)
+        named = {f"{n}/{i}": float(e) for (i, n), e, some in zip(TASKS, errors, present, strict=True) if some}
+        return {"score": float(errors[present].mean()), **named}
 
     return Problem(lambda key: initial(settings.net, settings.training.start, key=key), gradient, validate)
 

@@ -94,5 +94,8 @@ def problem(settings: TrainVtMConfig, validation: Dataset) -> Problem:
 def train_vtm(
     settings: TrainVtMConfig, training: Dataset, validation: Dataset, *, work: Path, key: PRNGKeyArray
 ) -> Trained:
-    """A VtM of the best validation score: mean error over steps 1 to 3, of those that there are. Goes on from `work`."""
+    """A VtM of the best validation score, going on from `work` after a kill.
+
+    The score is the mean error over steps 1 to 3, of those that some validation sequence has.
+    """
     return train(problem(settings, validation), states(training), settings.training, work=work, key=key)

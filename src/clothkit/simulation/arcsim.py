@@ -8,6 +8,7 @@ import os
 import shutil
 from collections.abc import Callable
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -84,7 +85,7 @@ def import_runs(folder: Path, sequences: list[Sequence], *, work: Path, attribut
     ends = np.append(np.cumsum(lengths)[SHARD - 1 :: SHARD], lengths.sum())
     bounds = np.unique(np.append(0, ends))
     states = tables.pop("states")
-    shards = (states.slice(a, b - a) for a, b in zip(bounds[:-1], bounds[1:], strict=True))
+    shards = (states.slice(first, last - first) for first, last in pairwise(bounds.tolist()))
     write_tables(folder, shards, tables, attributes)
     found = tables["manipulations"]
     short = np.hypot(found["dx"].to_numpy(), found["dy"].to_numpy()) < SHORTEST
@@ -181,14 +182,15 @@ def _manipulation(before: Run, run: Run, frame: Frame) -> dict[str, Any]:
 def manipulation(scene: Path, handles: list[Handle], start: Frame, before: Frame) -> Manipulation:
     """What handles do as one manipulation; `start` names their nodes, `before` is the cloth that they grasp.
 
-    By eq. (1) each hand moves by 2 a_k d, with a_1 + a_2 = 1: the displacement d is the mean of the hands' moves. Raises
+    By eq. (1) hand k moves by 2 a_k d, with a_1 + a_2 = 1: the displacement d is the mean of the hands' moves. Raises
     InputError, naming the scene's file, when a hand ends more than TOLERANCE from where eq. (1) has it let go.
     """
     nodes = [handle.node for handle in handles]
     if len(nodes) > 2 or len(set(nodes)) < len(nodes):
         raise InputError(f"{scene}: handles: grasp the nodes {nodes} at once, expected one node or two, each once")
     if max(nodes) >= len(start.positions):
-        raise InputError(f"{scene}: handles: node {max(nodes)} is none of the {len(start.positions)} at the run's start")
+        count = len(start.positions)
+        raise InputError(f"{scene}: handles: node {max(nodes)} is none of the {count} that the run starts with")
     # Remeshing keeps a grasped node and changes its number: its material coordinates find it again.
     away = np.linalg.norm(before.material - start.material[nodes][:, None], axis=-1)
     grasps = before.positions[away.argmin(1), :2]

@@ -1,6 +1,6 @@
 """ARCSim's OBJ dialect: one cloth at one moment, of any triangulation.
 
-`vt u v` material coordinates in metres; per node `v x y z` and maybe `nv` (velocity); faces `f n/vt n/vt n/vt`. Whatever
+`vt u v` material coordinates in metres; per node `v x y z` and maybe `nv` (velocity); faces `f n/vt n/vt n/vt`. What
 else the file says (rest embedding, labels, edges, plasticity) is passed over.
 """
 

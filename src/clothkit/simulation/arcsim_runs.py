@@ -53,7 +53,7 @@ def read_runs(folder: str, most: int) -> list[Sequence]:
     missing.
     """
     if not folder:
-        raise InputError("params.yaml: simulate.runs is empty, expected the folder that holds runs.csv (source: arcsim)")
+        raise InputError("params.yaml: simulate.runs is empty; source arcsim expects the folder that holds runs.csv")
     path = Path(folder) / TABLE
     rows: dict[int, dict[int, Run]] = defaultdict(dict)
     for line, run in _rows(path):

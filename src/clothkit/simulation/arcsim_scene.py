@@ -35,23 +35,20 @@ class Scene(NamedTuple):
     handles: list[Handle]
 
 
-class _Model(pydantic.BaseModel, frozen=True):
-    """Keys that are not named here are ARCSim's business."""
-
-
-class _Transform(_Model):
+# Keys that are not named here are ARCSim's business.
+class _Transform(pydantic.BaseModel, frozen=True):
     translate: tuple[float, float, float] = (0.0, 0.0, 0.0)
     scale: float = 1.0
     rotate: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
 
 
-class _Key(_Model):
+class _Key(pydantic.BaseModel, frozen=True):
     time: float
     transform: _Transform = _Transform()
     velocity: _Transform | None = None
 
 
-class _Handle(_Model):
+class _Handle(pydantic.BaseModel, frozen=True):
     type: str = "node"
     nodes: list[Annotated[int, Ge(0)]] = []
     label: int = -1
@@ -60,7 +57,7 @@ class _Handle(_Model):
     end_time: float = math.inf
 
 
-class _Conf(_Model):
+class _Conf(pydantic.BaseModel, frozen=True):
     frame_time: Annotated[float, Gt(0)]
     motions: list[list[_Key]] = []
     handles: list[_Handle] = []
@@ -120,7 +117,7 @@ def _check_translation(path: Path, motion: int, keys: list[_Key]) -> None:
 
 
 def _translation(keys: list[_Key], time: float) -> Float[np.ndarray, "3"]:
-    """Where a motion is at a time [m]: ARCSim's spline through its keys, at rest before the first and after the last."""
+    """Where a motion is at a time [m]: ARCSim's spline through its keys, at rest before and after them."""
     times = np.array([key.time for key in keys])
     places = np.array([key.transform.translate for key in keys])
     if time <= times[0] or len(keys) == 1:

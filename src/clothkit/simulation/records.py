@@ -56,9 +56,7 @@ ATTEMPTS = pa.schema(
         "folds": pa.list_(pa.int32()),
     }
 )
-TOPOLOGIES = pa.schema(
-    {"topology": pa.int32(), "material": pa.list_(pa.float32()), "triangles": pa.list_(pa.int32())}
-)
+TOPOLOGIES = pa.schema({"topology": pa.int32(), "material": pa.list_(pa.float32()), "triangles": pa.list_(pa.int32())})
 SCHEMAS = {"states": STATES, "manipulations": MANIPULATIONS, "attempts": ATTEMPTS, "topologies": TOPOLOGIES}
 
 

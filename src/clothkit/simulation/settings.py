@@ -89,9 +89,13 @@ class Limits:
 
 @config
 class SimulateConfig:
-    """The stage that records sequences. With source arcsim, `runs` and `sequences` alone matter to it."""
+    """The stage that records sequences.
 
-    sequences: Annotated[int, Gt(0)]  # accepted ones to be recorded; from ARCSim the first of the table, at most so many
+    With source arcsim it takes the first `sequences` of the table runs.csv, all of them if there are fewer, and what
+    follows `runs` matters only to the worlds in which plans are executed.
+    """
+
+    sequences: Annotated[int, Gt(0)]  # accepted ones to be recorded
     source: Literal["own", "arcsim"] = "own"  # our solver, or runs of ARCSim that are there already
     runs: str = ""  # with source arcsim: the folder that holds runs.csv, from the repository's root
     seed: Annotated[int, Ge(0)] = 0
