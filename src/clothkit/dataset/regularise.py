@@ -16,6 +16,12 @@ from clothkit.dataset.raw import MANIPULATION_COLUMNS, STATE_COLUMNS, TOPOLOGY_C
 from clothkit.dataset.store import SPLITS, STATES, STEPS, Dataset
 from clothkit.errors import InputError
 
+MARGIN = 1e-3
+"""How negative a barycentric weight may be for a point to count as covered: coordinates come with six digits."""
+
+KEPT = 64
+"""Interpolations kept at a time: ARCSim's states have a topology each."""
+
 
 @config
 class RegulariseConfig:
@@ -52,16 +58,38 @@ def interpolation(
     a, b, c = (material[triangles[:, k]].astype(float) for k in range(3))
     edge_b, edge_c = b - a, c - a
     area = edge_b[:, 0] * edge_c[:, 1] - edge_b[:, 1] * edge_c[:, 0]
-    offset = targets[:, None] - a
-    weight_b = (offset[..., 0] * edge_c[:, 1] - offset[..., 1] * edge_c[:, 0]) / area
-    weight_c = (edge_b[:, 0] * offset[..., 1] - edge_b[:, 1] * offset[..., 0]) / area
+    target, triangle = _near(targets.reshape(SIDE, SIDE, 2), np.stack([a, b, c]))
+    target, triangle = (index[area[triangle] != 0] for index in (target, triangle))
+    edge_b, edge_c, area, offset = edge_b[triangle], edge_c[triangle], area[triangle], targets[target] - a[triangle]
+    weight_b = (offset[:, 0] * edge_c[:, 1] - offset[:, 1] * edge_c[:, 0]) / area
+    weight_c = (edge_b[:, 0] * offset[:, 1] - edge_b[:, 1] * offset[:, 0]) / area
     weights = np.stack([1 - weight_b - weight_c, weight_b, weight_c], axis=-1)
-    best = weights.min(-1).argmax(-1)
-    chosen = weights[np.arange(len(targets)), best]
-    if chosen.min() < -1e-3:
+    # Of a target's triangles the one that it lies deepest in, the first of equals.
+    order = np.lexsort((triangle, -weights.min(-1), target))
+    covered, first = np.unique(target[order], return_index=True)
+    chosen = weights[order[first]]
+    if len(covered) < len(targets) or chosen.min() < -MARGIN:
         raise InputError(f"{name}: its triangles leave part of the material square uncovered")
     chosen = np.clip(np.where(np.abs(chosen) < 1e-6, 0, chosen), 0, 1)
-    return Interpolation(triangles[best], chosen / chosen.sum(-1, keepdims=True))
+    return Interpolation(triangles[triangle[order[first]]], chosen / chosen.sum(-1, keepdims=True))
+
+
+def _near(
+    targets: Float[np.ndarray, "u v 2"], corners: Float[np.ndarray, "3 triangles 2"]
+) -> tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"]]:
+    """Pairs of a target (index u * side + v) and a triangle in whose bounding box it lies: few of all pairs."""
+    low, high = corners.min(0), corners.max(0)
+    # What is outside by MARGIN in each of two weights may lie this far outside the box.
+    slack = 2.1 * MARGIN * (high - low)
+    firsts, counts = [], []
+    for axis, line in enumerate((targets[:, 0, 0], targets[0, :, 1])):
+        firsts.append(np.searchsorted(line, (low - slack)[:, axis], side="left"))
+        counts.append(np.searchsorted(line, (high + slack)[:, axis], side="right") - firsts[-1])
+    pairs = counts[0] * counts[1]
+    triangle = np.repeat(np.arange(len(pairs)), pairs)
+    place = np.arange(pairs.sum()) - np.repeat(np.cumsum(pairs) - pairs, pairs)
+    u, v = np.divmod(place, np.maximum(counts[1], 1)[triangle])
+    return (firsts[0][triangle] + u) * targets.shape[1] + firsts[1][triangle] + v, triangle
 
 
 def regularise(raw: Path, settings: RegulariseConfig) -> Dataset:
@@ -72,7 +100,10 @@ def regularise(raw: Path, settings: RegulariseConfig) -> Dataset:
     wanted = settings.train + settings.validation + settings.test
     sequences = states["sequence"].unique()[:wanted].tolist()
     if len(sequences) < wanted:
-        raise InputError(f"{raw}: holds {len(sequences)} sequences, params ask for {wanted}; raise simulate.sequences")
+        raise InputError(
+            f"{raw}: holds {len(sequences)} sequences, params ask for {wanted} (train + validation + test); raise "
+            "simulate.sequences, add runs if they are ARCSim's, or lower regularise"
+        )
     vertices = np.full((wanted, STATES, SIDE, SIDE, 3), np.nan, np.float32)
     centres = np.full((wanted, STATES, 2), np.nan, np.float32)
     meshes = _Mesher(raw, topologies)
@@ -108,6 +139,8 @@ class _Mesher:
 
     def __call__(self, where: str, topology: int, vertices: np.ndarray) -> Float[np.ndarray, "u v 3"]:
         if topology not in self.made:
+            if len(self.made) == KEPT:
+                self.made.clear()
             self.made[topology] = self._make(where, topology)
         interpolate, scale, count = self.made[topology]
         positions = np.asarray(vertices, np.float32).reshape(-1, 3)

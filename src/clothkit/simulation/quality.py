@@ -62,11 +62,21 @@ def reason(quality: Quality, outcome: Outcome, limits: Limits, index: int) -> st
 
 
 def intersections(states: Float[np.ndarray, "states u v 3"], *, device: str = "cpu") -> Int[np.ndarray, " states"]:
-    """How many pairs of an edge and a triangle pierce each other, every edge against every triangle."""
+    """How many pairs of an edge and a triangle of the grid pierce each other, every edge against every triangle."""
     side = states.shape[1]
-    ends = edges(side)
+    return pierced(states.reshape(len(states), -1, 3), edges(side), triangles(side), device=device)
+
+
+def pierced(
+    states: Float[np.ndarray, "states vertices 3"],
+    ends: Int[np.ndarray, "edges 2"],
+    corners: Int[np.ndarray, "triangles 3"],
+    *,
+    device: str = "cpu",
+) -> Int[np.ndarray, " states"]:
+    """How many pairs of an edge and a triangle pierce each other, whatever the triangulation."""
     counts = wp.zeros((len(states), len(ends)), dtype=int, device=device)
-    inputs = [_vertices(states, device), _numbers(ends, device), _numbers(triangles(side), device), counts]
+    inputs = [_vertices(states, device), _numbers(ends, device), _numbers(corners, device), counts]
     if len(states):
         wp.launch(count_intersections, dim=counts.shape, inputs=inputs, device=device)
     return counts.numpy().sum(1)
