@@ -14,6 +14,8 @@ from clothkit.simulation.settings import SimulationConfig
 from clothkit.simulation.solver import flat_state
 
 SHARD = 500  # sequences in a file of states
+QUALITY = ("height", "strain_p99", "strain_worst", "intersections", "gap", "residual_speed")
+"""What is measured on every state, accepted or not."""
 
 
 def write_raw(
@@ -45,8 +47,7 @@ def _states(part: Attempts, first: int) -> dict[str, Any]:
         "topology": np.zeros(count * states, np.int32),
         "vertices": _lists(part.states.reshape(count * states, -1)),
     }
-    names = ("height", "strain_p99", "strain_worst", "intersections", "gap", "residual_speed")
-    return columns | {name: getattr(part, name).ravel() for name in names}
+    return columns | {name: getattr(part, name).ravel() for name in QUALITY}
 
 
 def _manipulations(accepted: Attempts, seed: int) -> dict[str, Any]:
@@ -68,7 +69,7 @@ def _manipulations(accepted: Attempts, seed: int) -> dict[str, Any]:
 
 
 def _attempts(attempts: Attempts, seed: int) -> dict[str, Any]:
-    return {
+    columns: dict[str, Any] = {
         "attempt": attempts.attempt,
         "seed": np.full(len(attempts.attempt), seed, np.int64),
         "accepted": attempts.accepted,
@@ -77,6 +78,14 @@ def _attempts(attempts: Attempts, seed: int) -> dict[str, Any]:
         "area": _lists(attempts.area),
         "folds": _lists(attempts.folds),
     }
+    # Tried states are written beside the accepted ones: what the limits do to the data can then be seen.
+    columns |= {name: _lists(_reached(getattr(attempts, name), attempts.reached)) for name in QUALITY}
+    return columns | {"settle_time": _lists(_reached(attempts.settle_time, attempts.reached - 1))}
+
+
+def _reached(values: np.ndarray, count: np.ndarray) -> np.ndarray:
+    """A row per attempt as float32, NaN after its first `count` values."""
+    return np.where(np.arange(values.shape[1]) < count[:, None], values, np.nan).astype(np.float32)
 
 
 def _topologies(simulation: SimulationConfig) -> dict[str, Any]:
