@@ -1,5 +1,6 @@
 """The card of made-up raw artifacts: its numbers by brute force, its code, equal bytes, artifacts that lack much."""
 
+import dataclasses
 import re
 import shutil
 from pathlib import Path
@@ -15,6 +16,8 @@ from clothkit.report.card import tables
 from clothkit.report.card.build import build
 from clothkit.report.card.inputs import MEASURED, read
 from clothkit.report.card.meanings import meanings
+from clothkit.report.card.measures import limits
+from clothkit.report.card.page import in_words
 from clothkit.report.card.settings import CardConfig
 from clothkit.simulation.settings import SimulateConfig
 
@@ -181,17 +184,32 @@ def test_artifacts_of_another_simulator_are_described_as_far_as_they_go(raw: Pat
     moves.to_parquet(raw / "manipulations.parquet")
     topology.to_parquet(raw / "topologies.parquet")
     attempts = pd.DataFrame({"accepted": [True] * 3, "reason": [""] * 3, "states": [2, 3, 4]})
+    # What isn't known of an attempt may also be there as no list, or as a list of nothing that counts.
+    attempts = attempts.assign(height=None, area=[[np.nan] * 4] * 3, folds=[[-1] * 4] * 3)
     attempts.to_parquet(raw / "attempts.parquet")
     build(tmp_path / "card", raw, SETTINGS)
     page = (tmp_path / "card/README.md").read_text()
     assert "**3 sequences** of 1 to 3 manipulations: **9 states**" in page
     assert "9 triangulations" in page
+    assert "so 1 is 0.2857 m here" in page
     assert "Tried states" not in page
     assert "worst states" not in page
     quality = pd.read_csv(tmp_path / "card/tables/quality.csv").set_index(["measure", "step"])
     assert quality.loc[("intersections", 1), "states"] == 3
     assert quality.loc[("intersections", 3), "states"] == 1
     assert (quality.loc["height [normalised]", "states"] == 0).all()
+
+
+def test_settings_of_a_solver_that_had_no_part_in_it_are_not_told(raw: Path) -> None:
+    inputs = read(raw)
+    params = {**inputs.attributes["params"], "source": "arcsim", "runs": "runs/folder", "sequences": 3}
+    elsewhere = dataclasses.replace(inputs, attributes={"stage": "simulate", "params": params})
+    assert in_words(elsewhere) == (
+        "Made by stage *simulate*. The states come from arcsim, of the runs listed in `runs/folder/runs.csv`.\n"
+    )
+    assert "height" not in limits(elsewhere.params)
+    own = dataclasses.replace(inputs, attributes={"params": {**params, "source": "own", "runs": ""}})
+    assert own.params.keys() == {"limits", "simulation", "sequences"}
 
 
 def test_settings_have_the_words_that_stand_beside_them() -> None:

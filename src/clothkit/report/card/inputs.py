@@ -29,6 +29,8 @@ MEASURED = ("height", "strain_p99", "strain_worst", "intersections", "gap", "res
 SHAPES = ("area", "folds")
 _ATTEMPTS = ("accepted", "reason", "states")
 
+_SOURCE = ("source", "runs")
+
 PARTS = ("states", "manipulations.parquet", "attempts.parquet", "topologies.parquet")
 
 
@@ -50,11 +52,18 @@ class Inputs:
     manipulations: pd.DataFrame
     vertices: Mapping[int, int]
     """Of each topology."""
+    sides: tuple[float, float]
+    """Of the smallest and the largest flat cloth [m]."""
 
     @property
     def params(self) -> Mapping[str, Any]:
-        """The settings among the attributes; all of these where another program wrote them."""
-        return self.attributes.get("params", self.attributes)
+        """The settings among the attributes; all of these where another program wrote them.
+
+        Where states come from elsewhere, the stage's other settings are of a solver that had no part in it.
+        """
+        stated = self.attributes.get("params", self.attributes)
+        elsewhere = stated.get("source", "own") != "own"
+        return {key: value for key, value in stated.items() if (key in _SOURCE) == elsewhere or key == "sequences"}
 
 
 @dataclass(frozen=True)
@@ -86,6 +95,7 @@ def read(raw: Path) -> Inputs:
         tried=tried,
         attempts=attempts[["attempt", *_ATTEMPTS]],
         manipulations=moves,
+        sides=_sides(topologies["material"]),
         vertices={int(n): len(m) // 2 for n, m in zip(topologies.index, topologies["material"], strict=True)},
     )
 
@@ -137,8 +147,14 @@ def _tried(attempts: pd.DataFrame, lists: Sequence[str]) -> pd.DataFrame:
     return table
 
 
+def _sides(materials: pd.Series) -> tuple[float, float]:
+    sides = [float(np.ptp(np.reshape(material, (-1, 2)), axis=0).mean()) for material in materials]
+    return min(sides), max(sides)
+
+
 def _at(values: Any, index: int) -> float:
-    return float(values[index]) if values is not None and 0 <= index < len(values) else np.nan
+    value = values[index] if values is not None and 0 <= index < len(values) else None
+    return np.nan if value is None else float(value)
 
 
 def _columns(path: Path) -> list[tuple[str, str]]:

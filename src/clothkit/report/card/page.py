@@ -38,6 +38,7 @@ TABLES = ("settings", "outcomes", "hands", "quality", "quality_tried", "against_
 
 # Said only when the artifacts' settings hold everything that a sentence names.
 _SENTENCES = (
+    "The states come from {source}, of the runs listed in `{runs}/runs.csv`.",
     "The cloth is a square of {simulation.cloth_side} m with {simulation.side} x {simulation.side} vertices, on a "
     "table.",
     "Layers lie {simulation.material.thickness} m apart where they touch.",
@@ -126,7 +127,7 @@ def in_words(inputs: Inputs) -> str:
         for sentence in _SENTENCES
         if all(key in stated for key in keys[sentence])
     ]
-    made = ", ".join(f"{key} *{attributes[key]}*" for key in ("stage", "scale", "source") if key in attributes)
+    made = ", ".join(f"{key} *{attributes[key]}*" for key in ("stage", "scale") if key in attributes)
     return " ".join([f"Made by {made}.", *said] if made else said or ["The files do not say."]) + "\n"
 
 
@@ -161,8 +162,8 @@ def _summary(inputs: Inputs) -> str:
 
 
 def _words(inputs: Inputs) -> str:
-    side = flatten(inputs.params).get("simulation.cloth_side")
-    metres = f", so 1 is {side / CLOTH_SIDE:.4g} m here" if isinstance(side, float) else ""
+    smallest, largest = (f"{side / CLOTH_SIDE:.4g}" for side in inputs.sides)
+    metres = f", so 1 is {smallest} m here" if smallest == largest else f": 1 is {smallest} to {largest} m here"
     return (
         "- *World frame*: metres, z up, the table is z = 0. The flat cloth's sides lie along x and y.\n"
         f"- *Normalised* lengths: the flat cloth's side is {CLOTH_SIDE}{metres}.\n"
