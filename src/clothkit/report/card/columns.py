@@ -8,7 +8,8 @@ _QUALITY = {
     "height": ("normalised", "of the highest vertex"),
     "strain_p99": (
         "1",
-        "99th percentile of abs(length / rest length - 1) over the edges along the grid's rows and columns",
+        "99th percentile of abs(length / rest length - 1) over the edges along the grid's rows and columns, over all "
+        "edges of an irregular triangulation",
     ),
     "strain_worst": ("1", "the largest of these"),
     "intersections": ("count", "pairs of an edge and a triangle that pierce each other"),

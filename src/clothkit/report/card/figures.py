@@ -48,7 +48,9 @@ def _histogram(axis: Axes, samples: Sequence[Sequence[float]], measure: Measure,
         edges = np.arange(found.min() - 0.5, found.max() + 1).tolist()
         axis.xaxis.set_major_locator(MaxNLocator(integer=True))
     else:
-        edges = np.linspace(found.min(), max(found.max(), found.min() + 1e-6), BINS + 1).tolist()
+        # Values that are all the same need some width to be seen.
+        slack = 0.5 * max(0.1 * np.abs(found).max() - np.ptp(found), 0)
+        edges = np.linspace(found.min() - slack, found.max() + slack + 1e-9, BINS + 1).tolist()
     for sample, colour in zip(samples, COLOURS, strict=True):
         if not len(sample):
             continue

@@ -100,8 +100,8 @@ def page(contents: Contents) -> str:
         f"Drawn at random (seed {contents.seed}) from all accepted sequences, not chosen.\n",
         "![Sequences](figures/sequences.png)\n",
         "*From above, centred; blue and orange are the cloth's two sides. Dotted: the hands' ways from where they "
-        "grasp (circle) to where they let go (cross), red the first, green the other. The number is the state's height "
-        "[normalised].*\n",
+        "grasp (circle) to where they let go (cross), red the first, green the other. The number is the height "
+        "[normalised] of the state as it is drawn, interpolated to 32 x 32 vertices.*\n",
         _worst(contents),
     ]
     return "\n".join(part for part in parts if part)
@@ -151,10 +151,11 @@ def _summary(inputs: Inputs) -> str:
     counts = f"{vertices[0]}" if len(vertices) == 1 else f"{vertices[0]} to {vertices[-1]}"
     kept = inputs.attempts["accepted"].astype(bool)
     topologies = "one triangulation" if len(inputs.vertices) == 1 else f"{len(inputs.vertices)} triangulations"
+    many = "manipulation" if long == "1" else "manipulations"
     return (
-        "Sequences of a square cloth that lies on a table and is folded at random by a robot with one or two hands, "
+        "Sequences of a square cloth that lies on a table and is folded by a robot with one or two hands, "
         "simulated: every state at rest as a triangle mesh, and between states what the hands did. For learning what a "
-        f"manipulation does to a cloth.\n\n**{sequences} sequences** of {long} manipulations: **{len(inputs.states)} "
+        f"manipulation does to a cloth.\n\n**{sequences} sequences** of {long} {many}: **{len(inputs.states)} "
         f"states**, {moves} manipulations, {counts} vertices a state in {topologies}. Of {len(kept)} tried sequences "
         f"{int(kept.sum())} were accepted ({_percent(kept.mean())}); "
         f"{_percent((inputs.manipulations['hands'] == 1).mean())} of the manipulations are single-handed.\n"
