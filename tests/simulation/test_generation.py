@@ -62,6 +62,15 @@ def test_the_artifacts_hold_what_the_design_says(raw: Path) -> None:
     assert attempts["accepted"].iloc[-1]
     assert ((attempts["reason"] == "") == attempts["accepted"]).all()
     assert attempts["area"][0][0] == pytest.approx(1, abs=0.03)
+    accepted = attempts[attempts["accepted"]]
+    for name in ("height", "strain_p99", "strain_worst", "intersections", "gap", "residual_speed"):
+        lists = np.stack(attempts[name].tolist())
+        assert lists.dtype == np.float32
+        np.testing.assert_array_equal(np.isnan(lists).sum(1), 4 - attempts["states"])
+        np.testing.assert_array_equal(np.concatenate(accepted[name].tolist()), states[name])
+    settled = np.stack(attempts["settle_time"].tolist())
+    np.testing.assert_array_equal(np.isnan(settled).sum(1), 4 - attempts["states"])
+    np.testing.assert_array_equal(np.concatenate(accepted["settle_time"].tolist()), manipulations["settle_time"])
 
 
 def test_workers_and_blocks_change_nothing(raw: Path, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from tqdm import tqdm
 from clothkit.cloth.grid import CLOTH_SIDE, SIDE, geodesic
 from clothkit.cloth.silhouette import centred
 from clothkit.config import config
-from clothkit.dataset.raw import MANIPULATION_COLUMNS, STATE_COLUMNS, TOPOLOGY_COLUMNS, read_states, read_table
+from clothkit.dataset.raw import MANIPULATION_COLUMNS, STATE_COLUMNS, Topologies, Topology, read_states, read_table
 from clothkit.dataset.store import SPLITS, STATES, STEPS, Dataset
 from clothkit.errors import InputError
 
@@ -96,7 +96,6 @@ def regularise(raw: Path, settings: RegulariseConfig) -> Dataset:
     """The dataset of a folder of raw artifacts. Raises InputError when they are too few, or not as they should be."""
     states = read_states(raw / "states")
     manipulations = read_table(raw / "manipulations.parquet", MANIPULATION_COLUMNS)
-    topologies = read_table(raw / "topologies.parquet", TOPOLOGY_COLUMNS).set_index("topology")
     wanted = settings.train + settings.validation + settings.test
     sequences = states["sequence"].unique()[:wanted].tolist()
     if len(sequences) < wanted:
@@ -106,7 +105,7 @@ def regularise(raw: Path, settings: RegulariseConfig) -> Dataset:
         )
     vertices = np.full((wanted, STATES, SIDE, SIDE, 3), np.nan, np.float32)
     centres = np.full((wanted, STATES, 2), np.nan, np.float32)
-    meshes = _Mesher(raw, topologies)
+    meshes = Mesher(Topologies(raw))
     row_of = {sequence: row for row, sequence in enumerate(sequences)}
     chosen = states[states["sequence"].isin(row_of)]
     columns = (chosen[name] for name in STATE_COLUMNS)
@@ -130,33 +129,30 @@ def assign_splits(settings: RegulariseConfig) -> tuple[np.ndarray, np.ndarray]:
     return split, evaluated
 
 
-class _Mesher:
-    """Raw states as normalised meshes; interpolations are made once a topology."""
+class Mesher:
+    """Raw states as normalised meshes, where they lay on the table; interpolations are made once a topology.
 
-    def __init__(self, raw: Path, topologies: pd.DataFrame) -> None:
-        self.raw, self.topologies = raw, topologies
-        self.made: dict[int, tuple[Interpolation, float, int]] = {}
+    Calls take a name for error messages, the topology's number and the vertices [m], flat or [vertices, 3]. They raise
+    InputError when the topology is unknown, doesn't cover the cloth, or has another number of vertices.
+    """
+
+    def __init__(self, topologies: Topologies) -> None:
+        self.topologies = topologies
+        self.made: dict[int, tuple[Interpolation, float]] = {}
 
     def __call__(self, where: str, topology: int, vertices: np.ndarray) -> Float[np.ndarray, "u v 3"]:
+        shared, positions = self.topologies(where, topology, vertices)
         if topology not in self.made:
             if len(self.made) == KEPT:
                 self.made.clear()
-            self.made[topology] = self._make(where, topology)
-        interpolate, scale, count = self.made[topology]
-        positions = np.asarray(vertices, np.float32).reshape(-1, 3)
-        if len(positions) != count:
-            raise InputError(f"{where}: has {len(positions)} vertices, its topology {topology} has {count}")
+            self.made[topology] = self._make(topology, shared)
+        interpolate, scale = self.made[topology]
         return (interpolate(positions) * scale).astype(np.float32)
 
-    def _make(self, where: str, topology: int) -> tuple[Interpolation, float, int]:
-        if topology not in self.topologies.index:
-            raise InputError(f"{where}: its topology {topology} is not in topologies.parquet")
-        row = self.topologies.loc[topology]
-        material = np.asarray(row["material"], float).reshape(-1, 2)
-        triangles = np.asarray(row["triangles"], np.int32).reshape(-1, 3)
-        side = float(np.ptp(material, axis=0).mean())
-        name = f"{self.raw}/topologies.parquet: topology {topology}"
-        return interpolation(material, triangles, name=name), CLOTH_SIDE / side, len(material)
+    def _make(self, number: int, topology: Topology) -> tuple[Interpolation, float]:
+        name = f"{self.topologies.path}: topology {number}"
+        side = float(np.ptp(topology.material, axis=0).mean())
+        return interpolation(topology.material, topology.triangles, name=name), CLOTH_SIDE / side
 
 
 def _steps(table: pd.DataFrame, row_of: dict[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -18,6 +18,8 @@ from clothkit.simulation.settings import SimulationConfig
 from clothkit.simulation.solver import flat_state
 
 SHARD = 500  # sequences in a file of states
+QUALITY = ("height", "strain_p99", "strain_worst", "intersections", "gap", "residual_speed")
+"""What is measured on every state, accepted or not."""
 
 STATES = pa.schema(
     {
@@ -54,6 +56,7 @@ ATTEMPTS = pa.schema(
         "states": pa.int32(),
         "area": pa.list_(pa.float32()),
         "folds": pa.list_(pa.int32()),
+        **{name: pa.list_(pa.float32()) for name in (*QUALITY, "settle_time")},
     }
 )
 TOPOLOGIES = pa.schema({"topology": pa.int32(), "material": pa.list_(pa.float32()), "triangles": pa.list_(pa.int32())})
@@ -102,8 +105,7 @@ def _states(part: Attempts, first: int) -> pa.Table:
         "topology": np.zeros(count * states, np.int32),
         "vertices": _lists(part.states.reshape(count * states, -1)),
     }
-    names = ("height", "strain_p99", "strain_worst", "intersections", "gap", "residual_speed")
-    columns |= {name: getattr(part, name).ravel() for name in names}
+    columns |= {name: getattr(part, name).ravel() for name in QUALITY}
     return pa.table(columns, schema=STATES)
 
 
@@ -126,7 +128,7 @@ def _manipulations(accepted: Attempts, seed: int) -> pa.Table:
 
 
 def _attempts(attempts: Attempts, seed: int) -> pa.Table:
-    columns = {
+    columns: dict[str, Any] = {
         "attempt": attempts.attempt,
         "seed": np.full(len(attempts.attempt), seed, np.int64),
         "accepted": attempts.accepted,
@@ -135,7 +137,15 @@ def _attempts(attempts: Attempts, seed: int) -> pa.Table:
         "area": _lists(attempts.area),
         "folds": _lists(attempts.folds),
     }
+    # Tried states are written beside the accepted ones: what the limits do to the data can then be seen.
+    columns |= {name: _lists(_reached(getattr(attempts, name), attempts.reached)) for name in QUALITY}
+    columns["settle_time"] = _lists(_reached(attempts.settle_time, attempts.reached - 1))
     return pa.table(columns, schema=ATTEMPTS)
+
+
+def _reached(values: np.ndarray, count: np.ndarray) -> np.ndarray:
+    """A row per attempt as float32, NaN after its first `count` values."""
+    return np.where(np.arange(values.shape[1]) < count[:, None], values, np.nan).astype(np.float32)
 
 
 def _topologies(simulation: SimulationConfig) -> pa.Table:
