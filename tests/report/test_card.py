@@ -23,8 +23,8 @@ from clothkit.simulation.settings import SimulateConfig
 
 SETTINGS = CardConfig(sequences=2, worst=1)
 ATTRIBUTES = (
-    b'{"stage": "simulate", "scale": "smoke", "params": {"limits": {"height": 0.125, "strain_p99": 0.06}, '
-    b'"simulation": {"side": 32, "cloth_side": 0.4}}}'
+    b'{"stage": "simulate", "scale": "smoke", "params": {"limits": {"height": 0.125, "strain_p99": 0.06, '
+    b'"gap": 0.4}, "simulation": {"side": 32, "cloth_side": 0.4, "material": {"thickness": 0.002}}}}'
 )
 REASONS = ["", "intersections", "", "too high", "", "no manipulation"]
 REACHED = [4, 3, 4, 4, 4, 2]
@@ -112,7 +112,8 @@ def test_the_numbers_are_those_of_the_files(raw: Path, card: Path) -> None:
         limits = table.groupby("measure")["limit"].first()
         assert limits["height [normalised]"] == 0.125
         assert limits["strain, 99th percentile [%]"] == pytest.approx(6)
-        assert np.isnan(limits["gap between layers [mm]"])
+        assert limits["gap between layers [mm]"] == pytest.approx(0.8)  # stated as a share of the thickness
+        assert np.isnan(limits["residual speed [mm/s]"])
     differ = pd.read_csv(card / "tables/against_tried.csv").set_index(["measure", "step"])
     for title, name in (("folds", "folds"), ("silhouette area [flat cloth's]", "area")):
         accepted, tried = (np.median(values(raw, name, 2, accepted=only)) for only in (True, False))

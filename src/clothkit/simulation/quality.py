@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 from clothkit.cloth.grid import CLOTH_SIDE, edges, triangles
 from clothkit.simulation.kernels.inspection import count_intersections, measure_gaps
-from clothkit.simulation.settings import Limits, SimulationConfig
+from clothkit.simulation.settings import SimulateConfig, SimulationConfig
 from clothkit.simulation.world import Outcome
 
 GAP_REACH = 3.0  # grid spacings: gaps are measured up to here; a flat cloth has about as much
@@ -48,13 +48,15 @@ def measure(states: Float[np.ndarray, "states u v 3"], settings: SimulationConfi
     )
 
 
-def reason(quality: Quality, outcome: Outcome, limits: Limits, index: int) -> str:
+def reason(quality: Quality, outcome: Outcome, settings: SimulateConfig, index: int) -> str:
     """Why the state is rejected, the first that holds; empty when it is accepted."""
+    limits = settings.limits
     checks = {
         "not finite": not quality.finite[index],
         "not at rest": not outcome.rested[index] or outcome.residual_speed[index] > limits.residual_speed,
         "below table": quality.lowest[index] < -limits.below_table,
         "intersections": quality.intersections[index] > limits.intersections,
+        "layers too close": quality.gap[index] < limits.gap * settings.simulation.material.thickness,
         "too high": quality.height[index] > limits.height,
         "strained": quality.strain_p99[index] > limits.strain_p99 or quality.strain_worst[index] > limits.strain_worst,
     }

@@ -81,6 +81,7 @@ class Limits:
     strain_p99: Positive = 0.03  # 99th percentile of |length / rest - 1| over the grid's edges
     strain_worst: Positive = 0.1
     intersections: Annotated[int, Ge(0)] = 0
+    gap: NotNegative = 0.5  # of the thickness, least distance of a vertex to the surface outside its two-ring
     below_table: NotNegative = 0.0  # m, how far a vertex may lie below the table
 
 

@@ -18,7 +18,7 @@ _QUALITY = {
         "smallest distance of a vertex to another part of the cloth: to triangles that touch no vertex within two "
         "rows and columns of it; at most three grid spacings",
     ),
-    "residual_speed": ("m/s", "of the fastest vertex, mean over the last moments before the state was recorded"),
+    "residual_speed": ("m/s", "of the fastest vertex, the largest over the last moments before the state was recorded"),
 }
 _SEQUENCE = ("", "number of the sequence")
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from clothkit.manipulation.vector import SHORTEST
+from clothkit.report.card.meanings import flatten
 
 
 @dataclass(frozen=True)
@@ -62,4 +63,7 @@ def limits(params: Mapping[str, Any]) -> dict[str, float]:
     stated = params.get("limits")
     stated = stated if isinstance(stated, Mapping) else {}
     found = {m.name: float(stated[m.name]) for m in QUALITY if isinstance(stated.get(m.name), int | float)}
+    share, thickness = found.pop("gap", None), flatten(params).get("simulation.material.thickness")
+    if share is not None and thickness is not None:
+        found["gap"] = share * thickness
     return {**found, MOVE.name: SHORTEST}

@@ -46,12 +46,15 @@ _SENTENCES = (
     "{simulation.material.table_friction} on the table.",
     "Hands move at {simulation.hand_speed} m/s on average, along arcs that rise {simulation.highest_lift} (normalised) "
     "at the most above the point that was grasped.",
+    "Where layers lie on each other, hands grasp: {simulation.grasp}.",
     "A hand works alone with probability {sampling.single_share}.",
     "The simulator's time step is {simulation.time_step} s.",
-    "A state is recorded when no vertex moves faster than {limits.residual_speed} m/s, kept when it stands no higher "
-    "than {limits.height} (normalised), at most {limits.intersections} edges pierce a triangle, the strain's 99th "
-    "percentile is at most {limits.strain_p99} and its largest at most {limits.strain_worst}; a sequence is kept when "
-    "all its states are.",
+    "A state is recorded when no vertex has moved faster than {simulation.settling.rest_speed} m/s for "
+    "{simulation.settling.rest_time} s.",
+    "A state is kept when it stands no higher than {limits.height} (normalised), at most {limits.intersections} edges "
+    "pierce a triangle, the strain's 99th percentile is at most {limits.strain_p99} and its largest at most "
+    "{limits.strain_worst}, and layers lie no closer than {limits.gap} of the distance at which they touch; a "
+    "sequence is kept when all its states are.",
     "The seed of all random numbers is {seed}.",
 )
 
