@@ -20,7 +20,7 @@ from clothkit.simulation.world import Worlds
 SIDE = 16
 SIMULATION = SimulationConfig(side=SIDE)
 # Folds of so coarse a cloth are bulky and tangled: only those that never came to rest are rejected.
-LIMITS = Limits(height=1.0, intersections=10**6, strain_p99=1.0, strain_worst=2.0)
+LIMITS = Limits(height=1.0, intersections=10**6, gap=0.0, strain_p99=1.0, strain_worst=2.0)
 SETTINGS = SimulateConfig(sequences=3, seed=4, block=1, workers=1, simulation=SIMULATION, limits=LIMITS)
 SCALE = SIMULATION.cloth_side / CLOTH_SIDE
 
