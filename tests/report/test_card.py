@@ -19,7 +19,10 @@ from clothkit.report.card.meanings import meanings
 from clothkit.report.card.measures import limits
 from clothkit.report.card.page import in_words
 from clothkit.report.card.settings import CardConfig
+from clothkit.simulation.arcsim import import_runs
+from clothkit.simulation.arcsim_runs import read_runs
 from clothkit.simulation.settings import SimulateConfig
+from tests.simulation import arcsim_runs
 
 SETTINGS = CardConfig(sequences=2, worst=1)
 ATTRIBUTES = (
@@ -220,3 +223,19 @@ def test_settings_have_the_words_that_stand_beside_them() -> None:
     assert words["simulation.cloth_side"] == "m"
     assert words["limits.strain_worst"] == ""
     assert "simulation" not in words
+
+
+def test_imported_runs_have_a_card(tmp_path: Path) -> None:
+    """ARCSim's runs lack what our solver's attempts have: their lists are null."""
+    folder = tmp_path / "runs"
+    for seed, name in enumerate(("first", "second")):
+        arcsim_runs.write_run(folder / name, {0: (0.4, 0.0), 1: (0.4, 0.0)}, seed=seed)
+    arcsim_runs.write_table(folder, [[(name, 0), (name, arcsim_runs.FRAME)] for name in ("first", "second")])
+    sequences = read_runs(str(folder), 2)
+    attributes = {"stage": "simulate", "params": {"source": "arcsim", "runs": str(folder), "sequences": 2}}
+    import_runs(tmp_path / "raw", sequences, work=tmp_path / "work", attributes=attributes)
+    build(tmp_path / "card", tmp_path / "raw", SETTINGS)
+    quality = pd.read_csv(tmp_path / "card/tables/quality.csv").set_index(["measure", "step"])
+    assert quality.loc[("height [normalised]", 1), "states"] == 2
+    assert (quality.loc["gap between layers [mm]", "states"] == 0).all()
+    assert "Tried states" not in (tmp_path / "card/README.md").read_text()
