@@ -80,10 +80,12 @@ def test_workers_and_blocks_change_nothing(raw: Path, tmp_path: Path) -> None:
 
 def test_an_interrupted_run_goes_on(raw: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     attempted: list[int] = []
+    stopped: list[bool] = []
     attempt_sequences = generation.attempt_sequences
 
     def interrupted(numbers: range, settings: SimulateConfig) -> generation.Attempts:
-        if len(attempted) == 2:
+        if len(attempted) == 2 and not stopped:
+            stopped.append(True)
             attempted.clear()
             raise KeyboardInterrupt
         attempted.append(numbers[0])
