@@ -1,8 +1,10 @@
-"""Record sequences of random manipulations in the simulator: data/raw/."""
+"""Record sequences of random manipulations in the simulator, or take those of ARCSim's runs: data/raw/."""
 
 import shutil
 from pathlib import Path
 
+from clothkit.simulation.arcsim import import_runs
+from clothkit.simulation.arcsim_runs import files, read_runs
 from clothkit.simulation.generation import generate
 from clothkit.stage import stage
 
@@ -11,15 +13,19 @@ PARTS = ("states", "manipulations.parquet", "attempts.parquet", "topologies.parq
 
 
 def main() -> None:
-    """Simulate, and publish the four raw artifacts."""
+    """Simulate or import, and publish the four raw artifacts."""
     with stage("simulate") as s:
-        work = s.work(inputs=[])
+        sequences = read_runs(s.params.runs, s.params.sequences) if s.params.source == "arcsim" else []
+        work = s.work(inputs=files(sequences))
         raw = work / "raw"
         shutil.rmtree(raw, ignore_errors=True)
         made_with = s.attributes
         for indifferent in ("block", "workers"):
             del made_with["params"][indifferent]
-        print(generate(raw, s.params, work=work, attributes=made_with))
+        if sequences:
+            print(import_runs(raw, sequences, work=work, attributes=made_with))
+        else:
+            print(generate(raw, s.params, work=work, attributes=made_with))
         for part in PARTS:
             s.publish(raw / part, RAW / part)
 

@@ -51,6 +51,7 @@ def test_every_scale_of_the_repository_is_valid(tmp_path: Path) -> None:
         ),
         ({"scales.laptop.regularise.train": "many"}, "scales.laptop.regularise.train: input should be a valid integer"),
         ({"scales.laptop.regularise.train": 3.5}, "scales.laptop.regularise.train: input should be a valid integer"),
+        ({"scales.laptop.simulate.source": "arksim"}, "simulate.source: input should be 'own' or 'arcsim', found"),
         ({"alpha": -1.0}, "alpha: input should be greater than or equal to 0"),
         ({"scale": "huge"}, "scale: input should be 'smoke', 'laptop', 'overnight' or 'paper'"),
         ({"scales.paper.regularise": ...}, "scales.paper.regularise is missing"),

@@ -14,6 +14,7 @@ from clothkit.errors import InputError
 from clothkit.evaluation.settings import EvaluateEstimationConfig, EvaluatePredictionConfig
 from clothkit.networks.settings import TrainPEMDConfig, TrainVtMConfig
 from clothkit.planning.settings import NormaliseConfig, PlanConfig
+from clothkit.report.card.settings import CardConfig
 from clothkit.report.settings import ReportConfig
 from clothkit.simulation.settings import SimulateConfig
 
@@ -24,6 +25,7 @@ class StageParams(pydantic.BaseModel, frozen=True, extra="forbid"):
     """The settings of every stage at one scale."""
 
     simulate: SimulateConfig
+    card: CardConfig
     regularise: RegulariseConfig
     augment: AugmentConfig
     train_pemd: TrainPEMDConfig

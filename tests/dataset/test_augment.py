@@ -50,3 +50,23 @@ def test_a_null_leaves_the_state_and_moves_the_rest_on() -> None:
 def test_the_seed_decides() -> None:
     first, second = (augment(make(), AugmentConfig(seed=3)) for _ in range(2))
     np.testing.assert_array_equal(first.vertices, second.vertices)
+
+
+def test_short_sequences_stay_true() -> None:
+    original = make()
+    original.length[:] = [1, 2, 1, 3, 2]
+    missing = np.arange(4) > original.length[:, None]
+    original.vertices[missing] = original.centre[missing] = np.nan
+    original.manipulation[missing[:, 1:]] = np.nan
+    original.hands[missing[:, 1:]] = 0
+    augmented = augment(original, AugmentConfig(variants=8, null_share=1.0))
+    assert augmented.length.tolist() == np.repeat([2, 3, 2, 3, 3], 8).tolist()
+    present = np.arange(4) <= augmented.length[:, None]
+    np.testing.assert_array_equal(np.isfinite(augmented.vertices).all((2, 3, 4)), present)
+    np.testing.assert_array_equal(np.isfinite(augmented.manipulation).all(2), present[:, 1:])
+    np.testing.assert_array_equal(augmented.hands > 0, present[:, 1:])
+    for row in np.flatnonzero(augmented.length == 2):
+        same = [bool(error(*augmented.vertices[row, s : s + 2]) < 1e-6) for s in range(2)]
+        norms = np.linalg.norm(augmented.manipulation[row, :2, 4:], axis=-1)
+        assert sum(same) == 1
+        assert norms[same.index(True)] < SHORTEST

@@ -24,13 +24,16 @@ SEQUENCES = 5
 
 @pytest.fixture(scope="module")
 def dataset() -> Dataset:
+    """Four evaluated sequences, the last of them, 3, with two manipulations only."""
     rng = np.random.default_rng(0)
     shape = (SEQUENCES, 4, 32, 32, 3)
     vertices = np.broadcast_to(grid.flat(), shape) * np.array([0.9, 0.7, 1]) + 0.01 * rng.normal(size=shape)
+    centre, manipulation = rng.normal(size=(SEQUENCES, 4, 2)), rng.uniform(-1, 1, (SEQUENCES, 3, 6))
+    vertices[3, 3] = centre[3, 3] = manipulation[3, 2] = np.nan
     return Dataset(
         vertices.astype(np.float32),
-        rng.normal(size=(SEQUENCES, 4, 2)).astype(np.float32),
-        rng.uniform(-1, 1, (SEQUENCES, 3, 6)).astype(np.float32),
+        centre.astype(np.float32),
+        manipulation.astype(np.float32),
         np.full((SEQUENCES, 3), 2, np.int8),
         np.array([3, 3, 3, 2, 3], np.int8),
         np.array([0, 2, 2, 2, 1], np.int8),
@@ -51,12 +54,16 @@ def estimates(dataset: Dataset) -> estimation.Estimates:
     return estimation.estimates(dataset, Net(config, vtm.initial(config, key=jax.random.key(0))), settings)
 
 
-def test_estimates_are_of_whole_evaluated_sequences(dataset: Dataset, estimates: estimation.Estimates) -> None:
-    assert estimates.sequence.tolist() == [0, 1, 2]
-    assert estimates.mesh.shape == (3, 4, 32, 32, 3)
+def test_estimates_are_of_the_states_of_evaluated_sequences(dataset: Dataset, estimates: estimation.Estimates) -> None:
+    assert estimates.sequence.tolist() == [0, 1, 2, 3]
+    assert estimates.mesh.shape == (4, 4, 32, 32, 3)
+    missing = np.isnan(estimates.mesh).any((2, 3, 4))
+    assert np.argwhere(missing).tolist() == [[3, 3]]
+    np.testing.assert_array_equal(estimates.label < 0, missing)
     tidy = estimation.rows(dataset, estimates)
-    assert len(tidy) == 3 * 3 * 2
-    assert tidy.groupby("split")["sequence"].unique().map(list).to_dict() == {"test": [1, 2], "train": [0]}
+    assert len(tidy) == (3 * 3 + 2) * 2
+    assert not tidy.isna().any().any()
+    assert tidy.groupby("split")["sequence"].unique().map(list).to_dict() == {"test": [1, 2, 3], "train": [0]}
     assert sorted(tidy["state"].unique()) == [1, 2, 3]
     assert (tidy["error"] <= tidy["error_labelled"] + 1e-6).all()
 
@@ -77,7 +84,10 @@ def test_estimation_rows_of_known_estimates(dataset: Dataset, estimates: estimat
 def test_prediction_rows(dataset: Dataset, forward: dict[str, Net], estimates: estimation.Estimates) -> None:
     given = prediction.starts(dataset, estimates._asdict())
     tidy = prediction.rows(dataset, given, forward, "b", EvaluatePredictionConfig(batch=2))
-    assert len(tidy) == 2 * 2 * 6 * 3
+    # Three sequences have six tasks, the short one three.
+    assert len(tidy) == 2 * 2 * (3 * 6 + 3)
+    assert not tidy.isna().any().any()
+    assert (tidy.loc[tidy["sequence"] == 3, ["start", "length"]].sum(axis=1) <= 2).all()
     assert set(tidy.loc[tidy["better"], "net"]) == {"b"}
     assert set(zip(tidy["start"], tidy["length"], strict=True)) == set(TASKS)
     # One of them by hand: NumPy's centre shift and error of net a, from the true mesh.
@@ -93,9 +103,16 @@ def test_prediction_rows(dataset: Dataset, forward: dict[str, Net], estimates: e
 def test_starts_carry_the_labels_of_the_truth(dataset: Dataset, estimates: estimation.Estimates) -> None:
     turned = np.asarray(relabel(dataset.vertices[estimates.sequence], 1))
     given = prediction.starts(
-        dataset, {"sequence": estimates.sequence, "mesh": turned, "label": np.full((3, 4), 1, np.int32)}
+        dataset, {"sequence": estimates.sequence, "mesh": turned, "label": np.full((4, 4), 1, np.int32)}
     )
     np.testing.assert_array_equal(given.meshes["main"], given.meshes["a1"])
+
+
+def test_a_state_without_an_estimate_is_told(dataset: Dataset, estimates: estimation.Estimates) -> None:
+    label = estimates.label.copy()
+    label[1, 2] = -1
+    with pytest.raises(InputError, match="expected one of state 2 of sequence 1, found none"):
+        prediction.starts(dataset, estimates._replace(label=label)._asdict())
 
 
 def test_stored_predictions_come_back(
@@ -117,3 +134,22 @@ def test_stored_predictions_come_back(
         arrays.load(tmp_path / "one.zarr", ("nothing",))
     with pytest.raises(InputError, match=r"three\.zarr"):
         arrays.load(tmp_path / "three.zarr", ("mean",))
+
+
+def test_what_lies_past_a_sequences_end_may_be_missing(
+    dataset: Dataset, forward: dict[str, Net], estimates: estimation.Estimates, tmp_path: Path
+) -> None:
+    given = prediction.starts(dataset, estimates._asdict())
+    stored = prediction.stored(dataset, given, forward["a"], EvaluatePredictionConfig(stored=3))
+    assert np.argwhere(np.isnan(stored["mean"].values).all((2, 3, 4))).tolist() == [[3, 2]]
+    arrays.save(tmp_path / "whole.zarr", stored, {})
+    found = arrays.load(tmp_path / "whole.zarr", ("start", "mean", "shift"))
+    np.testing.assert_array_equal(np.isnan(found["shift"]).any(-1), np.isnan(found["mean"]).any((2, 3, 4)))
+    for place in ((3, 1), (3, 0), (0, 0, 5, 6, 1)):
+        mean = stored["mean"].values.copy()
+        mean[place] = np.nan
+        if place == (3, 1):
+            mean[3, 2] = 0
+        arrays.save(tmp_path / "holes.zarr", {"mean": stored["mean"]._replace(values=mean)}, {})
+        with pytest.raises(InputError, match="array mean: expected finite values"):
+            arrays.load(tmp_path / "holes.zarr", ("mean",))

@@ -8,7 +8,7 @@ import pytest
 
 from clothkit.errors import InputError
 from clothkit.networks import training as loop
-from clothkit.networks.pemd_training import train_pemd
+from clothkit.networks.pemd_training import problem, sequences, train_pemd
 from clothkit.networks.settings import PEMDConfig, Start, TrainingConfig, TrainPEMDConfig, TrainVtMConfig, VtMConfig
 from clothkit.networks.training import Problem, train
 from clothkit.networks.vtm_training import train_vtm
@@ -106,3 +106,36 @@ def test_paper_recipe_runs_from_end_to_end(dataset, tmp_path):
     paper = TrainingConfig(iterations=6, batch=4, learning_rate=1e-3, validate_every=3, steps_per_call=3)
     trained = train_pemd(replace(PEMD, training=paper), dataset, dataset, work=tmp_path, key=jax.random.key(0))
     assert {"iteration", "loss_s", "loss_p", "learning_rate", "score", "1/0", "3/0"} <= set(trained.history)
+
+
+def cut(dataset, lengths):
+    """The dataset with sequences of these lengths."""
+    short = dataset.take(np.arange(len(lengths)))
+    short.length[:] = lengths
+    missing = np.arange(4) > short.length[:, None]
+    short.vertices[missing] = short.centre[missing] = np.nan
+    short.manipulation[missing[:, 1:]] = np.nan
+    return short
+
+
+@pytest.mark.parametrize("learn", [train_pemd, train_vtm])
+def test_nets_learn_from_short_sequences(dataset, tmp_path, learn):
+    settings = replace(PEMD if learn is train_pemd else VTM, training=replace(FAST, iterations=20))
+    training, validation = cut(dataset, [1, 2, 2, 1]), cut(dataset, [2, 1])
+    trained = learn(settings, training, validation, work=tmp_path, key=jax.random.key(0))
+    assert np.isfinite(trained.score)
+    assert np.isfinite(trained.history).all().all()
+    tasks = set(trained.history) & {"1/0", "1/1", "1/2", "2/0", "2/1", "3/0"}
+    assert tasks == ({"1/0", "1/1", "2/0"} if learn is train_pemd else set())
+
+
+def test_the_score_counts_every_task_of_every_sequence(dataset):
+    mixed = cut(dataset, [3, 1, 2])
+    made = problem(PEMD, sequences(mixed))
+    params = made.initial(jax.random.key(0))
+    found = made.validate(params)
+    alone = [problem(PEMD, sequences(mixed.take(slice(k, k + 1)))).validate(params) for k in range(3)]
+    for task, places in (("1/0", [0, 1, 2]), ("1/1", [0, 2]), ("2/0", [0, 2]), ("1/2", [0]), ("3/0", [0])):
+        assert found[task] == pytest.approx(np.mean([alone[place][task] for place in places]), rel=1e-5)
+    assert "1/1" not in alone[1]
+    assert found["score"] == pytest.approx(np.mean([value for name, value in found.items() if name != "score"]))

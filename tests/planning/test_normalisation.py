@@ -42,6 +42,20 @@ def test_medians_and_moments_by_hand() -> None:
     assert reference.spread.mean.shape == (2,)
 
 
+def test_reference_values_end_with_the_longest_sequence(tmp_path: Path) -> None:
+    data = dataset()
+    data.length[:] = [2, 1]
+    data.vertices[[0, 1, 1], [3, 2, 3]] = np.nan
+    data.manipulation[[0, 1, 1], [2, 1, 2]] = np.nan
+    found = normalise(toy.FORWARD, toy.NETS, data, NormaliseConfig(draws=2))
+    assert len(found.mu) == len(found.sigma) == len(found.low[0]) == len(found.high[1]) == 2
+    save(tmp_path / "mesh.json", found, {})
+    assert load(tmp_path / "mesh.json") == found
+    assert found.reference(2).spread.mean.shape == (2,)
+    with pytest.raises(InputError, match="plans of 3 manipulations, found them for up to 2"):
+        found.reference(3)
+
+
 def test_files(tmp_path: Path) -> None:
     path = tmp_path / "mesh.json"
     save(path, toy.NORMALISATION, {"seed": 0})

@@ -139,5 +139,8 @@ def test_a_session_is_drawn_from_its_record(inputs: Inputs, dataset: Dataset, tm
 
 
 def test_pictures_take_the_starts_in_turn() -> None:
-    assert picked([5, 6, 7, 8], 1) == [Task(5, 0, 1), Task(6, 1, 1), Task(7, 2, 1), Task(8, 0, 1)]
-    assert picked([5, 6], 3) == [Task(5, 0, 3), Task(6, 0, 3)]
+    assert picked([5, 6, 7, 8], [3] * 4, 1) == [Task(5, 0, 1), Task(6, 1, 1), Task(7, 2, 1), Task(8, 0, 1)]
+    assert picked([5, 6], [3, 3], 3) == [Task(5, 0, 3), Task(6, 0, 3)]
+    # Short sequences have fewer starts, or none.
+    assert picked([5, 6, 7], [1, 1, 2], 1) == [Task(5, 0, 1), Task(6, 0, 1), Task(7, 0, 1)]
+    assert picked([5, 6], [1, 2], 2) == [Task(6, 0, 2)]

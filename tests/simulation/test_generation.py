@@ -20,7 +20,7 @@ from clothkit.simulation.world import Worlds
 SIDE = 16
 SIMULATION = SimulationConfig(side=SIDE)
 # Folds of so coarse a cloth are bulky and tangled: only those that never came to rest are rejected.
-LIMITS = Limits(height=1.0, intersections=10**6, strain_p99=1.0, strain_worst=2.0)
+LIMITS = Limits(height=1.0, intersections=10**6, gap=0.0, strain_p99=1.0, strain_worst=2.0)
 SETTINGS = SimulateConfig(sequences=3, seed=4, block=1, workers=1, simulation=SIMULATION, limits=LIMITS)
 SCALE = SIMULATION.cloth_side / CLOTH_SIDE
 
@@ -62,6 +62,15 @@ def test_the_artifacts_hold_what_the_design_says(raw: Path) -> None:
     assert attempts["accepted"].iloc[-1]
     assert ((attempts["reason"] == "") == attempts["accepted"]).all()
     assert attempts["area"][0][0] == pytest.approx(1, abs=0.03)
+    accepted = attempts[attempts["accepted"]]
+    for name in ("height", "strain_p99", "strain_worst", "intersections", "gap", "residual_speed"):
+        lists = np.stack(attempts[name].tolist())
+        assert lists.dtype == np.float32
+        np.testing.assert_array_equal(np.isnan(lists).sum(1), 4 - attempts["states"])
+        np.testing.assert_array_equal(np.concatenate(accepted[name].tolist()), states[name])
+    settled = np.stack(attempts["settle_time"].tolist())
+    np.testing.assert_array_equal(np.isnan(settled).sum(1), 4 - attempts["states"])
+    np.testing.assert_array_equal(np.concatenate(accepted["settle_time"].tolist()), manipulations["settle_time"])
 
 
 def test_workers_and_blocks_change_nothing(raw: Path, tmp_path: Path) -> None:
@@ -71,10 +80,12 @@ def test_workers_and_blocks_change_nothing(raw: Path, tmp_path: Path) -> None:
 
 def test_an_interrupted_run_goes_on(raw: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     attempted: list[int] = []
+    stopped: list[bool] = []
     attempt_sequences = generation.attempt_sequences
 
     def interrupted(numbers: range, settings: SimulateConfig) -> generation.Attempts:
-        if len(attempted) == 2:
+        if len(attempted) == 2 and not stopped:
+            stopped.append(True)
             attempted.clear()
             raise KeyboardInterrupt
         attempted.append(numbers[0])

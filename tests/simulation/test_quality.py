@@ -6,7 +6,7 @@ from scipy.optimize import minimize
 
 from clothkit.cloth.grid import edges, triangles
 from clothkit.simulation.quality import Quality, gaps, intersections, measure, reason
-from clothkit.simulation.settings import Limits, SimulationConfig
+from clothkit.simulation.settings import SimulateConfig, SimulationConfig
 from clothkit.simulation.solver import flat_state
 from clothkit.simulation.world import Outcome
 
@@ -111,13 +111,14 @@ def test_reasons() -> None:
         quality = Quality(**{name: np.array([changes.get(name, value)]) for name, value in values.items()})
         speed = np.array([changes.get("speed", 0.001)])
         outcome = Outcome(np.zeros((1, 2, 2, 3), np.float32), np.array([True]), speed, np.zeros(1))
-        return reason(quality, outcome, Limits(), 0)
+        return reason(quality, outcome, SimulateConfig(sequences=1), 0)
 
     assert rejected() == ""
     assert rejected(finite=False) == "not finite"
     assert rejected(speed=0.02) == "not at rest"
     assert rejected(lowest=-0.001) == "below table"
     assert rejected(intersections=1) == "intersections"
+    assert rejected(gap=0.49 * SETTINGS.material.thickness) == "layers too close"
     assert rejected(height=0.13) == "too high"
     assert rejected(strain_p99=0.1) == rejected(strain_worst=0.4) == "strained"
 

@@ -12,9 +12,15 @@ from tqdm import tqdm
 from clothkit.cloth.grid import CLOTH_SIDE, SIDE, geodesic
 from clothkit.cloth.silhouette import centred
 from clothkit.config import config
-from clothkit.dataset.raw import MANIPULATION_COLUMNS, STATE_COLUMNS, TOPOLOGY_COLUMNS, read_states, read_table
+from clothkit.dataset.raw import MANIPULATION_COLUMNS, STATE_COLUMNS, Topologies, Topology, read_states, read_table
 from clothkit.dataset.store import SPLITS, STATES, STEPS, Dataset
 from clothkit.errors import InputError
+
+MARGIN = 1e-3
+"""How negative a barycentric weight may be for a point to count as covered: coordinates come with six digits."""
+
+KEPT = 64
+"""Interpolations kept at a time: ARCSim's states have a topology each."""
 
 
 @config
@@ -52,30 +58,54 @@ def interpolation(
     a, b, c = (material[triangles[:, k]].astype(float) for k in range(3))
     edge_b, edge_c = b - a, c - a
     area = edge_b[:, 0] * edge_c[:, 1] - edge_b[:, 1] * edge_c[:, 0]
-    offset = targets[:, None] - a
-    weight_b = (offset[..., 0] * edge_c[:, 1] - offset[..., 1] * edge_c[:, 0]) / area
-    weight_c = (edge_b[:, 0] * offset[..., 1] - edge_b[:, 1] * offset[..., 0]) / area
+    target, triangle = _near(targets.reshape(SIDE, SIDE, 2), np.stack([a, b, c]))
+    target, triangle = (index[area[triangle] != 0] for index in (target, triangle))
+    edge_b, edge_c, area, offset = edge_b[triangle], edge_c[triangle], area[triangle], targets[target] - a[triangle]
+    weight_b = (offset[:, 0] * edge_c[:, 1] - offset[:, 1] * edge_c[:, 0]) / area
+    weight_c = (edge_b[:, 0] * offset[:, 1] - edge_b[:, 1] * offset[:, 0]) / area
     weights = np.stack([1 - weight_b - weight_c, weight_b, weight_c], axis=-1)
-    best = weights.min(-1).argmax(-1)
-    chosen = weights[np.arange(len(targets)), best]
-    if chosen.min() < -1e-3:
+    # Of a target's triangles the one that it lies deepest in, the first of equals.
+    order = np.lexsort((triangle, -weights.min(-1), target))
+    covered, first = np.unique(target[order], return_index=True)
+    chosen = weights[order[first]]
+    if len(covered) < len(targets) or chosen.min() < -MARGIN:
         raise InputError(f"{name}: its triangles leave part of the material square uncovered")
     chosen = np.clip(np.where(np.abs(chosen) < 1e-6, 0, chosen), 0, 1)
-    return Interpolation(triangles[best], chosen / chosen.sum(-1, keepdims=True))
+    return Interpolation(triangles[triangle[order[first]]], chosen / chosen.sum(-1, keepdims=True))
+
+
+def _near(
+    targets: Float[np.ndarray, "u v 2"], corners: Float[np.ndarray, "3 triangles 2"]
+) -> tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"]]:
+    """Pairs of a target (index u * side + v) and a triangle in whose bounding box it lies: few of all pairs."""
+    low, high = corners.min(0), corners.max(0)
+    # What is outside by MARGIN in each of two weights may lie this far outside the box.
+    slack = 2.1 * MARGIN * (high - low)
+    firsts, counts = [], []
+    for axis, line in enumerate((targets[:, 0, 0], targets[0, :, 1])):
+        firsts.append(np.searchsorted(line, (low - slack)[:, axis], side="left"))
+        counts.append(np.searchsorted(line, (high + slack)[:, axis], side="right") - firsts[-1])
+    pairs = counts[0] * counts[1]
+    triangle = np.repeat(np.arange(len(pairs)), pairs)
+    place = np.arange(pairs.sum()) - np.repeat(np.cumsum(pairs) - pairs, pairs)
+    u, v = np.divmod(place, np.maximum(counts[1], 1)[triangle])
+    return (firsts[0][triangle] + u) * targets.shape[1] + firsts[1][triangle] + v, triangle
 
 
 def regularise(raw: Path, settings: RegulariseConfig) -> Dataset:
     """The dataset of a folder of raw artifacts. Raises InputError when they are too few, or not as they should be."""
     states = read_states(raw / "states")
     manipulations = read_table(raw / "manipulations.parquet", MANIPULATION_COLUMNS)
-    topologies = read_table(raw / "topologies.parquet", TOPOLOGY_COLUMNS).set_index("topology")
     wanted = settings.train + settings.validation + settings.test
     sequences = states["sequence"].unique()[:wanted].tolist()
     if len(sequences) < wanted:
-        raise InputError(f"{raw}: holds {len(sequences)} sequences, params ask for {wanted}; raise simulate.sequences")
+        raise InputError(
+            f"{raw}: holds {len(sequences)} sequences, params ask for {wanted} (train + validation + test); raise "
+            "simulate.sequences, add runs if they are ARCSim's, or lower regularise"
+        )
     vertices = np.full((wanted, STATES, SIDE, SIDE, 3), np.nan, np.float32)
     centres = np.full((wanted, STATES, 2), np.nan, np.float32)
-    meshes = _Mesher(raw, topologies)
+    meshes = Mesher(Topologies(raw))
     row_of = {sequence: row for row, sequence in enumerate(sequences)}
     chosen = states[states["sequence"].isin(row_of)]
     columns = (chosen[name] for name in STATE_COLUMNS)
@@ -99,31 +129,30 @@ def assign_splits(settings: RegulariseConfig) -> tuple[np.ndarray, np.ndarray]:
     return split, evaluated
 
 
-class _Mesher:
-    """Raw states as normalised meshes; interpolations are made once a topology."""
+class Mesher:
+    """Raw states as normalised meshes, where they lay on the table; interpolations are made once a topology.
 
-    def __init__(self, raw: Path, topologies: pd.DataFrame) -> None:
-        self.raw, self.topologies = raw, topologies
-        self.made: dict[int, tuple[Interpolation, float, int]] = {}
+    Calls take a name for error messages, the topology's number and the vertices [m], flat or [vertices, 3]. They raise
+    InputError when the topology is unknown, doesn't cover the cloth, or has another number of vertices.
+    """
+
+    def __init__(self, topologies: Topologies) -> None:
+        self.topologies = topologies
+        self.made: dict[int, tuple[Interpolation, float]] = {}
 
     def __call__(self, where: str, topology: int, vertices: np.ndarray) -> Float[np.ndarray, "u v 3"]:
+        shared, positions = self.topologies(where, topology, vertices)
         if topology not in self.made:
-            self.made[topology] = self._make(where, topology)
-        interpolate, scale, count = self.made[topology]
-        positions = np.asarray(vertices, np.float32).reshape(-1, 3)
-        if len(positions) != count:
-            raise InputError(f"{where}: has {len(positions)} vertices, its topology {topology} has {count}")
+            if len(self.made) == KEPT:
+                self.made.clear()
+            self.made[topology] = self._make(topology, shared)
+        interpolate, scale = self.made[topology]
         return (interpolate(positions) * scale).astype(np.float32)
 
-    def _make(self, where: str, topology: int) -> tuple[Interpolation, float, int]:
-        if topology not in self.topologies.index:
-            raise InputError(f"{where}: its topology {topology} is not in topologies.parquet")
-        row = self.topologies.loc[topology]
-        material = np.asarray(row["material"], float).reshape(-1, 2)
-        triangles = np.asarray(row["triangles"], np.int32).reshape(-1, 3)
-        side = float(np.ptp(material, axis=0).mean())
-        name = f"{self.raw}/topologies.parquet: topology {topology}"
-        return interpolation(material, triangles, name=name), CLOTH_SIDE / side, len(material)
+    def _make(self, number: int, topology: Topology) -> tuple[Interpolation, float]:
+        name = f"{self.topologies.path}: topology {number}"
+        side = float(np.ptp(topology.material, axis=0).mean())
+        return interpolation(topology.material, topology.triangles, name=name), CLOTH_SIDE / side
 
 
 def _steps(table: pd.DataFrame, row_of: dict[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -27,7 +27,10 @@ def save(path: Path, arrays: Mapping[str, Named], attributes: Mapping[str, Any])
 
 
 def load(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """The arrays of those names. Raises InputError if the store or one of them is missing, or holds NaN or infinity."""
+    """The arrays of those names. Raises InputError if the store or one of them is missing, or holds NaN or infinity.
+
+    Along a dimension `state` or `step`, what lies past a sequence's end is NaN throughout; that is no error.
+    """
     try:
         group = zarr.open_group(path, mode="r")
     except (OSError, ValueError) as reason:
@@ -38,7 +41,17 @@ def load(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
         if not isinstance(array, zarr.Array):
             raise InputError(f"{path}: expected an array {name}, found none")
         values = np.asarray(array[:])
-        if values.dtype.kind == "f" and not np.isfinite(values).all():
+        names_of_dimensions = getattr(array.metadata, "dimension_names", None) or ()
+        ending = any(name in ("state", "step") for name in names_of_dimensions[1:2])
+        if values.dtype.kind == "f" and not (_ends_whole(values) if ending else np.isfinite(values).all()):
             raise InputError(f"{path}: array {name}: expected finite values, found NaN or infinity")
         found[name] = values
     return found
+
+
+def _ends_whole(values: np.ndarray) -> bool:
+    """Whether each sequence's entries are finite up to some entry, the first at least, and NaN throughout after it."""
+    flat = values.reshape(*values.shape[:2], -1)
+    present = np.isfinite(flat).all(-1)
+    whole = present | np.isnan(flat).all(-1)
+    return bool(whole.all() and present[:, 0].all() and (present[:, 1:] <= present[:, :-1]).all())

@@ -4,12 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from tqdm import tqdm
 
 from clothkit.cloth import voxels
 from clothkit.cloth.mesh import ProbabilisticMesh
-from clothkit.dataset.store import SPLITS, STATES, STEPS, Dataset
+from clothkit.dataset.store import SPLITS, STATES, Dataset
 from clothkit.estimation.estimate import estimate
 from clothkit.evaluation.arrays import Named
 from clothkit.evaluation.errors import errors, labelled_errors, labels_of_truth, sigma_ratio
@@ -18,7 +18,10 @@ from clothkit.networks.net import Net
 
 
 class Estimates(NamedTuple):
-    """Estimates of the states of n evaluated sequences, under whatever labels VtM gave them [normalised]."""
+    """Estimates of the states of n evaluated sequences, under whatever labels VtM gave them [normalised].
+
+    Past a sequence's length floats are NaN, labels -1.
+    """
 
     sequence: Int[np.ndarray, " n"]
     """Index into the dataset."""
@@ -42,12 +45,13 @@ class Estimates(NamedTuple):
 
 
 def estimates(dataset: Dataset, net: Net, settings: EvaluateEstimationConfig) -> Estimates:
-    """VtM's and the refined estimate of all four states of every evaluated sequence of three manipulations.
+    """VtM's and the refined estimate of every state of every evaluated sequence.
 
     What VtM sees is doubled, occluded and free of noise (design 6.14).
     """
-    sequence = np.flatnonzero(dataset.evaluated & (dataset.length == STEPS))
-    truth = dataset.vertices[sequence].reshape(-1, *dataset.vertices.shape[2:])
+    sequence = np.flatnonzero(dataset.evaluated)
+    present = np.arange(STATES) <= dataset.length[sequence, None]
+    truth = dataset.vertices[sequence][present]
     parts: list[tuple[np.ndarray, ...]] = []
     for start in tqdm(range(0, len(truth), settings.batch), desc="estimates", unit="batch"):
         # A last batch that is filled up needs no compilation of its own.
@@ -56,8 +60,14 @@ def estimates(dataset: Dataset, net: Net, settings: EvaluateEstimationConfig) ->
         label = labels_of_truth(estimated.mesh, truth[chosen])
         kept = min(settings.batch, len(truth) - start)
         parts.append(tuple(np.asarray(a)[:kept] for a in (*estimated.probabilistic, estimated.mesh, label)))
-    joined = [np.concatenate(values) for values in zip(*parts, strict=True)]
-    return Estimates(sequence, *(values.reshape(-1, STATES, *values.shape[1:]) for values in joined))
+    return Estimates(sequence, *(_placed(np.concatenate(values), present) for values in zip(*parts, strict=True)))
+
+
+def _placed(values: np.ndarray, present: Bool[np.ndarray, "n state"]) -> np.ndarray:
+    """The values where they are present, [n state ...]; NaN, or -1 for labels, where nothing is."""
+    placed = np.full((*present.shape, *values.shape[1:]), np.nan if values.dtype.kind == "f" else -1, values.dtype)
+    placed[present] = values
+    return placed
 
 
 def rows(dataset: Dataset, found: Estimates) -> pd.DataFrame:
@@ -68,20 +78,24 @@ def rows(dataset: Dataset, found: Estimates) -> pd.DataFrame:
     """
     tidy = []
     for state in range(1, STATES):
-        truth = dataset.vertices[found.sequence, state]
-        probabilistic = ProbabilisticMesh(found.mean[:, state], found.std[:, state])
-        for kind, mesh in (("pmr", probabilistic.mean), ("dmr", found.mesh[:, state])):
+        long = dataset.length[found.sequence] >= state
+        sequence = found.sequence[long]
+        if not len(sequence):
+            continue
+        truth = dataset.vertices[sequence, state]
+        probabilistic = ProbabilisticMesh(found.mean[long, state], found.std[long, state])
+        for kind, mesh in (("pmr", probabilistic.mean), ("dmr", found.mesh[long, state])):
             tidy.append(
                 pd.DataFrame(
                     {
-                        "split": [SPLITS[code] for code in dataset.split[found.sequence]],
-                        "sequence": found.sequence,
+                        "split": [SPLITS[code] for code in dataset.split[sequence]],
+                        "sequence": sequence,
                         "state": state,
                         "kind": kind,
                         "error": np.asarray(errors(mesh, truth)),
                         "error_labelled": np.asarray(labelled_errors(mesh, truth)),
                         "error_no_action": np.asarray(
-                            errors(dataset.vertices[found.sequence, state - 1], truth, aligned=True)
+                            errors(dataset.vertices[sequence, state - 1], truth, aligned=True)
                         ),
                         "sigma_ratio": np.asarray(sigma_ratio(probabilistic, truth)),
                     }

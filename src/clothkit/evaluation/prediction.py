@@ -11,8 +11,9 @@ from tqdm import tqdm
 
 from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.cloth.mesh import ProbabilisticMesh
-from clothkit.dataset.store import SPLITS, Dataset
+from clothkit.dataset.store import SPLITS, STATES, STEPS, Dataset
 from clothkit.dataset.tasks import TASKS
+from clothkit.errors import InputError
 from clothkit.evaluation.arrays import Named
 from clothkit.evaluation.errors import errors, relabelled, sigma_ratio
 from clothkit.evaluation.settings import EvaluatePredictionConfig
@@ -21,7 +22,9 @@ from clothkit.networks.pemd import rollout
 
 
 class Starts(NamedTuple):
-    """What each system starts from, n evaluated sequences [normalised]. All under the labels of the truth.
+    """What each system starts from, n evaluated sequences [normalised], NaN past a sequence's length.
+
+    All under the labels of the truth.
 
     Recorded manipulations are labelled by the truth, so an estimate is relabelled to its best match (design 6.10).
     """
@@ -32,9 +35,16 @@ class Starts(NamedTuple):
 
 
 def starts(dataset: Dataset, estimates: Mapping[str, np.ndarray]) -> Starts:
-    """The starts of main and a1, from the arrays sequence, mesh and label of estimates.zarr."""
-    sequence, mesh = estimates["sequence"], estimates["mesh"]
-    joined = np.asarray(relabelled(mesh.reshape(-1, *mesh.shape[2:]), estimates["label"].reshape(-1)))
+    """The starts of main and a1, from the arrays sequence, mesh and label of estimates.zarr.
+
+    Raises InputError when a state has no estimate.
+    """
+    sequence, mesh, label = estimates["sequence"], estimates["mesh"], estimates["label"]
+    missing = (label < 0) & (np.arange(STATES) <= dataset.length[sequence, None])
+    if missing.any():
+        place, state = np.argwhere(missing)[0]
+        raise InputError(f"estimates: expected one of state {state} of sequence {sequence[place]}, found none")
+    joined = np.asarray(relabelled(mesh.reshape(-1, *mesh.shape[2:]), np.maximum(label, 0).reshape(-1)))
     return Starts(sequence, {"main": joined.reshape(mesh.shape), "a1": dataset.vertices[sequence]})
 
 
@@ -51,22 +61,26 @@ def rows(
     jobs = [(system, net, task) for system in given.meshes for net in sorted(nets) for task in TASKS]
     for system, net, (start, length) in tqdm(jobs, desc="predictions", unit="task"):
         end = start + length
-        truth = dataset.vertices[given.sequence, end]
-        manipulations = dataset.manipulation[given.sequence, start:end]
-        predicted, shift = _predict(nets[net], given.meshes[system][:, start], manipulations, settings.batch)
-        moved = dataset.centre[given.sequence, end] - dataset.centre[given.sequence, start]
+        long = dataset.length[given.sequence] >= end
+        sequence = given.sequence[long]
+        if not len(sequence):
+            continue
+        truth = dataset.vertices[sequence, end]
+        manipulations = dataset.manipulation[sequence, start:end]
+        predicted, shift = _predict(nets[net], given.meshes[system][long, start], manipulations, settings.batch)
+        moved = dataset.centre[sequence, end] - dataset.centre[sequence, start]
         tidy.append(
             pd.DataFrame(
                 {
-                    "split": [SPLITS[code] for code in dataset.split[given.sequence]],
+                    "split": [SPLITS[code] for code in dataset.split[sequence]],
                     "system": system,
                     "net": net,
                     "better": net == better,
-                    "sequence": given.sequence,
+                    "sequence": sequence,
                     "start": start,
                     "length": length,
                     "error": np.asarray(errors(predicted.mean[-1], truth)),
-                    "error_no_action": np.asarray(errors(dataset.vertices[given.sequence, start], truth, aligned=True)),
+                    "error_no_action": np.asarray(errors(dataset.vertices[sequence, start], truth, aligned=True)),
                     "position_error": np.linalg.norm(shift.sum(0) - moved, axis=-1) / CLOTH_SIDE,
                     "sigma_ratio": np.asarray(
                         sigma_ratio(ProbabilisticMesh(predicted.mean[-1], predicted.std[-1]), truth)
@@ -80,18 +94,23 @@ def rows(
 def stored(dataset: Dataset, given: Starts, net: Net, settings: EvaluatePredictionConfig) -> dict[str, Named]:
     """What main's better net predicts after 1, 2 and 3 manipulations of the first sequences of each split.
 
-    Arrays sequence, start (what it started from), mean, std [normalised] and shift (each step's centre shift, xy).
+    Arrays sequence, start (what it started from), mean, std [normalised] and shift (each step's centre shift, xy), NaN
+    past a sequence's length.
     """
     split = dataset.split[given.sequence]
     first = np.sort(np.concatenate([np.flatnonzero(split == name)[: settings.stored] for name in np.unique(split)]))
     start = given.meshes["main"][first, 0]
-    predicted, shift = _predict(net, start, dataset.manipulation[given.sequence[first]], settings.batch)
+    manipulations = np.nan_to_num(dataset.manipulation[given.sequence[first]])
+    predicted, shift = _predict(net, start, manipulations, settings.batch)
+    mean, std = (np.array(part) for part in predicted)
+    for values in (mean, std, shift):
+        values[np.arange(STEPS)[:, None] >= dataset.length[given.sequence[first]]] = np.nan
     vertices = ("u", "v", "xyz")
     return {
         "sequence": Named(given.sequence[first], ("sequence",)),
         "start": Named(start, ("sequence", *vertices)),
-        "mean": Named(np.moveaxis(np.asarray(predicted.mean), 0, 1), ("sequence", "step", *vertices)),
-        "std": Named(np.moveaxis(np.asarray(predicted.std), 0, 1), ("sequence", "step", *vertices)),
+        "mean": Named(np.moveaxis(mean, 0, 1), ("sequence", "step", *vertices)),
+        "std": Named(np.moveaxis(std, 0, 1), ("sequence", "step", *vertices)),
         "shift": Named(np.moveaxis(shift, 0, 1), ("sequence", "step", "xy")),
     }
 

@@ -103,7 +103,10 @@ def direction(
 
 
 def task_errors(net: PEMD, params: PyTree, data: Sequences) -> Float[Array, "6 sequences"]:
-    """Errors of the predicted means for the six tasks of whole sequences, from true meshes [cloth length]."""
+    """Errors of the predicted means for the six tasks of each sequence, from true meshes [cloth length].
+
+    NaN where a sequence is too short for the task.
+    """
     errors = {}
     for start in range(STEPS):
         manipulations = data.manipulation[:, start:]
@@ -126,19 +129,26 @@ def problem(settings: TrainPEMDConfig, validation: Sequences) -> Problem:
 
     def gradient(params: PyTree, data: Sequences, key: PRNGKeyArray) -> tuple[PyTree, dict[str, Any]]:
         length_key, draw_key, augment_key = jax.random.split(key, 3)
-        n = jax.random.randint(length_key, (), 1, STEPS + 1)
+        longest = jnp.sum(data.at_least[1:] > 0)
+        n = jax.random.randint(length_key, (), 1, longest + 1)
         drawn = draw(data, n, settings.training.batch, key=draw_key)
         examples = augment(drawn, noise=settings.noise, key=augment_key)
         # One length per batch, and only the branch that is taken runs.
         branches = [partial(_on_length, net, settings, length) for length in range(1, STEPS + 1)]
         return jax.lax.switch(n - 1, branches, params, examples)
 
-    errors_of = jax.jit(lambda params, data: jnp.mean(task_errors(net, params, data), axis=1))
+    # By the tasks' ends, not by what is finite: a net that gives NaN must not look better for it.
+    counted = np.array(TASKS).sum(1)[:, None] <= np.asarray(validation.length)
+    errors_of = jax.jit(
+        lambda params, data: jnp.sum(jnp.where(counted, task_errors(net, params, data), 0), axis=1) / counted.sum(1)
+    )
 
     def validate(params: PyTree) -> dict[str, float]:
         errors = np.asarray(errors_of(params, validation))
-        named = {f"{length}/{start}": float(e) for (start, length), e in zip(TASKS, errors, strict=True)}
-        return {"score": float(errors.mean()), **named}
+        # A task that no sequence is long enough for has no error.
+        present = counted.any(1)
+        named = {f"{n}/{i}": float(e) for (i, n), e, some in zip(TASKS, errors, present, strict=True) if some}
+        return {"score": float(errors[present].mean()), **named}
 
     return Problem(lambda key: initial(settings.net, settings.training.start, key=key), gradient, validate)
 
@@ -146,6 +156,8 @@ def problem(settings: TrainPEMDConfig, validation: Sequences) -> Problem:
 def train_pemd(
     settings: TrainPEMDConfig, training: Dataset, validation: Dataset, *, work: Path, key: PRNGKeyArray
 ) -> Trained:
-    """A forward model of the best validation score: mean error over the six tasks. Goes on from `work` after a kill."""
-    whole = validation.take(validation.length == STEPS)
-    return train(problem(settings, sequences(whole)), sequences(training), settings.training, work=work, key=key)
+    """A forward model of the best validation score, going on from `work` after a kill.
+
+    The score is the mean error over the six tasks, of those that some validation sequence is long enough for.
+    """
+    return train(problem(settings, sequences(validation)), sequences(training), settings.training, work=work, key=key)

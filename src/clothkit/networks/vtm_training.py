@@ -81,7 +81,8 @@ def problem(settings: TrainVtMConfig, validation: Dataset) -> Problem:
         return gradient, {"loss": value}
 
     errors_of = jax.jit(lambda params, mesh: state_errors(net, params, mesh, height=settings.height))
-    by_step = [jnp.asarray(validation.vertices[validation.length >= i, i]) for i in range(STEPS + 1)]
+    longest = int(validation.length.max())
+    by_step = [jnp.asarray(validation.vertices[validation.length >= i, i]) for i in range(longest + 1)]
 
     def validate(params: PyTree) -> dict[str, float]:
         errors = [float(errors_of(params, mesh).mean()) for mesh in by_step]
@@ -93,5 +94,8 @@ def problem(settings: TrainVtMConfig, validation: Dataset) -> Problem:
 def train_vtm(
     settings: TrainVtMConfig, training: Dataset, validation: Dataset, *, work: Path, key: PRNGKeyArray
 ) -> Trained:
-    """A VtM of the best validation score: mean error over steps 1 to 3. Goes on from `work` after a kill."""
+    """A VtM of the best validation score, going on from `work` after a kill.
+
+    The score is the mean error over steps 1 to 3, of those that some validation sequence has.
+    """
     return train(problem(settings, validation), states(training), settings.training, work=work, key=key)

@@ -30,6 +30,8 @@ def evaluate(dataset: Dataset, planner: Planner, execute: Execute, *, work: Path
     """The sessions of every task; those that `work` holds from an earlier run are not run again."""
     work.mkdir(parents=True, exist_ok=True)
     todo = pieces(dataset, planner.settings)
+    # Lengths without reference values are told now, not hours later.
+    planner.normalisation.reference(max(task.length for piece in todo for task in piece.task))
     done = []
     with tqdm(total=sum(len(piece.task) for piece in todo), desc=planner.system.name, unit="session") as bar:
         for number, piece in enumerate(todo):

@@ -29,7 +29,10 @@ LEAST_DEVIATION = 0.01
 
 @dataclasses.dataclass(frozen=True)
 class Normalisation:
-    """Eq. (14) for each net and plan length 1, 2, 3; eq. (15)'s mu_v and sigma_v for each step 1, 2, 3."""
+    """Eq. (14) for each net and plan length 1, 2, 3; eq. (15)'s mu_v and sigma_v for each step 1, 2, 3.
+
+    Where no validation sequence is that long the rows end earlier.
+    """
 
     low: tuple[tuple[float, ...], ...]
     """[net][length - 1]: median NLL of the recorded outcome under the recorded manipulations."""
@@ -42,15 +45,22 @@ class Normalisation:
 
     def __post_init__(self) -> None:
         values = np.array([*self.low, *self.high, self.mu, self.sigma], float)
-        if values.shape[1:] != (STEPS,) or not np.isfinite(values).all():
-            raise InputError(f"normalisation: expected {STEPS} finite values in each row of low, high, mu and sigma")
+        if values.ndim != 2 or not 1 <= values.shape[1] <= STEPS or not np.isfinite(values).all():
+            raise InputError(
+                f"normalisation: expected 1 to {STEPS} finite values in each row of low, high, mu and sigma"
+            )
         if not (np.array(self.low) < np.array(self.high)).all():
             raise InputError(f"normalisation: expected low below high, found {self.low} and {self.high}")
         if min(self.sigma) <= 0:
             raise InputError(f"normalisation: sigma is {self.sigma}, expected above 0: are the two nets the same?")
 
     def reference(self, length: int) -> Reference:
-        """What the loss of plans of one length takes."""
+        """What the loss of plans of one length takes. Raises InputError for lengths that validation did not have."""
+        if length > len(self.mu):
+            raise InputError(
+                f"normalisation: expected reference values for plans of {length} manipulations, found them for up to "
+                f"{len(self.mu)}: no validation sequence is longer"
+            )
         spans = tuple(
             Range(np.float32(low[length - 1]), np.float32(high[length - 1]))
             for low, high in zip(self.low, self.high, strict=True)
@@ -61,10 +71,10 @@ class Normalisation:
 
 
 def normalise(forward: Forward, nets: tuple[Any, Any], validation: Dataset, settings: NormaliseConfig) -> Normalisation:
-    """The reference values of two nets. Eq. (14)'s i runs over 0..3 - n (design 6.9)."""
+    """The reference values of two nets, up to the longest sequence. Eq. (14)'s i runs over 0..3 - n (design 6.9)."""
     key = jax.random.key(settings.seed)
     low, high, mu, sigma = [], [], [], []
-    for length in range(1, STEPS + 1):
+    for length in range(1, int(validation.length.max()) + 1):
         start, plan, goal = _tasks(validation, length)
         recorded = [_outcomes(forward, net, start, plan) for net in nets]
         low.append([_median(goal, outcome) for outcome in recorded])
@@ -85,8 +95,6 @@ def normalise(forward: Forward, nets: tuple[Any, Any], validation: Dataset, sett
 def _tasks(dataset: Dataset, length: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Starts, recorded plans and goals of all subsequences of one length."""
     pairs = [(d, i) for d in range(len(dataset)) for i in range(int(dataset.length[d]) - length + 1)]
-    if not pairs:
-        raise InputError(f"validation split: expected at least one sequence of {length} manipulations, found none")
     d, i = np.array(pairs).T
     plan = dataset.manipulation[d[:, None], i[:, None] + np.arange(length)]
     return dataset.vertices[d, i], plan, dataset.vertices[d, i + length]

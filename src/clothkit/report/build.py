@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from clothkit.dataset.tasks import TASKS, Task
+from clothkit.dataset.tasks import Task, tasks_of
 from clothkit.report import metrics, page, tables
 from clothkit.report.figures.curves import curves
 from clothkit.report.figures.estimates import estimates
@@ -57,9 +57,10 @@ def draw_figures(folder: Path, inputs: Inputs, settings: ReportConfig) -> list[s
     names = ["sequences", "estimates", "predictions", "scatter", "curves"]
     rows = inputs.planning[inputs.planning["system"] == planner]
     better = NETS.index(str(inputs.prediction.loc[inputs.prediction["better"], "net"].iloc[0]))
+    test = np.unique(rows.loc[rows["split"] == "test", "sequence"]).tolist()
     for length, abreast in ABREAST.items():
         chosen: list[Session] = []
-        for task in picked(np.unique(rows.loc[rows["split"] == "test", "sequence"]).tolist(), length):
+        for task in picked(test, dataset.length[test].tolist(), length):
             session = of_record(inputs.sessions, dataset, rows, task, net=better)
             if session is not None and len(chosen) < settings.sessions:
                 chosen.append(session)
@@ -69,7 +70,10 @@ def draw_figures(folder: Path, inputs: Inputs, settings: ReportConfig) -> list[s
     return names
 
 
-def picked(sequences: list[int], length: int) -> list[Task]:
-    """A task of that length of each sequence, the starts in turn: examples that nobody chose."""
-    starts = [start for start, n in TASKS if n == length]
-    return [Task(sequence, starts[place % len(starts)], length) for place, sequence in enumerate(sequences)]
+def picked(sequences: list[int], manipulations: list[int], length: int) -> list[Task]:
+    """A task of that length of each sequence that has one, the starts in turn: examples that nobody chose."""
+    found = []
+    for place, (sequence, longest) in enumerate(zip(sequences, manipulations, strict=True)):
+        tasks = [task for task in tasks_of(sequence, longest) if task.length == length]
+        found += tasks[place % len(tasks) :][:1] if tasks else []
+    return found

@@ -21,12 +21,24 @@ PIXELS = 220
 """Side of a picture."""
 
 _OVERSAMPLING = 2
-# Points of the finer mesh a grid spacing: enough that a slanted cloth has no holes between them.
+# Points of the finer mesh a grid spacing in a picture of PIXELS: enough that slanted cloth has no holes between them.
 _FINER = 18
 _INDEX_BITS = 24
 _FRONT = np.array([0.33, 0.53, 0.74], np.float32)
 _BACK = np.array([0.95, 0.71, 0.38], np.float32)
 _SPREAD = np.array([0.66, 0.47, 0.85], np.float32)
+# Luminance falls steadily, so that a print in grey reads the same.
+_RELIEF = np.array(
+    [
+        [0.99, 0.96, 0.75],
+        [0.75, 0.88, 0.62],
+        [0.38, 0.74, 0.67],
+        [0.16, 0.53, 0.69],
+        [0.20, 0.27, 0.55],
+        [0.12, 0.05, 0.25],
+    ],
+    np.float32,
+)
 _LIGHT = np.array([-0.45, 0.45, 0.77], np.float32)
 # Neighbouring pixels whose grid coordinates differ by more vertices than this show two layers, not one.
 _LAYER_JUMP = 2.0
@@ -55,13 +67,34 @@ def draw(
         image = image * (1 - halo) + _SPREAD * halo
     colour = _shade(cloth)
     if std is not None:
-        cast = np.clip((_refined(std)[..., 2] - _CAST[0]) / (_CAST[1] - _CAST[0]), 0, 1)
+        cast = np.clip((_refined(std, cloth.finer)[..., 2] - _CAST[0]) / (_CAST[1] - _CAST[0]), 0, 1)
         cast = 0.75 * cast.ravel()[cloth.source][..., None]
         colour = colour * (1 - cast) + _SPREAD * cast
     image = np.where(cloth.covered[..., None], colour, image)
     image *= 1 - 0.62 * _layer_edges(cloth)[..., None]
     reduced = cv2.resize(np.clip(image, 0, 1), (pixels, pixels), interpolation=cv2.INTER_AREA)
     return np.rint(reduced * 255).astype(np.uint8)
+
+
+def draw_relief(
+    mesh: Float[np.ndarray, "u v 3"], *, highest: float, pixels: int = PIXELS
+) -> UInt8[np.ndarray, "r c 3"]:
+    """The cloth from above coloured by height, in the square -EXTENT..EXTENT, y upwards.
+
+    `relief_colours` from the table to `highest` [normalised]; what stands higher has the last colour.
+    """
+    cloth = _splat(mesh, pixels * _OVERSAMPLING)
+    share = np.clip(cloth.heights / highest, 0, 1)
+    image = np.where(cloth.covered[..., None], relief_colours(share), np.float32(1))
+    image = image * (1 - 0.45 * _layer_edges(cloth)[..., None])
+    reduced = cv2.resize(image.astype(np.float32), (pixels, pixels), interpolation=cv2.INTER_AREA)
+    return np.rint(np.clip(reduced, 0, 1) * 255).astype(np.uint8)
+
+
+def relief_colours(share: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape 3"]:
+    """The colour of a height, a share 0..1 of the highest: from pale yellow over green and blue to near black."""
+    stops = np.linspace(0, 1, len(_RELIEF))
+    return np.stack([np.interp(share, stops, channel) for channel in _RELIEF.T], axis=-1).astype(np.float32)
 
 
 def draw_heights(voxels: Bool[np.ndarray, "x y z"], *, pixels: int = PIXELS) -> UInt8[np.ndarray, "row column 3"]:
@@ -80,6 +113,8 @@ class _Cloth(NamedTuple):
     """The finer mesh, which pixels show it, and which of its vertices lies on top there."""
 
     fine: Float[np.ndarray, "fu fv 3"]
+    finer: int
+    """Times the mesh's resolution."""
     covered: Bool[np.ndarray, "row column"]
     source: Int[np.ndarray, "row column"]
 
@@ -90,20 +125,21 @@ class _Cloth(NamedTuple):
 
 
 @cache
-def _weights(side: int) -> np.ndarray:
+def _weights(side: int, finer: int) -> np.ndarray:
     knots = np.arange(side)
-    finer = np.linspace(0, side - 1, (side - 1) * _FINER + 1)
-    return make_interp_spline(knots, np.eye(side), k=3)(finer).astype(np.float32)
+    between = np.linspace(0, side - 1, (side - 1) * finer + 1)
+    return make_interp_spline(knots, np.eye(side), k=3)(between).astype(np.float32)
 
 
-def _refined(mesh: np.ndarray) -> np.ndarray:
-    """The mesh, or any array over its vertices, at _FINER times its resolution by cubic splines along u and v."""
-    along_u, along_v = _weights(mesh.shape[0]), _weights(mesh.shape[1])
+def _refined(mesh: np.ndarray, finer: int) -> np.ndarray:
+    """The mesh, or any array over its vertices, at `finer` times its resolution by cubic splines along u and v."""
+    along_u, along_v = _weights(mesh.shape[0], finer), _weights(mesh.shape[1], finer)
     return np.einsum("fu,uvc,gv->fgc", along_u, np.asarray(mesh, np.float32), along_v, optimize=True)
 
 
 def _splat(mesh: np.ndarray, size: int) -> _Cloth:
-    fine = _refined(mesh)
+    finer = -(-_FINER * size // (PIXELS * _OVERSAMPLING))
+    fine = _refined(mesh, finer)
     column = np.floor((fine[..., 0].ravel() + EXTENT) * (size / (2 * EXTENT))).astype(int)
     row = np.floor((EXTENT - fine[..., 1].ravel()) * (size / (2 * EXTENT))).astype(int)
     shown = np.flatnonzero((column >= 0) & (column < size) & (row >= 0) & (row < size))
@@ -114,7 +150,7 @@ def _splat(mesh: np.ndarray, size: int) -> _Cloth:
     covered, source = np.zeros((size, size), bool), np.zeros((size, size), int)
     covered[row[upwards], column[upwards]] = True
     source[row[upwards], column[upwards]] = upwards
-    return _Cloth(fine, covered, source)
+    return _Cloth(fine, finer, covered, source)
 
 
 def _shade(cloth: _Cloth) -> np.ndarray:
@@ -140,11 +176,11 @@ def _shade(cloth: _Cloth) -> np.ndarray:
 def _layer_edges(cloth: _Cloth) -> np.ndarray:
     """How much of an edge between layers, or of the cloth's outline, each pixel shows, 0..1."""
     u, v = np.divmod(cloth.source, cloth.fine.shape[1])
-    u, v = (np.where(cloth.covered, place, -100 * _FINER) for place in (u, v))
+    u, v = (np.where(cloth.covered, place, -100 * cloth.finer) for place in (u, v))
     edge = np.zeros(cloth.covered.shape, np.float32)
     heights = cloth.heights
     for axis in (0, 1):
-        jump_u, jump_v = (np.abs(np.roll(place, -1, axis) - place) > _LAYER_JUMP * _FINER for place in (u, v))
+        jump_u, jump_v = (np.abs(np.roll(place, -1, axis) - place) > _LAYER_JUMP * cloth.finer for place in (u, v))
         jump = jump_u | jump_v
         higher = heights >= np.roll(heights, -1, axis)
         edge[jump & higher & cloth.covered] = 1

@@ -31,7 +31,7 @@ def plain(data: pd.DataFrame) -> str:
 
 
 def _cell(value: object) -> str:
-    return _number(value, "") if isinstance(value, float) else str(value)
+    return _number(value, "") if isinstance(value, float) else str(value).replace("|", "\\|")
 
 
 def _line(cells: Sequence[str]) -> str:

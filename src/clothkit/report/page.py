@@ -83,6 +83,7 @@ def page(contents: Contents) -> str:
         "one, two and three manipulations.\n",
         table("sigma_ratio", contents.sigma_ratio),
         "## Data and training\n",
+        "[The dataset](dataset/README.md): files, columns, yield, quality, its worst states.\n",
         _figure(contents, "sequences"),
         "Tried sequences, by what became of them:\n",
         table("attempts", contents.attempts),

@@ -60,11 +60,13 @@ def sheet(
     return figure, axes
 
 
-def chart(count: int, *, width: float, height: float = 2.6) -> tuple[Figure, list[Axes]]:
-    """A figure of `count` charts side by side, each `width` x `height` [inch], with quiet axes."""
-    figure = Figure(figsize=(width * count + 0.6, height), layout="constrained")
+def chart(count: int, *, width: float, height: float = 2.6, columns: int = 0) -> tuple[Figure, list[Axes]]:
+    """A figure of `count` charts with quiet axes, `columns` (0: all) side by side, each `width` x `height` [inch]."""
+    columns = columns or count
+    rows = -(-count // columns)
+    figure = Figure(figsize=(width * columns + 0.6, height * rows), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = [figure.add_subplot(1, count, i + 1) for i in range(count)]
+    axes = [figure.add_subplot(rows, columns, i + 1) for i in range(count)]
     for axis in axes:
         axis.spines[["top", "right"]].set_visible(False)
         axis.tick_params(labelsize=7.5)

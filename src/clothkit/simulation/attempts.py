@@ -91,7 +91,7 @@ def attempt_sequences(numbers: range, settings: SimulateConfig) -> Attempts:
         found.manipulation[indices, step] = np.concatenate([uv, displacement], axis=1)
         _note(found, indices, step + 1, quality)
         for k, index in enumerate(indices):
-            found.reason[index] = reason(quality, outcome, settings.limits, k)
+            found.reason[index] = reason(quality, outcome, settings, k)
     return found._replace(accepted=found.reason == "")
 
 

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 from clothkit.cloth.grid import CLOTH_SIDE, edges, triangles
 from clothkit.simulation.kernels.inspection import count_intersections, measure_gaps
-from clothkit.simulation.settings import Limits, SimulationConfig
+from clothkit.simulation.settings import SimulateConfig, SimulationConfig
 from clothkit.simulation.world import Outcome
 
 GAP_REACH = 3.0  # grid spacings: gaps are measured up to here; a flat cloth has about as much
@@ -48,13 +48,15 @@ def measure(states: Float[np.ndarray, "states u v 3"], settings: SimulationConfi
     )
 
 
-def reason(quality: Quality, outcome: Outcome, limits: Limits, index: int) -> str:
+def reason(quality: Quality, outcome: Outcome, settings: SimulateConfig, index: int) -> str:
     """Why the state is rejected, the first that holds; empty when it is accepted."""
+    limits = settings.limits
     checks = {
         "not finite": not quality.finite[index],
         "not at rest": not outcome.rested[index] or outcome.residual_speed[index] > limits.residual_speed,
         "below table": quality.lowest[index] < -limits.below_table,
         "intersections": quality.intersections[index] > limits.intersections,
+        "layers too close": quality.gap[index] < limits.gap * settings.simulation.material.thickness,
         "too high": quality.height[index] > limits.height,
         "strained": quality.strain_p99[index] > limits.strain_p99 or quality.strain_worst[index] > limits.strain_worst,
     }
@@ -62,11 +64,21 @@ def reason(quality: Quality, outcome: Outcome, limits: Limits, index: int) -> st
 
 
 def intersections(states: Float[np.ndarray, "states u v 3"], *, device: str = "cpu") -> Int[np.ndarray, " states"]:
-    """How many pairs of an edge and a triangle pierce each other, every edge against every triangle."""
+    """How many pairs of an edge and a triangle of the grid pierce each other, every edge against every triangle."""
     side = states.shape[1]
-    ends = edges(side)
+    return pierced(states.reshape(len(states), -1, 3), edges(side), triangles(side), device=device)
+
+
+def pierced(
+    states: Float[np.ndarray, "states vertices 3"],
+    ends: Int[np.ndarray, "edges 2"],
+    corners: Int[np.ndarray, "triangles 3"],
+    *,
+    device: str = "cpu",
+) -> Int[np.ndarray, " states"]:
+    """How many pairs of an edge and a triangle pierce each other, whatever the triangulation."""
     counts = wp.zeros((len(states), len(ends)), dtype=int, device=device)
-    inputs = [_vertices(states, device), _numbers(ends, device), _numbers(triangles(side), device), counts]
+    inputs = [_vertices(states, device), _numbers(ends, device), _numbers(corners, device), counts]
     if len(states):
         wp.launch(count_intersections, dim=counts.shape, inputs=inputs, device=device)
     return counts.numpy().sum(1)

@@ -1,6 +1,10 @@
-"""The raw artifacts: sequences as parquet files (design section 4). Equal records give equal bytes."""
+"""The raw artifacts: sequences as parquet files (design section 4). Equal records give equal bytes.
+
+Both sources of sequences, our solver and ARCSim's runs, write what the schemas here say.
+"""
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -14,29 +18,85 @@ from clothkit.simulation.settings import SimulationConfig
 from clothkit.simulation.solver import flat_state
 
 SHARD = 500  # sequences in a file of states
+QUALITY = ("height", "strain_p99", "strain_worst", "intersections", "gap", "residual_speed")
+"""What is measured on every state, accepted or not."""
+
+STATES = pa.schema(
+    {
+        "sequence": pa.int32(),
+        "state": pa.int32(),
+        "topology": pa.int32(),
+        "vertices": pa.list_(pa.float32()),
+        "height": pa.float32(),
+        "strain_p99": pa.float32(),
+        "strain_worst": pa.float32(),
+        "intersections": pa.int32(),
+        "gap": pa.float32(),
+        "residual_speed": pa.float32(),
+    }
+)
+MANIPULATIONS = pa.schema(
+    {
+        "sequence": pa.int32(),
+        "step": pa.int32(),
+        "hands": pa.int32(),
+        **{name: pa.float32() for name in ("u1", "v1", "u2", "v2", "dx", "dy")},
+        **{name: pa.float32() for name in ("release_x1", "release_y1", "release_x2", "release_y2")},
+        "seed": pa.int64(),
+        "attempt": pa.int64(),
+        "settle_time": pa.float32(),
+    }
+)
+ATTEMPTS = pa.schema(
+    {
+        "attempt": pa.int64(),
+        "seed": pa.int64(),
+        "accepted": pa.bool_(),
+        "reason": pa.string(),
+        "states": pa.int32(),
+        "area": pa.list_(pa.float32()),
+        "folds": pa.list_(pa.int32()),
+        **{name: pa.list_(pa.float32()) for name in (*QUALITY, "settle_time")},
+    }
+)
+TOPOLOGIES = pa.schema({"topology": pa.int32(), "material": pa.list_(pa.float32()), "triangles": pa.list_(pa.int32())})
+SCHEMAS = {"states": STATES, "manipulations": MANIPULATIONS, "attempts": ATTEMPTS, "topologies": TOPOLOGIES}
 
 
 def write_raw(
     folder: Path, attempts: Attempts, simulation: SimulationConfig, *, seed: int, attributes: dict[str, Any]
 ) -> None:
-    """Write states, manipulations, attempts and topologies; `attributes` go into each file's metadata."""
-    metadata = {"clothkit": json.dumps(attributes, sort_keys=True)}
+    """Write our solver's states, manipulations, attempts and topologies under `folder`."""
     accepted = Attempts(*(array[attempts.accepted] for array in attempts))
+    shards = (
+        _states(Attempts(*(array[first : first + SHARD] for array in accepted)), first)
+        for first in range(0, len(accepted.attempt), SHARD)
+    )
+    others = {
+        "manipulations": _manipulations(accepted, seed),
+        "attempts": _attempts(attempts, seed),
+        "topologies": _topologies(simulation),
+    }
+    write_tables(folder, shards, others, attributes)
+
+
+def write_tables(
+    folder: Path, states: Iterable[pa.Table], others: dict[str, pa.Table], attributes: dict[str, Any]
+) -> None:
+    """Write `states/0000.parquet` ... and a file for each of the others; `attributes` go into each file's metadata."""
+    metadata = {"clothkit": json.dumps(attributes, sort_keys=True)}
     (folder / "states").mkdir(parents=True, exist_ok=True)
-    for shard, first in enumerate(range(0, len(accepted.attempt), SHARD)):
-        part = Attempts(*(array[first : first + SHARD] for array in accepted))
-        _write(folder / "states" / f"{shard:04d}.parquet", _states(part, first), metadata)
-    _write(folder / "manipulations.parquet", _manipulations(accepted, seed), metadata)
-    _write(folder / "attempts.parquet", _attempts(attempts, seed), metadata)
-    _write(folder / "topologies.parquet", _topologies(simulation), metadata)
+    for number, shard in enumerate(states):
+        _write(folder / "states" / f"{number:04d}.parquet", shard, metadata)
+    for name, table in others.items():
+        _write(folder / f"{name}.parquet", table, metadata)
 
 
-def _write(path: Path, columns: dict[str, Any], metadata: dict[str, str]) -> None:
-    table = pa.table(columns).replace_schema_metadata(metadata)
-    pq.write_table(table, path, compression="zstd")
+def _write(path: Path, table: pa.Table, metadata: dict[str, str]) -> None:
+    pq.write_table(table.replace_schema_metadata(metadata), path, compression="zstd")
 
 
-def _states(part: Attempts, first: int) -> dict[str, Any]:
+def _states(part: Attempts, first: int) -> pa.Table:
     count, states = part.states.shape[:2]
     sequence, state = np.divmod(np.arange(count * states), states)
     columns: dict[str, Any] = {
@@ -45,11 +105,11 @@ def _states(part: Attempts, first: int) -> dict[str, Any]:
         "topology": np.zeros(count * states, np.int32),
         "vertices": _lists(part.states.reshape(count * states, -1)),
     }
-    names = ("height", "strain_p99", "strain_worst", "intersections", "gap", "residual_speed")
-    return columns | {name: getattr(part, name).ravel() for name in names}
+    columns |= {name: getattr(part, name).ravel() for name in QUALITY}
+    return pa.table(columns, schema=STATES)
 
 
-def _manipulations(accepted: Attempts, seed: int) -> dict[str, Any]:
+def _manipulations(accepted: Attempts, seed: int) -> pa.Table:
     count, steps = accepted.hands.shape
     sequence, step = np.divmod(np.arange(count * steps), steps)
     columns: dict[str, Any] = {
@@ -64,11 +124,11 @@ def _manipulations(accepted: Attempts, seed: int) -> dict[str, Any]:
     columns["seed"] = np.full(count * steps, seed, np.int64)
     columns["attempt"] = np.repeat(accepted.attempt, steps)
     columns["settle_time"] = accepted.settle_time.ravel()
-    return columns
+    return pa.table(columns, schema=MANIPULATIONS)
 
 
-def _attempts(attempts: Attempts, seed: int) -> dict[str, Any]:
-    return {
+def _attempts(attempts: Attempts, seed: int) -> pa.Table:
+    columns: dict[str, Any] = {
         "attempt": attempts.attempt,
         "seed": np.full(len(attempts.attempt), seed, np.int64),
         "accepted": attempts.accepted,
@@ -77,15 +137,25 @@ def _attempts(attempts: Attempts, seed: int) -> dict[str, Any]:
         "area": _lists(attempts.area),
         "folds": _lists(attempts.folds),
     }
+    # Tried states are written beside the accepted ones: what the limits do to the data can then be seen.
+    columns |= {name: _lists(_reached(getattr(attempts, name), attempts.reached)) for name in QUALITY}
+    columns["settle_time"] = _lists(_reached(attempts.settle_time, attempts.reached - 1))
+    return pa.table(columns, schema=ATTEMPTS)
 
 
-def _topologies(simulation: SimulationConfig) -> dict[str, Any]:
+def _reached(values: np.ndarray, count: np.ndarray) -> np.ndarray:
+    """A row per attempt as float32, NaN after its first `count` values."""
+    return np.where(np.arange(values.shape[1]) < count[:, None], values, np.nan).astype(np.float32)
+
+
+def _topologies(simulation: SimulationConfig) -> pa.Table:
     material = flat_state(simulation)[..., :2].reshape(1, -1)
-    return {
+    columns = {
         "topology": np.zeros(1, np.int32),
         "material": _lists(material),
         "triangles": _lists(triangles(simulation.side).reshape(1, -1)),
     }
+    return pa.table(columns, schema=TOPOLOGIES)
 
 
 def _lists(rows: np.ndarray) -> pa.Array:

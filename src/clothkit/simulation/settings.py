@@ -82,14 +82,21 @@ class Limits:
     strain_p99: Positive = 0.03  # 99th percentile of |length / rest - 1| over the grid's edges
     strain_worst: Positive = 0.1
     intersections: Annotated[int, Ge(0)] = 0
+    gap: NotNegative = 0.5  # of the thickness, least distance of a vertex to the surface outside its two-ring
     below_table: NotNegative = 0.0  # m, how far a vertex may lie below the table
 
 
 @config
 class SimulateConfig:
-    """The stage that records sequences."""
+    """The stage that records sequences.
+
+    With source arcsim it takes the first `sequences` of the table runs.csv, all of them if there are fewer, and what
+    follows `runs` matters only to the worlds in which plans are executed.
+    """
 
     sequences: Annotated[int, Gt(0)]  # accepted ones to be recorded
+    source: Literal["own", "arcsim"] = "own"  # our solver, or runs of ARCSim that are there already
+    runs: str = ""  # with source arcsim: the folder that holds runs.csv, from the repository's root
     seed: Annotated[int, Ge(0)] = 0
     block: Annotated[int, Gt(0)] = 4  # attempts that a worker takes at a time; changes no outcome
     workers: Annotated[int, Ge(0)] = 0  # processes, 0 for one per core; changes no outcome

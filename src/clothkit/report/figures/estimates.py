@@ -18,12 +18,14 @@ ROWS = ("truth", "voxels from above", "estimate (mean, σ lilac)", "refined")
 def estimates(dataset: Dataset, found: Mapping[str, np.ndarray], rows: pd.DataFrame, path: Path, *, count: int) -> None:
     """A column per example: truth, voxels as height map, VtM's mean with its sigma, refined mesh.
 
-    The first test sequences, in turn after one, two and three manipulations; errors [cloth length] from the tidy rows.
-    Meshes are drawn under the labels of the truth, so that sides of equal colour are the same side.
+    The first test sequences, in turn after one, two and three manipulations if they are that long; errors [cloth
+    length] from the tidy rows. Meshes are drawn under the labels of the truth, so that sides of equal colour are the
+    same side.
     """
     test = set(dataset.indices("test").tolist())
     places = [place for place, sequence in enumerate(found["sequence"]) if int(sequence) in test][:count]
-    states = np.sort(np.arange(len(places)) % 3 + 1)
+    longest = dataset.length[found["sequence"][places]]
+    states = np.minimum(np.sort(np.arange(len(places)) % 3 + 1), longest)
     figure, axes = panels.sheet(
         [1.0] * 4, [1.0] * len(places), title="Estimates, test set (error in cloth lengths)", left=0.3
     )

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from clothkit.dataset.store import STEPS, Dataset
+from clothkit.dataset.store import Dataset
 from clothkit.report import panels
 from clothkit.report.draw import draw
 
@@ -35,7 +35,8 @@ def predictions(
         if not first:
             panels.row_label(axes[row, 0], "recorded")
             panels.row_label(axes[row + 1, 0], "predicted")
-        for state in range(STEPS + 1):
+        length = int(dataset.length[sequence])
+        for state in range(length + 1):
             recorded, foreseen = axes[row, first + state], axes[row + 1, first + state]
             truth = dataset.vertices[sequence, state]
             panels.show(recorded, draw(truth), mark="R")
@@ -46,7 +47,7 @@ def predictions(
                 mesh, std = found["mean"][place, state - 1], found["std"][place, state - 1]
                 panels.show(foreseen, draw(mesh, std=std), mark="P", note=f"{errors[sequence, state]:.3f}")
                 panels.centre_shift(foreseen, found["shift"][place, state - 1])
-            if state < STEPS:
+            if state < length:
                 manipulation = dataset.manipulation[sequence, state]
                 panels.manipulate(recorded, truth, manipulation)
                 panels.manipulate(foreseen, mesh, manipulation)

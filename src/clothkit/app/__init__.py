@@ -1,0 +1,1 @@
+"""What people run by hand: commands on artifacts that the pipeline made."""

@@ -1,0 +1,156 @@
+"""Cloth states as files that other programs open: OBJ, PLY and GLB, by trimesh.
+
+All are in metres. OBJ and PLY keep the world frame of the raw artifacts (z up, the table at z = 0); GLB is turned to
+y up as its standard demands, (x, y, z) becoming (x, z, -y). Material coordinates go along as texture coordinates, 0..1
+from one edge of the cloth to the other.
+"""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import trimesh
+from jaxtyping import Float, Int
+from tqdm import tqdm
+from trimesh.exchange.gltf import export_glb
+from trimesh.exchange.obj import export_obj
+from trimesh.exchange.ply import export_ply
+from trimesh.visual.material import PBRMaterial
+
+from clothkit.cloth.grid import CLOTH_SIDE, geodesic, triangles
+from clothkit.dataset import store
+from clothkit.dataset.raw import STATE_COLUMNS, Topologies, read_states, read_table, state_files
+from clothkit.errors import InputError
+
+FORMATS = ("obj", "ply", "glb")
+_COLOUR = (0.33, 0.53, 0.74, 1.0)
+_Y_UP = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], float)
+
+
+class Surface(NamedTuple):
+    """One state as triangles."""
+
+    sequence: int
+    state: int
+    vertices: Float[np.ndarray, "vertices 3"]
+    """Metres, world frame, z up."""
+    triangles: Int[np.ndarray, "triangles 3"]
+    uv: Float[np.ndarray, "vertices 2"]
+    """Material coordinates, 0..1."""
+
+    @property
+    def name(self) -> str:
+        """What its file is called, without the format's ending."""
+        return f"sequence_{self.sequence:04d}_state_{self.state}"
+
+
+def export(
+    source: Path, target: Path, *, file_format: str, sequences: Sequence[int] | None = None, cloth_side: float
+) -> list[Path]:
+    """Write the states of some or all sequences into the folder `target`, a file each; the files.
+
+    `source` is a folder of raw artifacts or a store of meshes, whose sequences are counted from 0, and whose meshes are
+    put back where they lay, `cloth_side` [m] wide. Raises InputError when the format, the source or a sequence isn't
+    there.
+    """
+    if file_format not in FORMATS:
+        raise InputError(f"format {file_format!r} is not known; known are {', '.join(FORMATS)}")
+    if not source.exists():
+        raise InputError(f"{source}: not found; expected a folder of raw artifacts or a store of meshes")
+    if (source / "states").is_dir():
+        count, found = raw_surfaces(source, sequences)
+    elif (source / "zarr.json").is_file():
+        count, found = stored_surfaces(source, sequences, cloth_side=cloth_side)
+    else:
+        raise InputError(f"{source}: holds neither states/*.parquet nor a zarr store of meshes")
+    target.mkdir(parents=True, exist_ok=True)
+    written = []
+    for surface in tqdm(found, total=count, desc="export", unit="state", mininterval=1):
+        written.append(target / f"{surface.name}.{file_format}")
+        written[-1].write_bytes(encode(surface, file_format))
+    return written
+
+
+def raw_surfaces(folder: Path, sequences: Sequence[int] | None) -> tuple[int, Iterator[Surface]]:
+    """How many states of some or all sequences of raw artifacts there are, and these, each in its own topology.
+
+    Raises InputError when a sequence isn't there, or a state's topology.
+    """
+    numbers = [read_table(file, ("sequence",))["sequence"] for file in state_files(folder / "states")]
+    present = np.unique(np.concatenate(numbers))
+    chosen = _checked(folder, sequences, present.tolist())
+    count = int(np.isin(np.concatenate(numbers), chosen).sum())
+    topologies = Topologies(folder)
+
+    def surfaces() -> Iterator[Surface]:
+        # A batch at a time: a dataset of thousands of sequences need not lie in memory.
+        for batch in (chosen[first : first + 100] for first in range(0, len(chosen), 100)):
+            states = read_states(folder / "states", sequences=batch)
+            for sequence, state, number, flat in zip(*(states[name] for name in STATE_COLUMNS), strict=True):
+                topology, vertices = topologies(f"{folder}: sequence {sequence}, state {state}", number, flat)
+                low, high = topology.material.min(0), topology.material.max(0)
+                uv = ((topology.material - low) / (high - low)).astype(np.float32)
+                yield Surface(sequence, state, vertices, topology.triangles, uv)
+
+    return count, surfaces()
+
+
+def stored_surfaces(path: Path, sequences: Sequence[int] | None, *, cloth_side: float) -> tuple[int, Iterator[Surface]]:
+    """How many states of some or all sequences of a store of meshes there are, and these: scaled to `cloth_side` [m].
+
+    Raises InputError when a sequence isn't there.
+    """
+    dataset = store.load(path)
+    chosen = _checked(path, sequences, list(range(len(dataset))))
+    scale = np.float32(cloth_side / CLOTH_SIDE)
+    uv, faces = (geodesic().reshape(-1, 2) + 1) / 2, triangles()
+    places = [(sequence, state) for sequence in chosen for state in range(int(dataset.length[sequence]) + 1)]
+
+    def surfaces() -> Iterator[Surface]:
+        for sequence, state in places:
+            centre = np.append(dataset.centre[sequence, state], np.float32(0))
+            vertices = (dataset.vertices[sequence, state] + centre).reshape(-1, 3) * scale
+            yield Surface(sequence, state, vertices.astype(np.float32), faces, uv)
+
+    return len(places), surfaces()
+
+
+def to_trimesh(surface: Surface) -> trimesh.Trimesh:
+    """The state as trimesh has it: metres, z up, with texture coordinates and a two-sided material."""
+    material = PBRMaterial(name="cloth", baseColorFactor=_COLOUR, metallicFactor=0.0, roughnessFactor=1.0)
+    material.doubleSided = True
+    visual = trimesh.visual.TextureVisuals(uv=surface.uv, material=material)
+    # Unprocessed, so that the vertices keep their number and order.
+    return trimesh.Trimesh(surface.vertices, surface.triangles, visual=visual, process=False)
+
+
+def encode(surface: Surface, file_format: str) -> bytes:
+    """The state as the bytes of a file; equal states give equal bytes."""
+    mesh = to_trimesh(surface)
+    if file_format == "obj":
+        text = export_obj(mesh, header=f"clothkit: {surface.name}, metres, z up", include_normals=False)
+        # A reference to a material file that isn't written makes some readers complain.
+        kept = [line for line in text.splitlines() if not line.startswith(("mtllib", "usemtl"))]
+        return "\n".join([*kept, ""]).encode()
+    if file_format == "ply":
+        return export_ply(mesh, vertex_normal=False)
+    mesh.apply_transform(_Y_UP)
+    scene = trimesh.Scene()
+    scene.add_geometry(mesh, node_name=surface.name, geom_name=surface.name)
+    return export_glb(scene, include_normals=True)
+
+
+def _checked(source: Path, sequences: Sequence[int] | None, present: Sequence[int]) -> list[int]:
+    """The sequences that are asked for, all when none are."""
+    if not present:
+        raise InputError(f"{source}: holds no sequence")
+    if sequences is None:
+        return list(present)
+    known = set(present)
+    missing = [sequence for sequence in sequences if sequence not in known]
+    if missing:
+        raise InputError(
+            f"{source}: has no sequence {missing[0]}; it holds {len(known)}, from {min(known)} to {max(known)}"
+        )
+    return sorted(set(sequences))

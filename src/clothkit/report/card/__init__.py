@@ -1,0 +1,1 @@
+"""The dataset card: raw artifacts described for someone who has never heard of this project."""

@@ -1,0 +1,45 @@
+"""Writes the card: tables, figures and the page that shows them."""
+
+from pathlib import Path
+
+from clothkit.report.card import figures, page, tables
+from clothkit.report.card.inputs import examples, read
+from clothkit.report.card.meanings import settings_table
+from clothkit.report.card.measures import limits
+from clothkit.report.card.settings import CardConfig
+from clothkit.simulation.settings import SimulateConfig
+
+
+def build(folder: Path, raw: Path, settings: CardConfig) -> page.Contents:
+    """Write `tables/`, `figures/` and `README.md` into a new folder; equal artifacts give equal bytes.
+
+    Raises InputError when the artifacts in the folder `raw` aren't as they should be.
+    """
+    (folder / "tables").mkdir(parents=True)
+    (folder / "figures").mkdir()
+    inputs = read(raw)
+    bounds = limits(inputs.params)
+    drawn = tables.drawn(inputs.states, count=settings.sequences, seed=settings.seed)
+    worst = tables.worst(inputs.states, count=settings.worst)
+    contents = page.Contents(
+        inputs=inputs,
+        settings=settings_table(inputs.params, SimulateConfig),
+        outcomes=tables.outcomes(inputs.attempts),
+        hands=tables.hands(inputs.manipulations),
+        quality=tables.quality(inputs.states, bounds),
+        quality_tried=tables.quality(inputs.tried, bounds),
+        against_tried=tables.against_tried(inputs),
+        viewport=tables.viewport(inputs.tried),
+        worst=worst,
+        pictured=len(drawn),
+        seed=settings.seed,
+    )
+    for name in page.TABLES:
+        table = getattr(contents, name)
+        table.to_csv(folder / "tables" / f"{name}.csv", index=False, float_format="%.5g", lineterminator="\n")
+    figures.histograms(inputs.states, bounds, folder / "figures/histograms.png")
+    figures.sequences(examples(raw, drawn, inputs.manipulations), folder / "figures/sequences.png")
+    shown = examples(raw, sorted(set(worst["sequence"].tolist())), inputs.manipulations)
+    figures.worst(worst, {example.sequence: example for example in shown}, folder / "figures/worst.png")
+    (folder / "README.md").write_text(page.page(contents))
+    return contents

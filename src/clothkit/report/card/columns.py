@@ -1,0 +1,77 @@
+"""What every column of the raw artifacts holds: unit and meaning, for the card's lists of columns."""
+
+from collections.abc import Mapping, Sequence
+
+import pandas as pd
+
+_QUALITY = {
+    "height": ("normalised", "of the highest vertex"),
+    "strain_p99": (
+        "1",
+        "99th percentile of abs(length / rest length - 1) over the edges along the grid's rows and columns, over all "
+        "edges of an irregular triangulation",
+    ),
+    "strain_worst": ("1", "the largest of these"),
+    "intersections": ("count", "pairs of an edge and a triangle that pierce each other"),
+    "gap": (
+        "m",
+        "smallest distance of a vertex to another part of the cloth: to triangles that touch no vertex within two "
+        "rows and columns of it; at most three grid spacings",
+    ),
+    "residual_speed": ("m/s", "of the fastest vertex, the largest over the last moments before the state was recorded"),
+}
+_SEQUENCE = ("", "number of the sequence")
+
+MEANINGS: Mapping[str, Mapping[str, tuple[str, str]]] = {
+    "states": {
+        "sequence": _SEQUENCE,
+        "state": ("", "0 is the flat cloth, k the cloth at rest after k manipulations"),
+        "topology": ("", "which row of `topologies.parquet` the vertices belong to"),
+        "vertices": ("m", "x y z of each vertex in turn, world frame: `reshape(-1, 3)`"),
+        **_QUALITY,
+    },
+    "manipulations.parquet": {
+        "sequence": _SEQUENCE,
+        "step": ("", "k leads from state k to state k + 1"),
+        "hands": ("", "1 or 2"),
+        "u1": ("geodesic", "where the first hand grasps: u on the cloth"),
+        "v1": ("geodesic", "and v"),
+        "u2": ("geodesic", "where the second hand grasps; the same point again for one hand"),
+        "v2": ("geodesic", "and v"),
+        "dx": ("normalised", "displacement along x of the point midway between the hands"),
+        "dy": ("normalised", "and along y"),
+        "release_x1": ("m", "where the first hand lets go: x"),
+        "release_y1": ("m", "and y"),
+        "release_x2": ("m", "where the second hand lets go: x"),
+        "release_y2": ("m", "and y"),
+        "seed": ("", "of the whole run's random numbers"),
+        "attempt": ("", "which row of `attempts.parquet` the sequence is"),
+        "settle_time": ("s", "simulated, from release to rest"),
+    },
+    "attempts.parquet": {
+        "attempt": ("", "number of the tried sequence"),
+        "seed": ("", "of the whole run's random numbers"),
+        "accepted": ("", "whether it became a sequence of the dataset"),
+        "reason": ("", "the first check that it failed; empty when accepted"),
+        "states": ("count", "states that it reached, with the flat one and the one that was rejected"),
+        "area": ("flat cloth's", "of the silhouette, per state; 0 where there is none"),
+        "folds": ("count", "connected creases, per state; 0 where there is none"),
+        **{name: (unit, f"per state: {meaning}; NaN if not reached") for name, (unit, meaning) in _QUALITY.items()},
+        "settle_time": ("s", "per step, simulated, from release to rest; NaN if not reached"),
+    },
+    "topologies.parquet": {
+        "topology": ("", "number"),
+        "material": ("m", "x y of each vertex in turn, on the flat cloth"),
+        "triangles": (
+            "",
+            "three vertex numbers of each triangle in turn, counter-clockwise on the flat cloth: `reshape(-1, 3)`",
+        ),
+    },
+}
+
+
+def described(part: str, columns: Sequence[tuple[str, str]]) -> pd.DataFrame:
+    """A row per column that a file has: column, type, unit and what it holds; empty for columns nobody described."""
+    known = MEANINGS[part]
+    rows = [(f"`{name}`", f"`{kind}`", *known.get(name, ("", ""))) for name, kind in columns]
+    return pd.DataFrame(rows, columns=["column", "type", "unit", "holds"])

@@ -1,0 +1,161 @@
+"""The raw artifacts as tidy rows: a row per state, accepted and tried, with everything that is known of it.
+
+What a file doesn't hold (artifacts of another simulator lack much) is NaN.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+from jaxtyping import Float
+
+from clothkit.cloth.silhouette import centred
+from clothkit.dataset.raw import (
+    MANIPULATION_COLUMNS,
+    STATE_COLUMNS,
+    Topologies,
+    read_attributes,
+    read_states,
+    read_table,
+    state_files,
+)
+from clothkit.dataset.regularise import Mesher
+
+MEASURED = ("height", "strain_p99", "strain_worst", "intersections", "gap", "residual_speed")
+SHAPES = ("area", "folds")
+_ATTEMPTS = ("accepted", "reason", "states")
+
+_SOURCE = ("source", "runs")
+
+PARTS = ("states", "manipulations.parquet", "attempts.parquet", "topologies.parquet")
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """All that the card is made from."""
+
+    attributes: Mapping[str, Any]
+    """What the states say of how they were made."""
+    columns: Mapping[str, Sequence[tuple[str, str]]]
+    """Names and types of every file's columns."""
+    states: pd.DataFrame
+    """A row per accepted state: sequence, state, topology, MEASURED, SHAPES, settle_time and length; those two and the
+    manipulation that they belong to are of the step that led to the state."""
+    tried: pd.DataFrame
+    """A row per tried state: attempt, state, accepted (the whole sequence), MEASURED, SHAPES and settle_time."""
+    attempts: pd.DataFrame
+    """A row per tried sequence: accepted, reason, states."""
+    manipulations: pd.DataFrame
+    vertices: Mapping[int, int]
+    """Of each topology."""
+    sides: tuple[float, float]
+    """Of the smallest and the largest flat cloth [m]."""
+
+    @property
+    def params(self) -> Mapping[str, Any]:
+        """The settings among the attributes; all of these where another program wrote them.
+
+        Where states come from elsewhere, the stage's other settings are of a solver that had no part in it.
+        """
+        stated = self.attributes.get("params", self.attributes)
+        elsewhere = stated.get("source", "own") != "own"
+        return {key: value for key, value in stated.items() if (key in _SOURCE) == elsewhere or key == "sequences"}
+
+
+@dataclass(frozen=True)
+class Example:
+    """Meshes of one sequence, regularised and centred [normalised], with the manipulations between them."""
+
+    sequence: int
+    meshes: Sequence[Float[np.ndarray, "u v 3"]]
+    manipulations: Sequence[Float[np.ndarray, "6"]]
+
+
+def read(raw: Path) -> Inputs:
+    """The card's inputs from a folder of raw artifacts. Raises InputError for what is missing or malformed."""
+    files = state_files(raw / "states")
+    found = [read_table(file, ("sequence", "state", "topology"), optional=MEASURED) for file in files]
+    states = pd.concat(found).sort_values(["sequence", "state"], kind="stable").reset_index(drop=True)
+    moves = read_table(raw / "manipulations.parquet", MANIPULATION_COLUMNS, optional=("attempt", "settle_time"))
+    moves = moves.sort_values(["sequence", "step"], kind="stable").reset_index(drop=True)
+    lists = (*MEASURED, *SHAPES, "settle_time")
+    attempts = read_table(raw / "attempts.parquet", _ATTEMPTS, optional=("attempt", *lists))
+    if "attempt" not in attempts:
+        attempts["attempt"] = np.arange(len(attempts))
+    tried = _tried(attempts, [name for name in lists if name in attempts])
+    topologies = Topologies(raw).rows
+    return Inputs(
+        attributes=read_attributes(files[0]),
+        columns={part: _columns(files[0] if part == "states" else raw / part) for part in PARTS},
+        states=_of_states(states, moves, tried),
+        tried=tried,
+        attempts=attempts[["attempt", *_ATTEMPTS]],
+        manipulations=moves,
+        sides=_sides(topologies["material"]),
+        vertices={int(n): len(m) // 2 for n, m in zip(topologies.index, topologies["material"], strict=True)},
+    )
+
+
+def examples(raw: Path, sequences: Sequence[int], moves: pd.DataFrame) -> list[Example]:
+    """The meshes of some sequences, in that order."""
+    states, mesher = read_states(raw / "states", sequences=sequences), Mesher(Topologies(raw))
+    meshes: dict[int, list[np.ndarray]] = {}
+    for sequence, state, topology, vertices in zip(*(states[name] for name in STATE_COLUMNS), strict=True):
+        mesh = mesher(f"{raw}: sequence {sequence}, state {state}", topology, vertices)
+        meshes.setdefault(int(sequence), []).append(centred(mesh)[0])
+    made = []
+    for sequence in sequences:
+        own = moves.loc[moves["sequence"] == sequence, ["u1", "v1", "u2", "v2", "dx", "dy"]].to_numpy(np.float32)
+        made.append(Example(int(sequence), meshes[int(sequence)], list(own)))
+    return made
+
+
+def _of_states(states: pd.DataFrame, moves: pd.DataFrame, tried: pd.DataFrame) -> pd.DataFrame:
+    """Each state with what is known of the step that led to it, and of its silhouette from its attempt's row."""
+    states = states.reindex(columns=["sequence", "state", "topology", *MEASURED])
+    # The reach of a hand's move as the file has it; a null manipulation is one whose displacement is too short.
+    led = moves.assign(state=moves["step"] + 1, length=np.hypot(moves["dx"], moves["dy"]))
+    led = led.reindex(columns=["sequence", "state", "settle_time", "length"])
+    states = states.merge(led, on=["sequence", "state"], how="left")
+    if "attempt" not in moves:
+        return states.reindex(columns=[*states.columns, *SHAPES])
+    attempt = moves.groupby("sequence")["attempt"].first()
+    states = states.assign(attempt=states["sequence"].map(attempt))
+    return states.merge(tried[["attempt", "state", *SHAPES]], on=["attempt", "state"], how="left")
+
+
+def _tried(attempts: pd.DataFrame, lists: Sequence[str]) -> pd.DataFrame:
+    """A row per state that an attempt reached, from the rows of lists."""
+    reached = attempts["states"].to_numpy(int)
+    row = np.repeat(np.arange(len(attempts)), reached)
+    state = np.arange(len(row)) - np.repeat(np.cumsum(reached) - reached, reached)
+    table = attempts[["attempt", "accepted"]].iloc[row].reset_index(drop=True).assign(state=state)
+    for name in (*MEASURED, *SHAPES, "settle_time"):
+        if name not in lists:
+            table[name] = np.nan
+            continue
+        # A settle time belongs to the step that led to a state: the first state has none.
+        shift = int(name == "settle_time")
+        values = attempts[name].tolist()
+        table[name] = [_at(values[r], s - shift) for r, s in zip(row.tolist(), state.tolist(), strict=True)]
+    # A state that isn't finite has no silhouette.
+    table.loc[~(table["area"] > 0), list(SHAPES)] = np.nan
+    return table
+
+
+def _sides(materials: pd.Series) -> tuple[float, float]:
+    sides = [float(np.ptp(np.reshape(material, (-1, 2)), axis=0).mean()) for material in materials]
+    return min(sides), max(sides)
+
+
+def _at(values: Any, index: int) -> float:
+    value = values[index] if values is not None and 0 <= index < len(values) else None
+    return np.nan if value is None else float(value)
+
+
+def _columns(path: Path) -> list[tuple[str, str]]:
+    return [(field.name, str(field.type).replace("element: ", "")) for field in pq.read_schema(path)]

@@ -1,0 +1,125 @@
+"""From ARCSim's runs to the report, in one process and with nets that learn nothing: short sequences break no stage."""
+
+from pathlib import Path
+
+import jax
+import numpy as np
+import pandas as pd
+
+from clothkit.dataset import store
+from clothkit.dataset.augment import AugmentConfig, augment
+from clothkit.dataset.regularise import RegulariseConfig, assign_splits, regularise
+from clothkit.estimation.refine import RefineConfig
+from clothkit.evaluation import arrays, estimation, prediction
+from clothkit.evaluation.settings import EvaluateEstimationConfig, EvaluatePredictionConfig
+from clothkit.manipulation.candidates import CandidateConfig
+from clothkit.networks.net import Net
+from clothkit.networks.pemd_training import train_pemd
+from clothkit.networks.settings import PEMDConfig, TrainingConfig, TrainPEMDConfig, TrainVtMConfig, VtMConfig
+from clothkit.networks.vtm_training import train_vtm
+from clothkit.planning import record
+from clothkit.planning.evaluate import evaluate
+from clothkit.planning.forward import MESH
+from clothkit.planning.loss import Weights
+from clothkit.planning.normalisation import normalise
+from clothkit.planning.rows import rows
+from clothkit.planning.search import SearchConfig
+from clothkit.planning.session import Planner
+from clothkit.planning.settings import NormaliseConfig, PlanConfig
+from clothkit.planning.systems import system
+from clothkit.report.build import build
+from clothkit.report.inputs import Inputs
+from clothkit.report.settings import ReportConfig
+from clothkit.simulation.arcsim import import_runs
+from clothkit.simulation.arcsim_runs import read_runs
+from tests.planning import toy
+from tests.simulation import arcsim_runs as runs
+
+SPLITS = RegulariseConfig(train=5, validation=2, test=3, evaluated=3)
+TRAINING = TrainingConfig(recipe="fast", iterations=4, batch=4, validate_every=2, steps_per_call=2)
+PEMD = TrainPEMDConfig(net=PEMDConfig(latent=4, encoder=(8,), manipulation=6, decoder=(8,)), training=TRAINING)
+VTM = TrainVtMConfig(net=VtMConfig(hidden=4), training=TRAINING, noise=0.0)
+REFINE = RefineConfig(iterations=3)
+PLAN = PlanConfig(
+    test=3,
+    train=1,
+    search=SearchConfig(strains=8, base_iterations=2, iterations_per_step=1),
+    refine=REFINE,
+    together=1,
+    batch=1,
+)
+REPORT = ReportConfig(sequences=3, estimates=3, predictions=3, sessions=2, planners=("main",))
+
+
+def write_runs(folder: Path) -> Path:
+    """Ten sequences of one manipulation, but for one in each split, which has two."""
+    if runs.REFERENCE.is_dir():
+        for name in ("half_04m_fix32", "half_04m_adapt", "corner_04m_fix32"):
+            runs.copy_reference(folder / name, name)
+        fixed, adapted, corner = "half_04m_fix32", "half_04m_adapt", "corner_04m_fix32"
+    else:
+        fixed, adapted, corner = "a", "b", "c"
+        for seed, name in enumerate((fixed, adapted)):
+            runs.write_run(folder / name, {0: (0.4, 0.0), 1: (0.4, 0.0)}, seed=seed)
+        runs.write_run(folder / corner, {0: (0.2, 0.2)}, seed=2)
+    split = assign_splits(SPLITS)[0]
+    sequences = [[(name, 0), (name, runs.FRAME)] for name in (fixed, adapted, corner, corner, adapted) * 2]
+    for code in range(3):
+        sequences[int(np.flatnonzero(split == code)[0])] = [(fixed, 0), (adapted, runs.FRAME), (corner, runs.FRAME)]
+    return runs.write_table(folder, sequences)
+
+
+def test_the_chain_runs_on_from_arcsims_runs(tmp_path: Path) -> None:
+    folder = write_runs(tmp_path / "runs")
+    import_runs(tmp_path / "raw", read_runs(str(folder), 10), work=tmp_path / "import", attributes={})
+    store.save(tmp_path / "meshes.zarr", regularise(tmp_path / "raw", SPLITS), {})
+    dataset = store.load(tmp_path / "meshes.zarr")
+    assert sorted(dataset.length.tolist()) == [1] * 7 + [2] * 3
+    store.save(tmp_path / "augmented.zarr", augment(dataset.of_split("train"), AugmentConfig()), {})
+    training, validation = store.load(tmp_path / "augmented.zarr"), dataset.of_split("validation")
+
+    nets, histories = {}, {}
+    for k, name in enumerate("ab"):
+        (tmp_path / name).mkdir()
+        trained = train_pemd(PEMD, training, validation, work=tmp_path / name, key=jax.random.key(k))
+        nets[name], histories[name] = Net(PEMD.net, trained.params), trained.history
+    (tmp_path / "vtm").mkdir()
+    trained = train_vtm(VTM, dataset.of_split("train"), validation, work=tmp_path / "vtm", key=jax.random.key(2))
+    vtm, histories["vtm"] = Net(VTM.net, trained.params), trained.history
+
+    found = estimation.estimates(dataset, vtm, EvaluateEstimationConfig(refine=REFINE, batch=4))
+    arrays.save(tmp_path / "estimates.zarr", found.arrays(), {})
+    estimates = arrays.load(tmp_path / "estimates.zarr", ("sequence", "mean", "std", "mesh", "label"))
+    settings = EvaluatePredictionConfig(batch=4, stored=3)
+    given = prediction.starts(dataset, estimates)
+    arrays.save(tmp_path / "predictions.zarr", prediction.stored(dataset, given, nets["a"], settings), {})
+    normalisation = normalise(MESH, (nets["a"], nets["b"]), validation, NormaliseConfig(draws=1))
+    weights, candidates = Weights(1.0, 5.0, 1.25), CandidateConfig()
+    both = (nets["a"], nets["b"])
+    planner = Planner(system("main"), both, 0, vtm, normalisation, weights, PLAN, candidates)
+    sessions = evaluate(dataset, planner, toy.execute, work=tmp_path / "plan")
+
+    inputs = Inputs(
+        dataset=dataset,
+        attempts=pd.read_parquet(tmp_path / "raw/attempts.parquet"),
+        histories=histories,
+        estimation=estimation.rows(dataset, found),
+        prediction=prediction.rows(dataset, given, nets, "a", settings),
+        planning=rows(sessions, "main"),
+        estimates=estimates,
+        predictions=arrays.load(tmp_path / "predictions.zarr", ("sequence", "start", "mean", "std", "shift")),
+        sessions=sessions,
+    )
+    for tidy in (inputs.estimation, inputs.prediction, inputs.planning):
+        assert np.isfinite(tidy[["error", "error_no_action"]]).all().all()
+    for tidy in (inputs.prediction, inputs.planning):
+        ends = tidy["start"] + tidy["length"]
+        assert (ends.to_numpy() <= dataset.length[tidy["sequence"]]).all()
+    # Three test sequences and one to three of training: a task each, and two more where there are two manipulations.
+    tasks = inputs.planning.groupby("sequence").size()
+    assert {s: int(n) for s, n in tasks.items()} == {s: 1 if dataset.length[s] == 1 else 3 for s in tasks.index}
+    record.save(tmp_path / "sessions.zarr", sessions, {})
+    build(tmp_path / "report", inputs, REPORT, scale="smoke")
+    pictures = {path.stem for path in (tmp_path / "report/figures").iterdir()}
+    assert {"sequences", "estimates", "predictions", "scatter", "sessions_1", "sessions_2"} <= pictures
+    assert "sessions_3" not in pictures
