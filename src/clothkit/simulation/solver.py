@@ -10,7 +10,7 @@ from clothkit.simulation.settings import SimulationConfig
 GRAVITY = 9.81  # m/s^2
 LANES_ON_CUDA = 256
 LAUNCH_SECONDS = 0.1  # simulated in a launch
-STRETCH_PASSES = 2
+STRETCH_PASSES = 2  # a substep
 EDGE_THICKNESS = 0.75  # of the thickness, distance of touching edges
 LARGEST_SHARE = 0.2  # of a neighbour's velocity difference in a substep: explicit viscosity is stable below 1 / 4
 
@@ -60,6 +60,7 @@ def make_solver(settings: SimulationConfig) -> Solver:
         "push_step": settings.push_speed * dt,
         "cloth_friction": material.cloth_friction,
         "table_friction": material.table_friction,
+        "stiction": material.stiction * dt**2,
         "check_interval": settling.interval,
         "rest_speed": settling.rest_speed,
         "rest_time": settling.rest_time,
@@ -78,9 +79,13 @@ def make_state(worlds: int, side: int, device: str) -> State:
     n, cells = side * side, int(CELLS) ** 2 + 1
     one, each, edges, held = (worlds,), (worlds, n), (worlds, 3 * n), (worlds, int(HELD))
     vectors: dict[str, tuple[int, ...]] = {
-        **dict.fromkeys(("position", "velocity", "previous", "correction", "checked", "saved_position", "saved_velocity"), each),
+        **dict.fromkeys(
+            ("position", "velocity", "previous", "correction", "checked", "saved_position", "saved_velocity"), each
+        ),
         **dict.fromkeys(("list_position", "list_velocity", "quad_centre", "quad_normal", "quad_velocity"), each),
-        **dict.fromkeys(("feature_middle", "feature_half", "feature_velocity", "edge_middle", "edge_half", "edge_velocity"), edges),
+        **dict.fromkeys(
+            ("feature_middle", "feature_half", "feature_velocity", "edge_middle", "edge_half", "edge_velocity"), edges
+        ),
         "held_offset": held,
         "path": (worlds, 2, int(PATH)),
         "low": one,
@@ -88,7 +93,9 @@ def make_state(worlds: int, side: int, device: str) -> State:
     floats: dict[str, tuple[int, ...]] = {
         "free": each,
         "pressed": each,
-        **dict.fromkeys(("move_time", "time", "fastest", "checked_time", "calm", "residual", "saved_time", "careful_until"), one),
+        **dict.fromkeys(
+            ("move_time", "time", "fastest", "checked_time", "calm", "residual", "saved_time", "careful_until"), one
+        ),
         **dict.fromkeys(("list_age", "deviation", "motion"), one),
         **dict.fromkeys(("quad_speed", "quad_twist"), each),
         "edge_speed": edges,
@@ -100,7 +107,9 @@ def make_state(worlds: int, side: int, device: str) -> State:
         **dict.fromkeys(("quad_first", "edge_first"), (worlds, cells)),
         **dict.fromkeys(("contact", "contact_before"), (worlds, n, int(CONTACTS))),
         **dict.fromkeys(("held", "held_by"), held),
-        **dict.fromkeys(("done", "features", "pairs", "saved_crossings", "crossings", "searched", "returns", "lost"), one),
+        **dict.fromkeys(
+            ("done", "features", "pairs", "saved_crossings", "crossings", "searched", "returns", "lost"), one
+        ),
         **dict.fromkeys(("pair", "pair_before", "found"), (worlds, int(EDGE_PAIRS), 3)),
         "memory": (worlds, int(MEMORY)),
     }

@@ -37,7 +37,7 @@ class Outcome(NamedTuple):
     rested: Bool[np.ndarray, " worlds"]
     """Whether every vertex came to rest in time."""
     residual_speed: Float[np.ndarray, " worlds"]
-    """m/s, of the fastest vertex, mean over a check's interval: the highest in the last `rest_time`, or the last one."""
+    """m/s, of the fastest vertex, mean over a check's interval: the highest in the last `rest_time`, else the last."""
     settle_time: Float[np.ndarray, " worlds"]
     """Simulated seconds from release to rest, without the `rest_time` over which rest was watched."""
 

@@ -1,7 +1,6 @@
 """The time loop: motion, hands, contact lists, elasticity, contacts, table, guard and rest, for a launch's substeps."""
 
 # Warp: int(0), float(0.0) and bool(True) declare variables that loops may change; `in` and `and` are its own.
-# ruff: noqa: UP018
 import warp as wp
 
 from clothkit.simulation.kernels.crossings import count_crossings
@@ -122,6 +121,9 @@ def finish(solver: Solver, state: State, w: int, lane: int, lanes: int):
                 slip = wp.sqrt(dx * dx + dy * dy) + 1.0e-12
                 friction = wp.min(1.0, solver.table_friction * penetration / slip)
                 x = wp.vec3(x[0] - friction * dx, x[1] - friction * dy, floor)
+            d = x - before
+            if wp.dot(d, d) < solver.stiction * solver.stiction:
+                x = before
         state.velocity[w, i] = (x - before) / dt
         state.position[w, i] = x
     synchronise()
@@ -129,8 +131,10 @@ def finish(solver: Solver, state: State, w: int, lane: int, lanes: int):
 
 @wp.func
 def hold(solver: Solver, state: State, w: int, lane: int, lanes: int):
-    """Let the table's friction hold what was pressed on it, before layers that lie on that feel it slip."""
-    floor = 0.5 * solver.thickness
+    """Let the table's friction hold what was pressed on it, before layers that lie on that feel it slip.
+
+    Else the upper layer is dragged by a slip of the lower one that the table then takes back, and creeps.
+    """
     for i in range(lane, solver.side * solver.side, lanes):
         pressed = state.pressed[w, i]
         if pressed > 0.0 and state.free[w, i] > 0.0:

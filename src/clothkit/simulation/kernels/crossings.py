@@ -1,10 +1,9 @@
 """The guard against tangles: edges that pierce triangles are searched for every so often.
 
-A world in which there are more than before goes back to the last state without them and takes smaller steps for a while.
+A world in which there are more than before goes back to the last state without them and takes care for a while.
 """
 
 # Warp: int(0), float(0.0) and bool(True) declare variables that loops may change.
-# ruff: noqa: RUF046
 import warp as wp
 
 from clothkit.simulation.kernels.search import CELL, cell_column, cell_row

@@ -4,11 +4,10 @@ Without them every third fold ends in a tangle: edges cross where no vertex pass
 """
 
 # Warp: int(0), float(0.0) and bool(True) declare variables that loops may change; `in` and `and` are its own.
-# ruff: noqa: RUF046, SIM102, SIM109, UP018
 import warp as wp
 
 from clothkit.simulation.kernels.faces import parting
-from clothkit.simulation.kernels.search import CELL, cell_column, cell_row, sort_features
+from clothkit.simulation.kernels.search import cell_column, cell_row, sort_features
 from clothkit.simulation.kernels.state import CELLS, EDGE_PAIRS, MEMORY, Solver, State, Vectors, edge_end
 
 

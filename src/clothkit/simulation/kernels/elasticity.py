@@ -24,7 +24,7 @@ def keep_distance(x: Vectors, free: Floats, i: int, j: int, rest: float, complia
 
 @wp.func
 def bend(solver: Solver, x: Vectors, previous: Vectors, free: Floats, i: int, j: int, k: int):
-    """Straighten three vertices in a row, with a moment that saturates and dry friction, and keep the outer two apart."""
+    """Straighten three vertices in a row, with a moment that saturates and dry friction, and keep the outer apart."""
     wi = free[i]
     wj = free[j]
     wk = free[k]

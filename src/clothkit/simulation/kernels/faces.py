@@ -1,7 +1,6 @@
 """Contacts of vertices with triangles: lists of nearby quads with a side each, and their solution with friction."""
 
 # Warp: int(0), float(0.0) and bool(True) declare variables that loops may change; `in` and `and` are its own.
-# ruff: noqa: RUF046, UP018
 import warp as wp
 
 from clothkit.simulation.kernels.search import CELL, cell_column, cell_row, sort_heights, sort_quads
@@ -87,7 +86,7 @@ def inside_triangle(weights: wp.vec3):
 
 @wp.func
 def lies_above(to_lower: wp.vec3, to_upper: wp.vec3, p00: wp.vec3, p01: wp.vec3, p10: wp.vec3, p11: wp.vec3):
-    """Return whether what lies that far from a quad's triangles is on the side of its normal: by the nearer triangle."""
+    """Return whether what lies that far from a quad's triangles is on the side of its normal, by the nearer one."""
     d_lower = wp.dot(to_lower, to_lower)
     d_upper = wp.dot(to_upper, to_upper)
     diagonal = p11 - p00
@@ -151,7 +150,11 @@ def list_contacts(solver: Solver, state: State, w: int, lane: int, lanes: int):
                     relative = wp.length(v - state.quad_velocity[w, place])
                     reach = solver.margin + solver.prediction_time * relative
                     outside = distance_beyond(position, quad, n, r)
-                    if not own and beyond < solver.prediction_time * relative and outside * solver.spacing < solver.thickness + reach:
+                    if (
+                        not own
+                        and beyond < solver.prediction_time * relative
+                        and outside * solver.spacing < solver.thickness + reach
+                    ):
                         side = side_of(position, i, quad, n)
                         if wp.abs(gap) < solver.memory_gap and outside < 0.0:
                             remembered = remembered_side(state, w, i, before, quad)

@@ -1,13 +1,12 @@
-"""The search grid: quads and edges sorted by the square of the table over which they lie, remade with the contact lists.
+"""The search grid: quads and edges sorted by the square of the table over which they lie, remade with the lists.
 
 Columns of cells suffice, since a folded cloth is flat. A row of neighbouring cells is one run of the sorted arrays.
 """
 
 # Warp: int(0), float(0.0) and bool(True) declare variables that loops may change.
-# ruff: noqa: RUF046
 import warp as wp
 
-from clothkit.simulation.kernels.state import CELLS, Solver, State, synchronise
+from clothkit.simulation.kernels.state import CELLS, Solver, State
 
 CELL = wp.constant(1.4)  # grid spacings; a search looks one cell around
 HEIGHTS = wp.constant(128)  # bins of the sort by height

@@ -79,6 +79,7 @@ class Solver:
     gap_growth: float  # m, by which the gap that a new pair of edges keeps grows in a substep
     cloth_friction: float  # 1
     table_friction: float  # 1
+    stiction: float  # m, a vertex that would move less in a substep stays
 
     check_interval: float  # s, between two checks for rest
     rest_speed: float  # m/s
