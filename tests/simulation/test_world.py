@@ -172,7 +172,7 @@ def test_a_finer_grid_settles_alike(folded: Outcome) -> None:
     found = run(flat, half_fold(flat, settings), settings)
     assert found.rested[0]
     is_clean(found.states[0], settings)
-    assert distance(found.states[0, ::2, ::2], folded.states[0]) < 3e-3
+    assert distance(found.states[0, ::2, ::2], folded.states[0]) < 5e-3
 
 
 def test_hands_follow_the_arc() -> None:

@@ -45,9 +45,9 @@ class Settling:
 class Guard:
     """Against tangles: a world in which edges begin to pierce triangles goes back, and takes care."""
 
-    interval: Positive = 0.15  # s, between two searches
+    interval: Positive = 0.1  # s, between two searches
     care: Positive = 0.2  # s, of care after what was undone
-    passes: Annotated[int, Gt(1)] = 4  # over the contacts, instead of one, while care is taken
+    passes: Annotated[int, Gt(1)] = 8  # over the contacts, instead of one, while care is taken
 
 
 @config
