@@ -1,0 +1,144 @@
+"""What ARCSim's hands did, from a run's conf.json: which nodes were grasped, when, and how far they were moved."""
+
+import math
+import re
+from pathlib import Path
+from typing import Annotated, NamedTuple
+
+import numpy as np
+import pydantic
+from annotated_types import Ge, Gt
+from jaxtyping import Float
+from scipy.interpolate import CubicHermiteSpline
+
+from clothkit.errors import InputError
+
+
+class Handle(NamedTuple):
+    """One grasped node, from being grasped to being let go."""
+
+    node: int
+    """Of the mesh that the run starts with, from 0."""
+    start: float
+    """s"""
+    end: float
+    """s"""
+    move: Float[np.ndarray, "2"]
+    """Metres, xy: from where it is grasped to where it is let go."""
+
+
+class Scene(NamedTuple):
+    """What an import needs of a conf.json."""
+
+    frame_time: float
+    """s"""
+    handles: list[Handle]
+
+
+# Keys that are not named here are ARCSim's business.
+class _Transform(pydantic.BaseModel, frozen=True):
+    translate: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    scale: float = 1.0
+    rotate: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+
+
+class _Key(pydantic.BaseModel, frozen=True):
+    time: float
+    transform: _Transform = _Transform()
+    velocity: _Transform | None = None
+
+
+class _Handle(pydantic.BaseModel, frozen=True):
+    type: str = "node"
+    nodes: list[Annotated[int, Ge(0)]] = []
+    label: int = -1
+    motion: Annotated[int, Ge(-1)] = -1
+    start_time: float = 0.0
+    end_time: float = math.inf
+
+
+class _Conf(pydantic.BaseModel, frozen=True):
+    frame_time: Annotated[float, Gt(0)]
+    motions: list[list[_Key]] = []
+    handles: list[_Handle] = []
+
+
+def read_scene(path: Path) -> Scene:
+    """The scene of a run. Raises InputError naming the field that is missing, or that a manipulation has no place for.
+
+    That is: no handles, handles other than those of listed nodes, motions that turn or scale.
+    """
+    conf = _read(path)
+    if not conf.handles:
+        raise InputError(f"{path}: handles: expected one or two grasped nodes, found none")
+    handles = []
+    for number, handle in enumerate(conf.handles):
+        where = f"{path}: handles.{number}"
+        if handle.type != "node" or not handle.nodes:
+            raise InputError(f"{where}: expected a handle of listed nodes, found {_kind(handle)}")
+        if handle.motion >= len(conf.motions):
+            raise InputError(f"{where}.motion: is {handle.motion}, but there are {len(conf.motions)} motions")
+        keys = conf.motions[handle.motion] if handle.motion >= 0 else []
+        move = np.zeros(2)
+        if keys:
+            _check_translation(path, handle.motion, keys)
+            start, end = _translation(keys, handle.start_time), _translation(keys, handle.end_time)
+            move = (end - start)[:2]
+        handles += [Handle(node, handle.start_time, handle.end_time, move) for node in handle.nodes]
+    return Scene(conf.frame_time, handles)
+
+
+def _read(path: Path) -> _Conf:
+    try:
+        return _Conf.model_validate_json(_without_comments(path.read_text(encoding="utf-8")))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: can't be read ({error})") from error
+    except pydantic.ValidationError as error:
+        first = error.errors()[0]
+        field = ".".join(str(part) for part in first["loc"]) or "the whole file"
+        raise InputError(f"{path}: {field}: {first['msg'][0].lower()}{first['msg'][1:]}") from error
+
+
+def _without_comments(text: str) -> str:
+    """JSON proper: ARCSim's reader allows comments, and the conf.json in a run's folder is the user's own file."""
+    return re.sub(r'("(?:\\.|[^"\\])*")|//[^\n]*|/\*.*?\*/', lambda match: match[1] or "", text, flags=re.DOTALL)
+
+
+def _kind(handle: _Handle) -> str:
+    return f"one of type {handle.type!r}" if handle.type != "node" else f"label {handle.label} and no nodes"
+
+
+def _check_translation(path: Path, motion: int, keys: list[_Key]) -> None:
+    for number, key in enumerate(keys):
+        if key.transform.scale != 1 or key.transform.rotate[0] % 360 != 0:
+            raise InputError(f"{path}: motions.{motion}.{number}.transform: expected a translation only")
+        if number and key.time <= keys[number - 1].time:
+            raise InputError(f"{path}: motions.{motion}.{number}.time: expected later than the key before")
+
+
+def _translation(keys: list[_Key], time: float) -> Float[np.ndarray, "3"]:
+    """Where a motion is at a time [m]: ARCSim's spline through its keys, at rest before and after them."""
+    times = np.array([key.time for key in keys])
+    places = np.array([key.transform.translate for key in keys])
+    if time <= times[0] or len(keys) == 1:
+        return places[0]
+    if time >= times[-1]:
+        return places[-1]
+    slopes = np.zeros_like(places)
+    slopes[1:-1] = (places[2:] - places[:-2]) / (times[2:] - times[:-2])[:, None]
+    for slope, key in zip(slopes, keys, strict=True):
+        if key.velocity is not None:
+            slope[:] = key.velocity.translate
+    return CubicHermiteSpline(times, places, slopes)(time)
+
+
+def read_paths(path: Path, times: Float[np.ndarray, " times"]) -> list[tuple[Handle, Float[np.ndarray, "times 3"]]]:
+    """Every grasped node of a scene, with how far it has been moved at each time [m]; errors as `read_scene`'s."""
+    conf = _read(path)
+    scene = read_scene(path)
+    motions = [handle.motion for handle in conf.handles for _ in handle.nodes]
+    keys = [conf.motions[motion] if motion >= 0 else [_Key(time=0.0)] for motion in motions]
+    return [
+        (handle, np.array([_translation(key, time) for time in times]))
+        for handle, key in zip(scene.handles, keys, strict=True)
+    ]
