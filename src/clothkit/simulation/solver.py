@@ -35,7 +35,7 @@ def make_solver(settings: SimulationConfig) -> Solver:
         "spacing": h,
         "time_step": dt,
         "stretch_compliance": compliance(material.stretch_stiffness),
-        "shear_compliance": compliance(material.shear_stiffness),
+        "shear_compliance": compliance(2 * material.shear_stiffness),  # one of the two diagonals resists
         "diagonal_shortest": 0.3 * 2**0.5 * h,
         "diagonal_longest": (1 + np.sin(material.shear_limit)) ** 0.5 * 2**0.5 * h,
         "bending_compliance": bending,

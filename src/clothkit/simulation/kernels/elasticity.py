@@ -94,8 +94,15 @@ def solve_bending(solver: Solver, state: State, w: int, lane: int, lanes: int):
 
 @wp.func
 def shear(solver: Solver, x: Vectors, free: Floats, i: int, j: int):
-    """Move the ends of a diagonal towards its rest length, weakly, and into its range."""
-    keep_distance(x, free, i, j, solver.spacing * 1.41421356, solver.shear_compliance)
+    """Pull the ends of a diagonal that is longer than at rest together, and keep it in its range.
+
+    Sheared either way, a quad lengthens one of its diagonals; folded along one, it shortens the other. So shear is
+    resisted and folds across the quads are not.
+    """
+    rest = solver.spacing * 1.41421356
+    d = x[j] - x[i]
+    if wp.dot(d, d) > rest * rest:
+        keep_distance(x, free, i, j, rest, solver.shear_compliance)
     limit_distance(x, free, i, j, solver.diagonal_shortest, solver.diagonal_longest, 1.0)
 
 
