@@ -67,7 +67,7 @@ def read_scene(conf: Path) -> Scene:
 
 
 def replay(scene: Scene, settings: SimulationConfig) -> Replay:
-    """Run a scene to its end, `settings.settling` after the release; CPU seconds are the solver's, without compiling."""
+    """Run a scene to its end, `settings.settling` after the release; CPU seconds are the solver's own."""
     worlds = Worlds(1, settings)
     state = scene.start[None]
     times, states, spent = [], [], 0.0

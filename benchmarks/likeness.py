@@ -79,7 +79,10 @@ def compare(ours: str, scene: Scene, got: Replay) -> dict:
 
 def _edges(when: str, state: np.ndarray, scene: Scene) -> dict:
     """The mean x [mm] of the edge that is held (u = -1) and of the one that is not."""
-    return {f"held x {when}": round(float(state[0, :, 0].mean()) * 1e3), f"other x {when}": round(float(state[-1, :, 0].mean()) * 1e3)}
+    return {
+        f"held x {when}": round(float(state[0, :, 0].mean()) * 1e3),
+        f"other x {when}": round(float(state[-1, :, 0].mean()) * 1e3),
+    }
 
 
 def peers(scene: Scene) -> list[dict]:

@@ -30,9 +30,11 @@ class Watch:
     """Takes the places of `perform` and `reason` in the attempts: notes CPU seconds and rest, lets every state pass."""
 
     def __init__(self) -> None:
-        self.perform, self.seconds, self.rested = attempts.perform, [], []
+        self.perform = attempts.perform
+        self.seconds: list[float] = []
+        self.rested: list[np.ndarray] = []
 
-    def timed(self, *arguments):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    def timed(self, *arguments):  # type: ignore[no-untyped-def]
         """As `perform`, with its CPU seconds noted."""
         started = time.process_time()
         taken, outcome = self.perform(*arguments)
@@ -40,7 +42,7 @@ class Watch:
         self.rested.append(outcome.rested)
         return taken, outcome
 
-    def lenient(self, quality, outcome, limits, index) -> str:  # type: ignore[no-untyped-def]  # noqa: ANN001
+    def lenient(self, quality, outcome, limits, index) -> str:  # type: ignore[no-untyped-def]
         """As `reason`, but only what can't go on is rejected."""
         return "" if quality.finite[index] else "not finite"
 
@@ -60,10 +62,8 @@ def run_block(first: int, count: int, side: int, changes: str) -> dict[str, np.n
     watch = Watch()
     attempts.perform, attempts.reason = watch.timed, watch.lenient
     started = time.process_time()
-    try:
-        found = attempts.attempt_sequences(range(first, first + count), settings(side, changes))
-    finally:
-        attempts.perform = watch.perform
+    found = attempts.attempt_sequences(range(first, first + count), settings(side, changes))
+    attempts.perform = watch.perform
     spent = time.process_time() - started
     rested = np.zeros((count, 3), bool)
     seconds = np.zeros(3)
@@ -105,7 +105,8 @@ def main() -> None:
     wall = time.perf_counter() - started
     arrays = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
     own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    np.savez(options.out, wall_seconds=wall, own_mib=own, own_process=os.getpid(), **arrays)
+    arrays |= {"wall_seconds": np.array(wall), "own_mib": np.array(own), "own_process": np.array(os.getpid())}
+    np.savez(options.out, **arrays)  # type: ignore[arg-type]
 
 
 if __name__ == "__main__":

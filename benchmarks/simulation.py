@@ -30,7 +30,8 @@ THICKNESS = SimulationConfig().material.thickness
 VIEWPORT = 0.125  # normalised
 STRAIN_P99, STRAIN_WORST, RESIDUAL_SPEED = 0.03, 0.1, 0.01
 SIDES = (16, 32, 48, 64)
-ON_EACH_SIDE = 4  # attempts
+ON_EACH_SIDE = 4  # attempts; 64 a side take minutes
+FAULTS = ("crossed", "high", "p99", "worst", "thin", "below", "restless")
 
 
 def run(count: int, *, workers: int = 1, side: int = 32, source: Path | None = None, material: str = "") -> dict:
@@ -63,7 +64,9 @@ def peak_mib(got: dict) -> float:
 def judge(got: dict, side: int) -> dict[str, np.ndarray]:
     """What is wrong with each state after a manipulation, bool [attempts 3]; states that weren't reached are not."""
     there = got["reached"][:, None] > np.arange(1, 4)
-    found = {name: np.zeros(there.shape, bool) for name in ("crossed", "high", "p99", "worst", "thin", "below", "restless")}
+    found = {
+        name: np.zeros(there.shape, bool) for name in ("crossed", "high", "p99", "worst", "thin", "below", "restless")
+    }
     for step in range(3):
         rows = np.flatnonzero(there[:, step])
         quality = measure(got["states"][rows, step + 1], SimulationConfig(side=side))
@@ -84,7 +87,10 @@ def quality_rows(name: str, got: dict, side: int = 32) -> list[dict]:
     rows = []
     for step in range(3):
         there = judged["there"][:, step]
-        share = {key: f"{judged[key][there, step].mean():.0%}" for key in ("crossed", "high", "p99", "worst", "thin", "restless")}
+        share = {
+            key: f"{judged[key][there, step].mean():.0%}"
+            for key in ("crossed", "high", "p99", "worst", "thin", "restless")
+        }
         rows.append(
             {
                 "solver": name,
@@ -140,7 +146,10 @@ def sequences_rows(sizes: list[int], material: str) -> list[dict]:
             done = manipulations(got)
             wall = float(got["wall_seconds"])
             row = {"sequences": count, "workers": workers, "manipulations": done, "wall s": round(wall, 1)}
-            row |= {"wall s each": round(wall / done, 3), "CPU s each": round(float(got["cpu_seconds"].sum()) / done, 3)}
+            row |= {
+                "wall s each": round(wall / done, 3),
+                "CPU s each": round(float(got["cpu_seconds"].sum()) / done, 3),
+            }
             rows.append(row | {"peak MiB, all processes": round(peak_mib(got))})
     return rows
 
