@@ -59,6 +59,7 @@ class _Handle(pydantic.BaseModel, frozen=True):
 
 class _Conf(pydantic.BaseModel, frozen=True):
     frame_time: Annotated[float, Gt(0)]
+    end_time: float = math.inf
     motions: list[list[_Key]] = []
     handles: list[_Handle] = []
 
@@ -130,3 +131,19 @@ def _translation(keys: list[_Key], time: float) -> Float[np.ndarray, "3"]:
         if key.velocity is not None:
             slope[:] = key.velocity.translate
     return CubicHermiteSpline(times, places, slopes)(time)
+
+
+def read_paths(path: Path, times: Float[np.ndarray, " times"]) -> list[tuple[Handle, Float[np.ndarray, "times 3"]]]:
+    """Every grasped node of a scene, with how far it has been moved at each time [m]; errors as `read_scene`'s."""
+    scene, conf = read_scene(path), _read(path)
+    motions = [handle.motion for handle in conf.handles for _ in handle.nodes]
+    keys = [conf.motions[motion] if motion >= 0 else [_Key(time=0.0)] for motion in motions]
+    return [
+        (handle, np.array([_translation(key, time) for time in times]))
+        for handle, key in zip(scene.handles, keys, strict=True)
+    ]
+
+
+def read_end(path: Path) -> float:
+    """When the scene ends [s]; errors as `read_scene`'s."""
+    return _read(path).end_time

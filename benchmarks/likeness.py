@@ -1,0 +1,159 @@
+"""How like ARCSim's are our folds?  python benchmarks/likeness.py FOLDER [--picture PNG] [--vary] [--csv FOLDER]
+
+FOLDER holds scenes NAME.conf.json with NAME.start.obj (frame 0) and NAME.obj (the last frame). Their hands' motion is
+replayed at 32 x 32 with a material like ARCSim's gray-interlock and with the default one. Distances are per material
+point; `aligned` ones without the mean translation. --vary changes the material one setting at a time. CPU seconds of
+ARCSim, MuJoCo and Newton were measured once, on another day: trust ratios only.
+"""
+
+import argparse
+import dataclasses
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from arcsim_replay import Replay, Scene, read_scene, replay
+from tables import show
+
+from clothkit.errors import InputError
+from clothkit.simulation.settings import Material, Settling, SimulationConfig
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+
+GRAY_INTERLOCK = Material(
+    density=0.187,
+    bending_stiffness=2e-5,
+    bending_limit=1e4,  # the moment never saturates
+    shear_stiffness=20.0,
+    thickness=2e-3,
+    cloth_friction=0.6,
+    table_friction=0.3,
+    viscosity=1e-3,
+    drag=0.5,
+)
+LIKE_ARCSIM = SimulationConfig(material=GRAY_INTERLOCK, top_speed=5.0)
+"""No faster vertex is seen in the scenes."""
+
+PEERS = {  # mean distance [mm], CPU seconds of one core
+    "half_04m_fix32": {"ARCSim 0.2.1": (0.0, 26.0), "MuJoCo 4.0": (11.0, 82.0), "Newton 1.8 VBD": (15.0, 260.0)},
+    "corner_04m_fix32": {"ARCSim 0.2.1": (0.0, 22.0)},
+    "half_04m_adapt": {"ARCSim 0.2.1": (0.0, 18.0)},
+}
+VARIED: dict[str, tuple[float, ...]] = {
+    "table_friction": (0.2, 0.5, 0.7),
+    "cloth_friction": (0.3,),
+    "shear_stiffness": (0.05, 1.0, 5.0, 100.0),
+    "stretch_stiffness": (500.0, 20000.0),
+    "bending_stiffness": (1e-5, 5e-5),
+    "bending_limit": (20.0,),
+    "bending_friction": (0.0, 8e-4),
+    "viscosity": (0.0, 6e-3),
+    "drag": (0.0, 2.0),
+}
+
+
+def until_the_end(settings: SimulationConfig, scene: Scene) -> SimulationConfig:
+    """The settings, but as long as ARCSim's scene runs, whether the cloth rests or not."""
+    rest = scene.end - float(scene.motion.seconds[0])
+    return dataclasses.replace(settings, settling=Settling(longest=rest, rest_time=2 * rest))
+
+
+def compare(ours: str, scene: Scene, got: Replay) -> dict:
+    """A row: how far what we got is from ARCSim's final shape, and how far the edges slid."""
+    away = (got.final - scene.final) * 1e3
+    distance = np.linalg.norm(away, axis=-1)
+    aligned = np.linalg.norm(away - away.mean((0, 1)), axis=-1)
+    release = int(np.searchsorted(got.times, scene.motion.seconds[0] + 1e-6)) - 1
+    return {
+        "solver": ours,
+        "mean mm": round(float(distance.mean()), 1),
+        "aligned": round(float(aligned.mean()), 1),
+        "p95": round(float(np.percentile(distance, 95)), 1),
+        "crest": round(float(got.final[..., 2].max()) * 1e3, 1),
+        **_edges("let go", got.states[release], scene),
+        **_edges("end", got.final, scene),
+        "CPU s": round(got.cpu_seconds, 2),
+    }
+
+
+def _edges(when: str, state: np.ndarray, scene: Scene) -> dict:
+    """The mean x [mm] of the edge that is held (u = -1) and of the one that is not."""
+    return {
+        f"held x {when}": round(float(state[0, :, 0].mean()) * 1e3),
+        f"other x {when}": round(float(state[-1, :, 0].mean()) * 1e3),
+    }
+
+
+def peers(scene: Scene) -> list[dict]:
+    """Rows of what others do."""
+    rows = []
+    for name, (distance, seconds) in PEERS.get(scene.name, {}).items():
+        row: dict = {"solver": name, "mean mm": distance, "CPU s": seconds}
+        if name.startswith("ARCSim"):
+            row |= {"crest": round(float(scene.final[..., 2].max()) * 1e3, 1), **_edges("end", scene.final, scene)}
+        rows.append(row)
+    return rows
+
+
+def with_ratios(rows: list[dict]) -> list[dict]:
+    """The rows with their speed as a multiple of ARCSim's, where that was measured."""
+    arcsim = next((row["CPU s"] for row in rows if row["solver"].startswith("ARCSim")), None)
+    return [row | ({"ARCSim / CPU s": round(arcsim / row["CPU s"], 1)} if arcsim else {}) for row in rows]
+
+
+def draw(path: Path, pairs: list[tuple[Scene, Replay]]) -> None:
+    """A row of panels per scene: profiles at mid-width, then ARCSim's and our cloth from above; mm."""
+    figure, axes = plt.subplots(len(pairs), 3, figsize=(13, 3.6 * len(pairs)), squeeze=False, layout="constrained")
+    for row, (scene, got) in zip(axes, pairs, strict=True):
+        clothes = {"ARCSim": scene.final * 1e3, "clothkit": got.final * 1e3}
+        for (name, cloth), colour in zip(clothes.items(), ("tab:blue", "tab:orange"), strict=True):
+            line = cloth[:, cloth.shape[1] // 2] if scene.motion.held[0, 1, 0] >= 0 else np.diagonal(cloth).T
+            along = line[:, 0] if scene.motion.held[0, 1, 0] >= 0 else (line[:, 0] + line[:, 1]) / 2**0.5
+            row[0].plot(along, line[:, 2], ".-", color=colour, label=name, linewidth=1)
+        row[0].set(title=f"{scene.name}: profile, mm", ylim=(0, 40))
+        row[0].legend()
+        for axis, (name, cloth) in zip(row[1:], clothes.items(), strict=True):
+            shown = axis.scatter(cloth[..., 0], cloth[..., 1], c=cloth[..., 2], s=9, vmin=0, vmax=12, cmap="viridis")
+            for line in (*cloth, *cloth.transpose(1, 0, 2)):
+                axis.plot(line[:, 0], line[:, 1], color="grey", linewidth=0.4, zorder=0)
+            axis.set(title=f"{name} from above, mm", aspect="equal", xlim=(-260, 260), ylim=(-220, 220))
+        figure.colorbar(shown, ax=row[2], label="z, mm")
+    figure.savefig(path, dpi=110)
+
+
+def main() -> None:
+    """Print a table per scene."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--picture", type=Path)
+    parser.add_argument("--vary", action="store_true")
+    parser.add_argument("--csv", type=Path)
+    options = parser.parse_args()
+    try:
+        scenes = [read_scene(conf) for conf in sorted(options.folder.glob("*.conf.json"))]
+    except InputError as error:
+        raise SystemExit(str(error)) from error
+    runs = {
+        "clothkit, gray-interlock": LIKE_ARCSIM,
+        "clothkit, half the time step": dataclasses.replace(LIKE_ARCSIM, time_step=5e-4),
+        "clothkit, default material": SimulationConfig(),
+    }
+    if options.vary:
+        for name, values in VARIED.items():
+            for value in values:
+                if value or name != "viscosity":
+                    material = dataclasses.replace(GRAY_INTERLOCK, **{name: value})
+                    runs[f"{name} {value:g}"] = dataclasses.replace(LIKE_ARCSIM, material=material)
+    pictured = []
+    for scene in scenes:
+        got = {name: replay(scene, until_the_end(settings, scene)) for name, settings in runs.items()}
+        rows = peers(scene) + [compare(name, scene, one) for name, one in got.items()]
+        show(f"likeness {scene.name}: distance to ARCSim's final shape", with_ratios(rows), csv=options.csv)
+        pictured.append((scene, got["clothkit, gray-interlock"]))
+    if options.picture:
+        draw(options.picture, pictured)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,113 @@
+"""Attempted sequences of whichever clothkit is on the path, nothing thrown away: the other half of simulation.py.
+
+    PYTHONPATH=CHECKOUT/src python benchmarks/run_attempts.py OUT.npz [--count 16] [--first 0] [--workers 1] [--side 32]
+
+Runs attempts of seed 0 with that checkout's default settings, and writes their states, when and how they came to rest,
+CPU and wall seconds (compiling left out) and peak memory. It uses only what every version of the simulation has.
+"""
+
+import argparse
+import functools
+import json
+import os
+import resource
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from clothkit.simulation import attempts
+from clothkit.simulation.processes import make_pool
+from clothkit.simulation.settings import Limits, SimulateConfig, SimulationConfig
+
+BLOCK = 4  # attempts at a time, as in the simulate stage
+WARM_UP = 900_000  # number of the attempt that a process begins with, so that nothing is compiled later
+OPEN = Limits(height=9.0, residual_speed=9.0, strain_p99=9.0, strain_worst=9.0, intersections=10**6)
+
+
+class Watch:
+    """Takes the places of `perform` and `reason` in the attempts: notes CPU seconds and rest, lets every state pass."""
+
+    def __init__(self) -> None:
+        self.perform = attempts.perform
+        self.seconds: list[float] = []
+        self.rested: list[np.ndarray] = []
+
+    def timed(self, *arguments):  # type: ignore[no-untyped-def]
+        """As `perform`, with its CPU seconds noted."""
+        started = time.process_time()
+        taken, outcome = self.perform(*arguments)
+        self.seconds.append(time.process_time() - started)
+        self.rested.append(outcome.rested)
+        return taken, outcome
+
+    def lenient(self, quality, outcome, limits, index) -> str:  # type: ignore[no-untyped-def]
+        """As `reason`, but only what can't go on is rejected."""
+        return "" if quality.finite[index] else "not finite"
+
+
+def settings(side: int, changes: str) -> SimulateConfig:
+    """The default settings at so many vertices a side, with a JSON object of changes to the material."""
+    simulation = SimulationConfig(side=side)
+    if changes:
+        material = type(simulation.material)(**json.loads(changes))
+        simulation = SimulationConfig(side=side, material=material)
+    return SimulateConfig(sequences=1, seed=0, simulation=simulation, limits=OPEN)
+
+
+def run_block(first: int, count: int, side: int, changes: str) -> dict[str, np.ndarray]:
+    """A block of attempts: their arrays, `rested` [attempts 3], `solver_seconds` [3], and what the process used."""
+    warm_up(side, changes)
+    watch = Watch()
+    attempts.perform, attempts.reason = watch.timed, watch.lenient
+    started = time.process_time()
+    found = attempts.attempt_sequences(range(first, first + count), settings(side, changes))
+    attempts.perform = watch.perform
+    spent = time.process_time() - started
+    rested = np.zeros((count, 3), bool)
+    seconds = np.zeros(3)
+    for step, (outcome, taken) in enumerate(zip(watch.rested, watch.seconds, strict=True)):
+        rested[found.reached > step + 1, step] = outcome
+        seconds[step] = taken
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    own = {"rested": rested, "solver_seconds": seconds[None], "cpu_seconds": np.array([spent])}
+    return found._asdict() | own | {"process": np.array([os.getpid()]), "peak_mib": np.array([peak])}
+
+
+@functools.cache
+def warm_up(side: int, changes: str) -> None:
+    """Load or compile the kernels, once a process."""
+    cv2.setNumThreads(1)
+    attempts.attempt_sequences(range(WARM_UP, WARM_UP + 1), settings(side, changes))
+
+
+def main() -> None:
+    """Run the attempts and write what they gave."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("out", type=Path)
+    for name, default in (("first", 0), ("count", 16), ("workers", 1), ("side", 32)):
+        parser.add_argument(f"--{name}", type=int, default=default)
+    parser.add_argument("--material", default="", help='JSON: {"shear_stiffness": 20.0}')
+    options = parser.parse_args()
+    last = options.first + options.count
+    jobs = [(at, min(BLOCK, last - at), options.side, options.material) for at in range(options.first, last, BLOCK)]
+    if options.workers == 1:
+        warm_up(options.side, options.material)
+        started = time.perf_counter()
+        blocks = [run_block(*job) for job in jobs]
+    else:
+        with make_pool(options.workers) as pool:
+            for warm in [pool.submit(warm_up, options.side, options.material) for _ in range(options.workers)]:
+                warm.result()
+            started = time.perf_counter()
+            blocks = [done.result() for done in [pool.submit(run_block, *job) for job in jobs]]
+    wall = time.perf_counter() - started
+    arrays = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
+    own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    arrays |= {"wall_seconds": np.array(wall), "own_mib": np.array(own), "own_process": np.array(os.getpid())}
+    np.savez(options.out, **arrays)  # type: ignore[arg-type]
+
+
+if __name__ == "__main__":
+    main()

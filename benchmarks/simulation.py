@@ -1,0 +1,184 @@
+"""What does the simulation cost, and how good are its states?  python benchmarks/simulation.py [WHAT ..] [options]
+
+WHAT is `vertices` (cost against vertices a side), `sequences` (against their number, on one worker and two), `steps`
+(cost and quality of steps 1, 2, 3); all of them if not said. `--against PATH` puts another checkout of this repository
+beside this one on the same attempts. `--count N` attempts (16) for steps and --against, `--sizes 16 64 1024` for
+sequences, `--csv FOLDER` for csv files. `--material '{"shear_stiffness": 20.0}'` changes this checkout's material.
+
+States are judged alike whoever made them, and nothing is thrown away, so step 3 starts from bad states too. `sound`:
+no intersection, nothing below the table, gap at least half the thickness, strain p99 <= 3 % and worst <= 10 %, height
+<= 0.125, at rest by its own solver's word (the first version's residual speed is a mean over 50 ms, later ones' the
+fastest vertex at any time step). CPU seconds of one core, with drawing and checking, without compiling.
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from tables import show
+
+import clothkit
+from clothkit.simulation.quality import measure
+from clothkit.simulation.settings import SimulationConfig
+
+HERE = Path(__file__).resolve().parent
+THICKNESS = SimulationConfig().material.thickness
+VIEWPORT = 0.125  # normalised
+STRAIN_P99, STRAIN_WORST, RESIDUAL_SPEED = 0.03, 0.1, 0.01
+SIDES = (16, 32, 48, 64)
+ON_EACH_SIDE = 4  # attempts; 64 a side take minutes
+FAULTS = ("crossed", "high", "p99", "worst", "thin", "below", "restless")
+
+
+def run(count: int, *, workers: int = 1, side: int = 32, source: Path | None = None, material: str = "") -> dict:
+    """What run_attempts.py writes, of the clothkit in a source folder (of this one if not said)."""
+    source = source or Path(clothkit.__file__).parents[1]
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "attempts.npz"
+        sizes = {"count": count, "workers": workers, "side": side}
+        command = [sys.executable, str(HERE / "run_attempts.py"), str(out)]
+        command += [word for name, value in sizes.items() for word in (f"--{name}", str(value))]
+        command += ["--material", material] if material else []
+        subprocess.run(command, check=True, env=os.environ | {"PYTHONPATH": str(source)})
+        with np.load(out) as arrays:
+            return dict(arrays)
+
+
+def manipulations(got: dict) -> int:
+    """How many were executed."""
+    return int((got["reached"] - 1).clip(0).sum())
+
+
+def peak_mib(got: dict) -> float:
+    """Of all processes together."""
+    peaks = {int(got["own_process"]): float(got["own_mib"])}
+    for process, peak in zip(got["process"].tolist(), got["peak_mib"].tolist(), strict=True):
+        peaks[process] = max(peaks.get(process, 0.0), peak)
+    return sum(peaks.values())
+
+
+def judge(got: dict, side: int) -> dict[str, np.ndarray]:
+    """What is wrong with each state after a manipulation, bool [attempts 3]; states that weren't reached are not."""
+    there = got["reached"][:, None] > np.arange(1, 4)
+    found = {
+        name: np.zeros(there.shape, bool) for name in ("crossed", "high", "p99", "worst", "thin", "below", "restless")
+    }
+    for step in range(3):
+        rows = np.flatnonzero(there[:, step])
+        quality = measure(got["states"][rows, step + 1], SimulationConfig(side=side))
+        found["crossed"][rows, step] = quality.intersections > 0
+        found["high"][rows, step] = quality.height > VIEWPORT
+        found["p99"][rows, step] = quality.strain_p99 > STRAIN_P99
+        found["worst"][rows, step] = quality.strain_worst > STRAIN_WORST
+        found["thin"][rows, step] = quality.gap < THICKNESS / 2
+        found["below"][rows, step] = quality.lowest < 0
+        moving = got["residual_speed"][rows, step + 1] > RESIDUAL_SPEED
+        found["restless"][rows, step] = ~got["rested"][rows, step] | moving
+    return {"there": there, **found, "bad": ~there | np.any(list(found.values()), axis=0)}
+
+
+def quality_rows(name: str, got: dict, side: int = 32) -> list[dict]:
+    """A row per step, and one for the sequences."""
+    judged = judge(got, side)
+    rows = []
+    for step in range(3):
+        there = judged["there"][:, step]
+        share = {
+            key: f"{judged[key][there, step].mean():.0%}"
+            for key in ("crossed", "high", "p99", "worst", "thin", "restless")
+        }
+        rows.append(
+            {
+                "solver": name,
+                "step": step + 1,
+                "states": int(there.sum()),
+                "sound so far": f"{1 - judged['bad'][:, : step + 1].any(1).mean():.0%}",
+                "intersecting": share["crossed"],
+                "over viewport": share["high"],
+                "strain p99 > 3%": share["p99"],
+                "worst > 10%": share["worst"],
+                "gap < half": share["thin"],
+                "not at rest": share["restless"],
+                "median settle s": round(float(np.median(got["settle_time"][there, step])), 2),
+                "solver CPU s": round(float(got["solver_seconds"][:, step].sum()) / max(int(there.sum()), 1), 3),
+            }
+        )
+    sound = 1 - judged["bad"].any(1).mean()
+    spent = float(got["cpu_seconds"].sum())
+    whole = {"solver": name, "step": "all", "states": manipulations(got), "sound so far": f"{sound:.0%}"}
+    per_sound = f"{spent / max(sound * len(judged['bad']), 1e-9):.2f}" if sound else "none"
+    return [*rows, whole | {"CPU s each": round(spent / manipulations(got), 3), "CPU s a sound sequence": per_sound}]
+
+
+def vertices_rows(material: str) -> list[dict]:
+    """A row per number of vertices."""
+    rows = []
+    for side in SIDES:
+        got = run(ON_EACH_SIDE, side=side, material=material)
+        judged = judge(got, side)
+        per = float(got["cpu_seconds"].sum()) / manipulations(got)
+        rows.append(
+            {
+                "side": side,
+                "vertices": side**2,
+                "CPU s each": round(per, 3),
+                "us a vertex": round(per / side**2 * 1e6, 0),
+                "median settle s": [round(float(t), 2) for t in np.median(got["settle_time"], axis=0)],
+                "intersecting": f"{judged['crossed'].mean():.0%}",
+                "over viewport": f"{judged['high'].mean():.0%}",
+                "strain p99 > 3%": f"{judged['p99'].mean():.0%}",
+                "sound sequences": f"{1 - judged['bad'].any(1).mean():.0%}",
+            }
+        )
+    return rows
+
+
+def sequences_rows(sizes: list[int], material: str) -> list[dict]:
+    """A row per number of sequences and workers."""
+    rows = []
+    for count in sizes:
+        for workers in (1, 2):
+            got = run(count, workers=workers, material=material)
+            done = manipulations(got)
+            wall = float(got["wall_seconds"])
+            row = {"sequences": count, "workers": workers, "manipulations": done, "wall s": round(wall, 1)}
+            row |= {
+                "wall s each": round(wall / done, 3),
+                "CPU s each": round(float(got["cpu_seconds"].sum()) / done, 3),
+            }
+            rows.append(row | {"peak MiB, all processes": round(peak_mib(got))})
+    return rows
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", nargs="*", metavar="WHAT")
+    parser.add_argument("--against", type=Path)
+    parser.add_argument("--count", type=int, default=16)
+    parser.add_argument("--sizes", type=int, nargs="+", default=[16, 64])
+    parser.add_argument("--material", default="")
+    parser.add_argument("--csv", type=Path)
+    options = parser.parse_args()
+    tables = ["vertices", "sequences", "steps"]
+    if unknown := set(options.what) - set(tables):
+        parser.error(f"{' '.join(sorted(unknown))}: expected some of {', '.join(tables)}")
+    what = options.what or ([] if options.against else tables)
+    if "vertices" in what:
+        show("simulation vertices: cost against vertices a side", vertices_rows(options.material), csv=options.csv)
+    if "sequences" in what:
+        rows = sequences_rows(options.sizes, options.material)
+        show("simulation sequences: cost against their number", rows, csv=options.csv)
+    if "steps" in what or options.against:
+        rows = quality_rows("this", run(options.count, material=options.material))
+        if options.against:
+            rows += quality_rows("other", run(options.count, source=options.against.resolve() / "src"))
+        show(f"simulation steps: cost and quality, {options.count} attempts of seed 0", rows, csv=options.csv)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,15 @@
+"""How benchmarks print: plain aligned text, and csv where it is asked for."""
+
+from pathlib import Path
+
+import pandas as pd
+
+
+def show(title: str, rows: list[dict], *, csv: Path | None = None) -> None:
+    """Print rows as a table under a title; with a folder, write them to a file named after the title's first words."""
+    table = pd.DataFrame(rows)
+    print(f"\n{title}\n{table.to_string(index=False, na_rep='')}", flush=True)
+    if csv:
+        csv.mkdir(parents=True, exist_ok=True)
+        name = "_".join(title.lower().split(":")[0].split(",")[0].split())
+        table.to_csv(csv / f"{name}.csv", index=False)
