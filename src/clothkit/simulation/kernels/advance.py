@@ -114,12 +114,13 @@ def finish(solver: Solver, state: State, w: int, lane: int, lanes: int):
             if length > largest_step:
                 x = before + d * (largest_step / length)
             penetration = floor - x[2]
+            spent = state.pressed[w, i]
             state.pressed[w, i] = wp.max(penetration, 0.0)
             if penetration > 0.0:
                 dx = x[0] - before[0]
                 dy = x[1] - before[1]
                 slip = wp.sqrt(dx * dx + dy * dy) + 1.0e-12
-                friction = wp.min(1.0, solver.table_friction * penetration / slip)
+                friction = wp.clamp((solver.table_friction * penetration - spent) / slip, 0.0, 1.0)
                 x = wp.vec3(x[0] - friction * dx, x[1] - friction * dy, floor)
             d = x - before
             if wp.dot(d, d) < solver.stiction * solver.stiction:
@@ -145,6 +146,8 @@ def hold(solver: Solver, state: State, w: int, lane: int, lanes: int):
             slip = wp.sqrt(dx * dx + dy * dy) + 1.0e-12
             friction = wp.min(1.0, solver.table_friction * pressed / slip)
             state.position[w, i] = wp.vec3(x[0] - friction * dx, x[1] - friction * dy, x[2])
+            # What is left of it is for the end of the substep.
+            state.pressed[w, i] = friction * slip
     synchronise()
 
 
