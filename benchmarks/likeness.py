@@ -26,6 +26,7 @@ GRAY_INTERLOCK = Material(
     bending_stiffness=2e-5,
     bending_limit=1e4,  # the moment never saturates
     bending_friction=4e-4,
+    stiction=0.0,
     shear_stiffness=20.0,
     thickness=2e-3,
     cloth_friction=0.6,

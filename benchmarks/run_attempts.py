@@ -60,7 +60,7 @@ def run_block(first: int, count: int, side: int, changes: str) -> dict[str, np.n
     """A block of attempts: their arrays, `rested` [attempts 3], `solver_seconds` [3], and what the process used."""
     warm_up(side, changes)
     watch = Watch()
-    attempts.perform, attempts.reason = watch.timed, watch.lenient
+    attempts.perform, attempts.reason = watch.timed, watch.lenient  # type: ignore[assignment]
     started = time.process_time()
     found = attempts.attempt_sequences(range(first, first + count), settings(side, changes))
     attempts.perform = watch.perform

@@ -137,7 +137,7 @@ class PEMD(nn.Module):
         return latents, traces, shifts
 
 
-def initial(config: PEMDConfig, start: Start = Start(), *, key: PRNGKeyArray) -> PyTree:
+def initial(config: PEMDConfig, start: Start = Start(), *, key: PRNGKeyArray) -> PyTree:  # noqa: B008
     """Weights to start training from."""
     mesh, manipulations = jnp.zeros((SIDE, SIDE, 3)), jnp.zeros((1, 6))
     return PEMD(config, start).init(key, mesh, manipulations)["params"]

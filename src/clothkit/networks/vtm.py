@@ -28,7 +28,7 @@ class VtM(nn.Module):
         return probabilistic_mesh(probabilistic_output("mesh", self.start)(units))
 
 
-def initial(config: VtMConfig, start: Start = Start(), *, key: PRNGKeyArray) -> PyTree:
+def initial(config: VtMConfig, start: Start = Start(), *, key: PRNGKeyArray) -> PyTree:  # noqa: B008
     """Weights to start training from."""
     return VtM(config, start).init(key, jnp.zeros(RESOLUTION))["params"]
 

@@ -26,7 +26,7 @@ class Material:
     thickness: Positive = 2e-3  # m, distance of touching layers
     cloth_friction: NotNegative = 0.3
     table_friction: NotNegative = 0.7
-    stiction: NotNegative = 1.0  # m/s^2, what pulls a resting vertex less does not move it
+    stiction: NotNegative = 2.0  # m/s^2, what pulls a resting vertex less does not move it
     viscosity: NotNegative = 0.02  # m^2/s, of velocity differences within the cloth
     drag: NotNegative = 2.0  # 1/s, of the air
 

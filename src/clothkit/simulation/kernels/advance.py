@@ -1,6 +1,6 @@
 """The time loop: motion, hands, contact lists, elasticity, contacts, table, guard and rest, for a launch's substeps."""
 
-# Warp: int(0), float(0.0) and bool(True) declare variables that loops may change; `in` and `and` are its own.
+# Warp: int(0), float(0.0) and bool(True) declare variables that loops may change.
 import warp as wp
 
 from clothkit.simulation.kernels.crossings import count_crossings
@@ -173,13 +173,13 @@ def substep(solver: Solver, state: State, w: int, lane: int, lanes: int, t: floa
 
 
 @wp.func
-def guard(solver: Solver, state: State, w: int, lane: int, lanes: int, t: float):
+def guard(solver: Solver, state: State, w: int, lane: int, lanes: int, t: float, last: bool):
     """Return the time to go on from: t, or that of the saved state when a crossing has come about since.
 
     What care could not avoid is let be.
     """
-    if state.searched[w] == 1:
-        # What has moved too little for new lists has not crossed anything either.
+    if state.searched[w] == 1 and not last:
+        # What has moved too little for new lists can wait for the next search.
         return t
     synchronise()
     if lane == 0:
@@ -271,7 +271,7 @@ def advance(solver: Solver, state: State, lanes: int):
         if t > state.move_time[w] and t - state.checked_time[w] > solver.check_interval - 0.5 * solver.time_step:
             done = check_rest(solver, state, w, lane, lanes, t)
         if done > 0 or t - state.saved_time[w] >= solver.guard_interval:
-            now = guard(solver, state, w, lane, lanes, t)
+            now = guard(solver, state, w, lane, lanes, t, done > 0)
             if now < t:
                 done = 0
             t = now

@@ -3,7 +3,7 @@
 Without them every third fold ends in a tangle: edges cross where no vertex passes through a triangle.
 """
 
-# Warp: int(0), float(0.0) and bool(True) declare variables that loops may change; `in` and `and` are its own.
+# Warp: int(0), float(0.0) and bool(True) declare variables that loops may change.
 import warp as wp
 
 from clothkit.simulation.kernels.faces import parting

@@ -1,6 +1,6 @@
 """Contacts of vertices with triangles: lists of nearby quads with a side each, and their solution with friction."""
 
-# Warp: int(0), float(0.0) and bool(True) declare variables that loops may change; `in` and `and` are its own.
+# Warp: int(0), float(0.0) and bool(True) declare variables that loops may change.
 import warp as wp
 
 from clothkit.simulation.kernels.search import CELL, cell_column, cell_row, sort_heights, sort_quads

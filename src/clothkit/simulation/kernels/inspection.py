@@ -1,6 +1,6 @@
 """What is measured on a state at rest: pierced triangles and the smallest gap, every pair, in double precision."""
 
-# Warp: int(0), float(0.0) and bool(True) declare variables that loops may change; `in` and `and` are its own.
+# Warp: int(0), float(0.0) and bool(True) declare variables that loops may change.
 import warp as wp
 
 
