@@ -7,8 +7,8 @@ sequences, `--csv FOLDER` for csv files. `--material '{"shear_stiffness": 20.0}'
 
 States are judged alike whoever made them, and nothing is thrown away, so step 3 starts from bad states too. `sound`:
 no intersection, nothing below the table, gap at least half the thickness, strain p99 <= 3 % and worst <= 10 %, height
-<= 0.125, at rest by its own solver's word (the first version's residual speed is a mean over 50 ms, later ones' the
-fastest vertex at any time step). CPU seconds of one core, with drawing and checking, without compiling.
+<= 0.125, at rest by its own solver's word (means over 50 ms in the first version, over 10 ms in
+later ones). CPU seconds of one core, with drawing and checking, without compiling.
 """
 
 import argparse
