@@ -11,7 +11,7 @@ GRAVITY = 9.81  # m/s^2
 LANES_ON_CUDA = 256
 LAUNCH_SECONDS = 0.1  # simulated in a launch
 STRETCH_PASSES = 2  # a substep
-EDGE_THICKNESS = 0.9  # of the thickness, distance of touching edges
+EDGE_THICKNESS = 1.0  # of the thickness, distance of touching edges
 LARGEST_SHARE = 0.2  # of a neighbour's velocity difference in a substep: explicit viscosity is stable below 1 / 4
 
 
