@@ -11,7 +11,6 @@ GRAVITY = 9.81  # m/s^2
 LANES_ON_CUDA = 256
 LAUNCH_SECONDS = 0.1  # simulated in a launch
 STRETCH_PASSES = 2  # a substep
-EDGE_THICKNESS = 1.0  # of the thickness, distance of touching edges
 LARGEST_SHARE = 0.2  # of a neighbour's velocity difference in a substep: explicit viscosity is stable below 1 / 4
 
 
@@ -49,7 +48,6 @@ def make_solver(settings: SimulationConfig) -> Solver:
         "drag": material.drag,
         "top_speed": settings.top_speed,
         "thickness": material.thickness,
-        "edge_thickness": EDGE_THICKNESS * material.thickness,
         "margin": 0.2 * h,
         "prediction_time": 0.02,
         "prediction_error": 0.33 * 0.2 * h,

@@ -133,7 +133,7 @@ def gap_of_pair(solver: Solver, state: State, w: int, e: int, g: int, allowance:
     b1 = edge_end(g, solver.side)
     if a0 == b0 or a0 == b1 or a1 == b0 or a1 == b1:
         return wp.vec2(2.0, 0.0)
-    reach = solver.edge_thickness + allowance
+    reach = solver.thickness + allowance
     x = state.position[w]
     near = nearest_on_lines(x, a0, a1, b0, b1)
     if near[3] > 0.0:
@@ -141,11 +141,11 @@ def gap_of_pair(solver: Solver, state: State, w: int, e: int, g: int, allowance:
         m = (x[b0] + x[b1] - x[a0] - x[a1]) * 0.5
         along = wp.dot(m, d)
         if wp.dot(m, m) - along * along / wp.dot(d, d) < reach * reach:
-            return wp.vec2(0.0, solver.edge_thickness)
+            return wp.vec2(0.0, solver.thickness)
         return wp.vec2(2.0, 0.0)
     gap = wp.abs(near[2])
     if gap < reach and inside(near[0], near[1], 0.1 + allowance / solver.spacing):
-        kept = wp.where(inside(near[0], near[1], 0.0), wp.min(gap, solver.edge_thickness), solver.edge_thickness)
+        kept = wp.where(inside(near[0], near[1], 0.0), wp.min(gap, solver.thickness), solver.thickness)
         return wp.vec2(wp.where(near[2] >= 0.0, 1.0, -1.0), kept)
     return wp.vec2(2.0, 0.0)
 
@@ -158,7 +158,7 @@ def find_pair(solver: Solver, state: State, w: int, e: int, g: int, allowance: f
     kept = found[1]
     if side == 2:
         return count
-    if side != 0 and kept < solver.edge_thickness:
+    if side != 0 and kept < solver.thickness:
         before = remembered_pair(state, w, e, g)
         if before >= 0:
             kept = state.pair_gap_before[w, before]
@@ -229,7 +229,7 @@ def list_pairs(solver: Solver, state: State, w: int, everywhere: bool):
                 d = state.edge_middle[w, other] - middle
                 room = half + state.edge_half[w, other]
                 apart = wp.max(wp.max(wp.abs(d[0]) - room[0], wp.abs(d[1]) - room[1]), wp.abs(d[2]) - room[2])
-                apart = apart - solver.edge_thickness - solver.margin
+                apart = apart - solver.thickness - solver.margin
                 if apart < solver.prediction_time * (speed + state.edge_speed[w, other]) and count < EDGE_PAIRS:
                     relative = wp.length(state.edge_velocity[w, other] - velocity)
                     if apart < solver.prediction_time * relative:
@@ -264,8 +264,8 @@ def solve_pair(solver: Solver, state: State, w: int, k: int, lanes: int):
     side = float(state.pair[w, k, 2])
     gap = near[2] * side
     kept = state.pair_gap[w, k]
-    if kept < solver.edge_thickness:
-        kept = wp.min(kept + solver.gap_growth, solver.edge_thickness)
+    if kept < solver.thickness:
+        kept = wp.min(kept + solver.gap_growth, solver.thickness)
         state.pair_gap[w, k] = kept
     if gap >= kept or gap < -2.0 * solver.thickness:
         return

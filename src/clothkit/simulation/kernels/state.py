@@ -68,7 +68,6 @@ class Solver:
     top_speed: float  # m/s
 
     thickness: float  # m, distance of touching layers
-    edge_thickness: float  # m, distance of touching edges
     margin: float  # m, contact lists hold what is this much further apart than touching
     prediction_time: float  # s, contact lists hold for the motion predicted over this time
     prediction_error: float  # m, a vertex this far from its predicted place makes the lists stale
