@@ -50,8 +50,9 @@ class Guard:
     """Against tangles: a world in which edges begin to pierce triangles goes back, and takes care."""
 
     interval: Positive = 0.1  # s, between two searches
-    care: Positive = 0.2  # s, of care after what was undone
-    passes: Annotated[int, Gt(1)] = 8  # over the contacts, instead of one, while care is taken
+    care: Positive = 0.05  # s, of care after the time of what was undone
+    tries: Annotated[int, Gt(0)] = 3  # at a crossing, from the second on without speed, before it is let be
+    passes: Annotated[int, Gt(1)] = 3  # over the contacts, instead of one, while care is taken
 
 
 @config

@@ -48,9 +48,10 @@ def make_solver(settings: SimulationConfig) -> Solver:
         "drag": material.drag,
         "top_speed": settings.top_speed,
         "thickness": material.thickness,
-        "margin": 0.2 * h,
+        "cell": 0.7 * h + 4.5 * material.thickness,
+        "margin": 0.9 * material.thickness,
         "prediction_time": 0.02,
-        "prediction_error": 0.33 * 0.2 * h,
+        "prediction_error": 0.4 * material.thickness,
         "memory_gap": 0.6 * material.thickness,
         "bend_feature": 0.25 * h,
         "gap_growth": 0.5 * settling.rest_speed * dt,
@@ -65,6 +66,7 @@ def make_solver(settings: SimulationConfig) -> Solver:
         "longest_settling": settling.longest,
         "guard_interval": settings.guard.interval,
         "care_time": settings.guard.care,
+        "care_tries": settings.guard.tries,
         "careful_passes": settings.guard.passes,
     }
     for name, value in values.items():
@@ -106,7 +108,7 @@ def make_state(worlds: int, side: int, device: str) -> State:
         **dict.fromkeys(("contact", "contact_before"), (worlds, n, int(CONTACTS))),
         **dict.fromkeys(("held", "held_by"), held),
         **dict.fromkeys(
-            ("done", "features", "pairs", "saved_crossings", "crossings", "searched", "returns", "lost"), one
+            ("done", "features", "pairs", "saved_crossings", "crossings", "searched", "tries", "returns", "lost"), one
         ),
         **dict.fromkeys(("pair", "pair_before", "found"), (worlds, int(EDGE_PAIRS), 3)),
         "memory": (worlds, int(MEMORY)),

@@ -16,6 +16,12 @@ from clothkit.simulation.solver import LANES_ON_CUDA, make_solver, make_state
 RESTED = 1  # the kernels' `done` of a world that came to rest
 FAR = 1e3  # m; vertices that were listed there make the contact lists stale at once
 UNSEARCHED = 2**20  # crossings before the first search: whatever a given state has is not undone
+FRESH = (
+    *("velocity", "correction", "contacts", "features", "in_bend", "twisted", "pairs", "pressed"),
+    *("time", "done", "checked_time", "calm", "residual"),
+    *("careful_until", "tries", "returns", "lost", "searched"),
+)
+"""The kernels' arrays that are zero when a manipulation begins."""
 
 
 class Motion(NamedTuple):
@@ -97,9 +103,7 @@ class Worlds:
     def begin(self, states: Float[np.ndarray, "worlds u v 3"], motion: Motion) -> None:
         """Set the first worlds up for a manipulation each, with nothing left of what they did before."""
         state, worlds = self.state, len(states)
-        for name in ("velocity", "correction", "contacts", "features", "pairs", "time", "done", "calm", "residual"):
-            getattr(state, name).zero_()
-        for name in ("careful_until", "returns", "lost", "in_bend", "twisted", "searched", "pressed", "checked_time"):
+        for name in FRESH:
             getattr(state, name).zero_()
         state.saved_time.fill_(-FAR)
         state.saved_crossings.fill_(UNSEARCHED)

@@ -153,8 +153,10 @@ def hold(solver: Solver, state: State, w: int, lane: int, lanes: int):
 
 @wp.func
 def substep(solver: Solver, state: State, w: int, lane: int, lanes: int, t: float):
-    """Advance a world by one time step to the time t; while it takes care, all
-    edges are watched and the contacts solved over and over."""
+    """Advance a world by one time step to the time t.
+
+    While it takes care, all edges are watched and the contacts solved over and over.
+    """
     move(solver, state, w, lane, lanes)
     move_hands(state, w, lane, lanes, t)
     careful = t < state.careful_until[w]
@@ -176,7 +178,7 @@ def substep(solver: Solver, state: State, w: int, lane: int, lanes: int, t: floa
 def guard(solver: Solver, state: State, w: int, lane: int, lanes: int, t: float, last: bool):
     """Return the time to go on from: t, or that of the saved state when a crossing has come about since.
 
-    What care could not avoid is let be.
+    When care did not avoid it, the cloth begins anew without speed; what that did not avoid either is let be.
     """
     if state.searched[w] == 1 and not last:
         # What has moved too little for new lists can wait for the next search.
@@ -189,25 +191,29 @@ def guard(solver: Solver, state: State, w: int, lane: int, lanes: int, t: float,
     wp.atomic_add(state.crossings, w, count_crossings(solver, state, w, lane, lanes))
     synchronise()
     crossings = state.crossings[w]
-    careful = t <= state.careful_until[w]
-    back = crossings > state.saved_crossings[w] and not careful
+    tries = wp.where(t > state.careful_until[w], 0, state.tries[w])
+    back = crossings > state.saved_crossings[w] and tries < solver.care_tries
+    speed = wp.where(tries > 0, 0.0, 1.0)
     n = solver.side
     synchronise()
     for i in range(lane, n * n, lanes):
         if back:
             state.position[w, i] = state.saved_position[w, i]
-            state.velocity[w, i] = state.saved_velocity[w, i]
+            state.velocity[w, i] = state.saved_velocity[w, i] * speed
             state.list_position[w, i] = wp.vec3(1.0e3, 1.0e3, 1.0e3)
             state.contacts[w, i] = 0
+            state.checked[w, i] = state.saved_position[w, i]
         else:
             state.saved_position[w, i] = state.position[w, i]
             state.saved_velocity[w, i] = state.velocity[w, i]
     if lane == 0:
         if back:
             state.returns[w] += 1
+            state.tries[w] = tries + 1
             state.careful_until[w] = t + solver.care_time
             state.calm[w] = 0.0
             state.pairs[w] = 0
+            state.checked_time[w] = state.saved_time[w]
         else:
             if crossings > state.saved_crossings[w]:
                 state.lost[w] += crossings - state.saved_crossings[w]

@@ -6,7 +6,7 @@ A world in which there are more than before goes back to the last state without 
 # Warp: int(0), float(0.0) and bool(True) declare variables that loops may change.
 import warp as wp
 
-from clothkit.simulation.kernels.search import CELL, cell_column, cell_row
+from clothkit.simulation.kernels.search import cell_column, cell_row
 from clothkit.simulation.kernels.state import CELLS, Solver, State, Vectors, edge_end
 
 
@@ -26,6 +26,33 @@ def crosses(p: wp.vec3, q: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3):
 
 
 @wp.func
+def crossings_with(x: Vectors, i: int, j: int, a: int, n: int):
+    """Return how many of a quad's two triangles an edge pierces, 0 where it shares a vertex with them."""
+    b = a + 1
+    c = a + n
+    d = c + 1
+    if i == a or i == d or j == a or j == d:
+        return 0
+    p = x[i]
+    q = x[j]
+    xa = x[a]
+    normal = wp.cross(x[d] - xa, x[b] - x[c])
+    # The other corners are as far from the plane through a along both diagonals as the quad is twisted.
+    twist = wp.abs(wp.dot(x[b] - xa, normal))
+    above_p = wp.dot(p - xa, normal)
+    above_q = wp.dot(q - xa, normal)
+    found = int(0)
+    if wp.max(above_p, above_q) > -twist and wp.min(above_p, above_q) < twist:
+        if i != b and j != b:
+            if crosses(p, q, xa, x[d], x[b]):
+                found += 1
+        if i != c and j != c:
+            if crosses(p, q, xa, x[c], x[d]):
+                found += 1
+    return found
+
+
+@wp.func
 def crossings_of(solver: Solver, state: State, w: int, x: Vectors, i: int, j: int):
     """Return how many triangles an edge pierces, of those with which it shares no vertex."""
     n = solver.side
@@ -35,9 +62,8 @@ def crossings_of(solver: Solver, state: State, w: int, x: Vectors, i: int, j: in
     low = state.low[w]
     row = cell_row(solver, low, middle)
     column = cell_column(solver, low, middle)
-    largest = CELL * CELL * solver.spacing * solver.spacing
-    # Quads have moved since they were sorted: what was this far from their plane can't have reached
-    # it.
+    largest = solver.cell * solver.cell
+    # Quads have moved since they were sorted: what was this far from their plane can't have reached it.
     slack = 3.0 * solver.prediction_error
     half = (q - p) * 0.5
     found = int(0)
@@ -45,27 +71,11 @@ def crossings_of(solver: Solver, state: State, w: int, x: Vectors, i: int, j: in
         cell = near * CELLS + column
         for place in range(state.quad_first[w, cell - 1], state.quad_first[w, cell + 2]):
             r = middle - state.quad_centre[w, place]
-            normal = state.quad_normal[w, place]
-            beyond = wp.abs(wp.dot(r, normal)) - wp.abs(wp.dot(half, normal)) - state.quad_twist[w, place]
-            if beyond < slack and wp.dot(r, r) < largest:
-                a = state.quad[w, place]
-                b = a + 1
-                c = a + n
-                d = c + 1
-                if i != a and i != d and j != a and j != d:
-                    xa = x[a]
-                    normal = wp.cross(x[d] - xa, x[b] - x[c])
-                    # The other corners are as far from the plane through a along both diagonals as the quad is twisted.
-                    twist = wp.abs(wp.dot(x[b] - xa, normal))
-                    above_p = wp.dot(p - xa, normal)
-                    above_q = wp.dot(q - xa, normal)
-                    if wp.max(above_p, above_q) > -twist and wp.min(above_p, above_q) < twist:
-                        if i != b and j != b:
-                            if crosses(p, q, xa, x[d], x[b]):
-                                found += 1
-                        if i != c and j != c:
-                            if crosses(p, q, xa, x[c], x[d]):
-                                found += 1
+            if wp.dot(r, r) < largest:
+                normal = state.quad_normal[w, place]
+                beyond = wp.abs(wp.dot(r, normal)) - wp.abs(wp.dot(half, normal)) - state.quad_twist[w, place]
+                if beyond < slack:
+                    found += crossings_with(x, i, j, state.quad[w, place], n)
     return found
 
 

@@ -10,6 +10,8 @@ from clothkit.simulation.kernels.faces import parting
 from clothkit.simulation.kernels.search import cell_column, cell_row, sort_features
 from clothkit.simulation.kernels.state import CELLS, EDGE_PAIRS, MEMORY, Solver, State, Vectors, edge_end
 
+PARALLEL = wp.constant(0.01)  # square of the sine below which edges count as parallel
+
 
 @wp.func
 def nearest_on_lines(x: Vectors, a0: int, a1: int, b0: int, b1: int):
@@ -24,14 +26,8 @@ def nearest_on_lines(x: Vectors, a0: int, a1: int, b0: int, b1: int):
     scale = 1.0 / (squared + 1.0e-20)
     s = wp.dot(wp.cross(r, d2), normal) * scale
     t = wp.dot(wp.cross(r, d1), normal) * scale
-    parallel = wp.where(squared < 0.01 * wp.dot(d1, d1) * wp.dot(d2, d2), 1.0, 0.0)
+    parallel = wp.where(squared < PARALLEL * wp.dot(d1, d1) * wp.dot(d2, d2), 1.0, 0.0)
     return wp.vec4(s, t, -wp.dot(r, normal) / wp.sqrt(squared + 1.0e-20), parallel)
-
-
-@wp.func
-def inside(s: float, t: float, slack: float):
-    """Return whether both places lie on their edges, within a slack."""
-    return s > -slack and s < 1.0 + slack and t > -slack and t < 1.0 + slack
 
 
 @wp.func
@@ -125,35 +121,47 @@ def remembered_pair(state: State, w: int, e: int, g: int):
 
 
 @wp.func
-def gap_of_pair(solver: Solver, state: State, w: int, e: int, g: int, allowance: float):
+def gap_of_pair(x: Vectors, side: int, spacing: float, thickness: float, e: int, g: int, allowance: float):
     """Return the side (1 or -1) of two edges and their gap, side 0 when they run parallel, 2 when out of reach."""
     a0 = e / 3
-    a1 = edge_end(e, solver.side)
+    a1 = edge_end(e, side)
     b0 = g / 3
-    b1 = edge_end(g, solver.side)
+    b1 = edge_end(g, side)
     if a0 == b0 or a0 == b1 or a1 == b0 or a1 == b1:
         return wp.vec2(2.0, 0.0)
-    reach = solver.thickness + allowance
-    x = state.position[w]
-    near = nearest_on_lines(x, a0, a1, b0, b1)
-    if near[3] > 0.0:
-        d = x[a1] - x[a0]
-        m = (x[b0] + x[b1] - x[a0] - x[a1]) * 0.5
-        along = wp.dot(m, d)
-        if wp.dot(m, m) - along * along / wp.dot(d, d) < reach * reach:
-            return wp.vec2(0.0, solver.thickness)
+    reach = thickness + allowance
+    d1 = x[a1] - x[a0]
+    d2 = x[b1] - x[b0]
+    r = x[b0] - x[a0]
+    normal = wp.cross(d1, d2)
+    squared = wp.dot(normal, normal)
+    if squared < PARALLEL * wp.dot(d1, d1) * wp.dot(d2, d2):
+        m = r + (d2 - d1) * 0.5
+        along = wp.dot(m, d1)
+        if wp.dot(m, m) - along * along / wp.dot(d1, d1) < reach * reach:
+            return wp.vec2(0.0, thickness)
         return wp.vec2(2.0, 0.0)
-    gap = wp.abs(near[2])
-    if gap < reach and inside(near[0], near[1], 0.1 + allowance / solver.spacing):
-        kept = wp.where(inside(near[0], near[1], 0.0), wp.min(gap, solver.thickness), solver.thickness)
-        return wp.vec2(wp.where(near[2] >= 0.0, 1.0, -1.0), kept)
-    return wp.vec2(2.0, 0.0)
+    # Most are out of reach, and found to be so without a division.
+    height = -wp.dot(r, normal)
+    if height * height >= reach * reach * squared:
+        return wp.vec2(2.0, 0.0)
+    slack = (0.1 + allowance / spacing) * squared
+    s = wp.dot(wp.cross(r, d2), normal)
+    if s <= -slack or s >= squared + slack:
+        return wp.vec2(2.0, 0.0)
+    t = wp.dot(wp.cross(r, d1), normal)
+    if t <= -slack or t >= squared + slack:
+        return wp.vec2(2.0, 0.0)
+    above = wp.where(height >= 0.0, 1.0, -1.0)
+    if s > 0.0 and s < squared and t > 0.0 and t < squared:
+        return wp.vec2(above, wp.min(wp.abs(height) / wp.sqrt(squared), thickness))
+    return wp.vec2(above, thickness)
 
 
 @wp.func
 def find_pair(solver: Solver, state: State, w: int, e: int, g: int, allowance: float, count: int):
     """Note a pair when it may touch, and return the number of pairs so far."""
-    found = gap_of_pair(solver, state, w, e, g, allowance)
+    found = gap_of_pair(state.position[w], solver.side, solver.spacing, solver.thickness, e, g, allowance)
     side = int(found[0])
     kept = found[1]
     if side == 2:

@@ -38,11 +38,12 @@ def bend(solver: Solver, x: Vectors, previous: Vectors, free: Floats, i: int, j:
     if squared > solver.bending_saturation * solver.bending_saturation:
         compliance = compliance * (wp.sqrt(squared) / solver.bending_saturation)
     multiplier = c * (1.0 / (weight + compliance))
-    change = (c - previous[i] + 2.0 * previous[j] - previous[k]) * (1.0 / weight) - multiplier
-    squared = wp.dot(change, change)
-    if squared > solver.bending_friction * solver.bending_friction:
-        change = change * (solver.bending_friction / wp.sqrt(squared))
-    multiplier = multiplier + change
+    if solver.bending_friction > 0.0:
+        change = (c - previous[i] + 2.0 * previous[j] - previous[k]) * (1.0 / weight) - multiplier
+        squared = wp.dot(change, change)
+        if squared > solver.bending_friction * solver.bending_friction:
+            change = change * (solver.bending_friction / wp.sqrt(squared))
+        multiplier = multiplier + change
     xi = xi - multiplier * wi
     xk = xk - multiplier * wk
     d = xk - xi

@@ -3,7 +3,7 @@
 # Warp: int(0), float(0.0) and bool(True) declare variables that loops may change.
 import warp as wp
 
-from clothkit.simulation.kernels.search import CELL, cell_column, cell_row, sort_heights, sort_quads
+from clothkit.simulation.kernels.search import cell_column, cell_row, sort_heights, sort_quads
 from clothkit.simulation.kernels.state import CELLS, CONTACTS, Solver, State, Vectors, synchronise
 
 
@@ -122,7 +122,7 @@ def list_contacts(solver: Solver, state: State, w: int, lane: int, lanes: int):
         sort_heights(solver, state, w)
     synchronise()
     low = state.low[w]
-    largest = CELL * CELL * solver.spacing * solver.spacing
+    largest = solver.cell * solver.cell
     position = state.position[w]
     for i in range(lane, n * n, lanes):
         x = position[i]
@@ -141,31 +141,31 @@ def list_contacts(solver: Solver, state: State, w: int, lane: int, lanes: int):
             cell = near * CELLS + column
             for place in range(state.quad_first[w, cell - 1], state.quad_first[w, cell + 2]):
                 r = x - state.quad_centre[w, place]
-                gap = wp.dot(r, state.quad_normal[w, place])
-                beyond = wp.abs(gap) - state.quad_twist[w, place] - solver.thickness - solver.margin
-                fastest = speed + state.quad_speed[w, place]
-                if beyond < solver.prediction_time * fastest and wp.dot(r, r) < largest and count < CONTACTS:
-                    quad = state.quad[w, place]
-                    own = i == quad or i == quad + 1 or i == quad + n or i == quad + n + 1
-                    relative = wp.length(v - state.quad_velocity[w, place])
-                    reach = solver.margin + solver.prediction_time * relative
-                    outside = distance_beyond(position, quad, n, r)
-                    if (
-                        not own
-                        and beyond < solver.prediction_time * relative
-                        and outside * solver.spacing < solver.thickness + reach
-                    ):
-                        side = side_of(position, i, quad, n)
-                        if wp.abs(gap) < solver.memory_gap and outside < 0.0:
-                            remembered = remembered_side(state, w, i, before, quad)
-                            side = wp.where(remembered != 0, remembered, side)
-                        # In the quads' order, so that lists made anew are solved as before.
-                        slot = count
-                        while slot > 0 and wp.abs(state.contact[w, i, slot - 1]) > quad + 1:
-                            state.contact[w, i, slot] = state.contact[w, i, slot - 1]
-                            slot -= 1
-                        state.contact[w, i, slot] = side * (quad + 1)
-                        count += 1
+                if wp.dot(r, r) < largest:
+                    gap = wp.dot(r, state.quad_normal[w, place])
+                    beyond = wp.abs(gap) - state.quad_twist[w, place] - solver.thickness - solver.margin
+                    if beyond < solver.prediction_time * (speed + state.quad_speed[w, place]) and count < CONTACTS:
+                        quad = state.quad[w, place]
+                        own = i == quad or i == quad + 1 or i == quad + n or i == quad + n + 1
+                        relative = wp.length(v - state.quad_velocity[w, place])
+                        outside = distance_beyond(position, quad, n, r)
+                        if (
+                            not own
+                            and beyond < solver.prediction_time * relative
+                            and outside * solver.spacing
+                            < solver.thickness + solver.margin + solver.prediction_time * relative
+                        ):
+                            side = side_of(position, i, quad, n)
+                            if wp.abs(gap) < solver.memory_gap and outside < 0.0:
+                                remembered = remembered_side(state, w, i, before, quad)
+                                side = wp.where(remembered != 0, remembered, side)
+                            # In the quads' order, so that lists made anew are solved as before.
+                            slot = count
+                            while slot > 0 and wp.abs(state.contact[w, i, slot - 1]) > quad + 1:
+                                state.contact[w, i, slot] = state.contact[w, i, slot - 1]
+                                slot -= 1
+                            state.contact[w, i, slot] = side * (quad + 1)
+                            count += 1
         state.contacts[w, i] = count
     synchronise()
 

@@ -8,20 +8,19 @@ import warp as wp
 
 from clothkit.simulation.kernels.state import CELLS, Solver, State
 
-CELL = wp.constant(1.4)  # grid spacings; a search looks one cell around
 HEIGHTS = wp.constant(128)  # bins of the sort by height
 
 
 @wp.func
 def cell_row(solver: Solver, low: wp.vec3, p: wp.vec3):
     """Return the row of cells of a point; what lies far off shares the last row."""
-    return wp.clamp(int((p[0] - low[0]) / (CELL * solver.spacing)), 1, CELLS - 2)
+    return wp.clamp(int((p[0] - low[0]) / solver.cell), 1, CELLS - 2)
 
 
 @wp.func
 def cell_column(solver: Solver, low: wp.vec3, p: wp.vec3):
     """Return the column of cells of a point; what lies far off shares the last column."""
-    return wp.clamp(int((p[1] - low[1]) / (CELL * solver.spacing)), 1, CELLS - 2)
+    return wp.clamp(int((p[1] - low[1]) / solver.cell), 1, CELLS - 2)
 
 
 @wp.func
@@ -36,8 +35,7 @@ def place_grid(solver: Solver, state: State, w: int):
     low = state.position[w, 0]
     for i in range(solver.side * solver.side):
         low = wp.min(low, state.position[w, i])
-    cell = CELL * solver.spacing
-    state.low[w] = low - wp.vec3(cell, cell, 0.0)
+    state.low[w] = low - wp.vec3(solver.cell, solver.cell, 0.0)
 
 
 @wp.func

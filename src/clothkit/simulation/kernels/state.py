@@ -34,8 +34,8 @@ _initialise()
 
 CELLS = wp.constant(64)  # of the search grid, along x and along y
 CONTACTS = wp.constant(32)  # quads that a vertex can touch at a time
-EDGE_PAIRS = wp.constant(16000)  # pairs of edges that can be watched at a time
-MEMORY = wp.constant(32768)  # places for the pairs that are remembered through a rebuild, a power of two
+EDGE_PAIRS = wp.constant(40000)  # pairs of edges that can be watched at a time
+MEMORY = wp.constant(65536)  # places for the pairs that are remembered through a rebuild, a power of two
 HELD = wp.constant(32)  # vertices that the hands can hold, over all layers
 PATH = wp.constant(257)  # points of a hand's path, at equal times
 
@@ -68,6 +68,7 @@ class Solver:
     top_speed: float  # m/s
 
     thickness: float  # m, distance of touching layers
+    cell: float  # m, of the search grid; a search looks one cell around
     margin: float  # m, contact lists hold what is this much further apart than touching
     prediction_time: float  # s, contact lists hold for the motion predicted over this time
     prediction_error: float  # m, a vertex this far from its predicted place makes the lists stale
@@ -86,6 +87,7 @@ class Solver:
     longest_settling: float  # s
     guard_interval: float  # s, between two searches for crossings
     care_time: float  # s, how long care is taken after a crossing was undone
+    care_tries: int  # to avoid a crossing, before it is let be
     careful_passes: int  # over the contacts in a substep while care is taken
 
 
@@ -120,6 +122,7 @@ class State:
     crossings: wp.array(dtype=int)
     searched: wp.array(dtype=int)  # whether the contact lists are those of the last search
     careful_until: wp.array(dtype=float)  # s, care is taken until then
+    tries: wp.array(dtype=int)  # to avoid the crossing because of which care is taken
     returns: wp.array(dtype=int)  # how often the world went back to what was saved
     lost: wp.array(dtype=int)  # crossings that care could not avoid
 
