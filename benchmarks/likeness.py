@@ -16,24 +16,13 @@ from arcsim_replay import Replay, Scene, read_scene, replay
 from tables import show
 
 from clothkit.errors import InputError
-from clothkit.simulation.settings import Material, Settling, SimulationConfig
+from clothkit.simulation.material import FABRICS
+from clothkit.simulation.settings import Settling, SimulationConfig
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
-GRAY_INTERLOCK = Material(
-    density=0.187,
-    bending_stiffness=2e-5,
-    bending_limit=1e4,  # the moment never saturates
-    bending_friction=4e-4,
-    stiction=0.0,
-    shear_stiffness=20.0,
-    thickness=2e-3,
-    cloth_friction=0.6,
-    table_friction=0.3,
-    viscosity=1e-3,
-    drag=0.5,
-)
+GRAY_INTERLOCK = FABRICS["jersey"]
 LIKE_ARCSIM = SimulationConfig(material=GRAY_INTERLOCK, top_speed=5.0)
 """No faster vertex is seen in the scenes."""
 

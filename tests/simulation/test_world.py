@@ -175,6 +175,13 @@ def test_a_finer_grid_settles_alike(folded: Outcome) -> None:
     assert distance(found.states[0, ::2, ::2], folded.states[0]) < 5e-3
 
 
+def test_material_keeps_its_meaning_when_step_and_spacing_are_halved(folded: Outcome) -> None:
+    settings = replace(SETTINGS, side=2 * SIDE - 1, time_step=SETTINGS.time_step / 2)
+    flat = flat_state(settings)
+    found = run(flat, half_fold(flat, settings), settings)
+    assert distance(found.states[0, ::2, ::2], folded.states[0]) < 3e-3
+
+
 def test_hands_follow_the_arc() -> None:
     release = np.array([0.05, 0.02])
     worlds = Worlds(1, SETTINGS)

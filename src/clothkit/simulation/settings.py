@@ -1,38 +1,17 @@
-"""Settings of the simulation: material, solver and limits of acceptance, in SI units unless said otherwise."""
+"""Settings of the simulation: solver and limits of acceptance, in SI units unless said otherwise."""
 
 from typing import Annotated, Literal
 
-from annotated_types import Ge, Gt, Lt
+from annotated_types import Ge, Gt
+from pydantic import BeforeValidator
 
 from clothkit.config import config
 from clothkit.manipulation.candidates import CandidateConfig
 from clothkit.manipulation.sampling import SamplingConfig
+from clothkit.simulation.material import Material, of_fabric
 
 Positive = Annotated[float, Gt(0.0)]
 NotNegative = Annotated[float, Ge(0.0)]
-
-
-@config
-class Material:
-    """The cloth and the table, in SI units: the time step may be halved or the grid refined, and folds stay alike.
-
-    Shear is softer than that of a fabric (ARCSim's gray-interlock: about 20 N/m): on a grid of 13 mm, stiff shear locks
-    folds that run across the quads, which then stand up. benchmarks/likeness.py has a material like gray-interlock.
-    """
-
-    density: Positive = 0.187  # kg/m^2
-    stretch_stiffness: Positive = 2000.0  # N/m, tension per strain along the threads
-    shear_stiffness: Positive = 0.1  # N/m, shear force per length and angle
-    shear_limit: Annotated[float, Gt(0.0), Lt(1.57)] = 0.76  # rad, the angle at which shearing locks
-    bending_stiffness: Positive = 2e-5  # N m, moment per width and curvature
-    bending_friction: NotNegative = 0.0  # N, moment per width that resists any change of curvature
-    bending_limit: Positive = 31.0  # 1/m, curvature beyond which the moment no longer grows
-    thickness: Positive = 2e-3  # m, distance of touching layers
-    cloth_friction: NotNegative = 0.3
-    table_friction: NotNegative = 0.7
-    stiction: NotNegative = 2.0  # m/s^2, what pulls a resting vertex less does not move it
-    viscosity: NotNegative = 0.02  # m^2/s, of velocity differences within the cloth
-    drag: NotNegative = 2.0  # 1/s, of the air
 
 
 @config
@@ -68,7 +47,7 @@ class SimulationConfig:
     grasp: Literal["top", "all"] = "top"  # layers that a hand takes
     top_speed: Positive = 0.7  # m/s, so that no vertex moves further than layers are apart in a time step
     push_speed: Positive = 0.3  # m/s, at which penetrations are removed
-    material: Material = Material()
+    material: Annotated[Material, BeforeValidator(of_fabric)] = Material()  # or the name of one of the FABRICS
     settling: Settling = Settling()
     guard: Guard = Guard()
     device: Literal["cpu", "cuda"] = "cpu"

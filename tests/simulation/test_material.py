@@ -1,0 +1,57 @@
+"""The named fabrics: their params, and that the solver folds them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pydantic import TypeAdapter, ValidationError
+
+from clothkit.simulation.attempts import attempt_sequences
+from clothkit.simulation.material import FABRICS, Material
+from clothkit.simulation.settings import Limits, SimulateConfig, SimulationConfig
+
+ADAPTER = TypeAdapter(SimulationConfig)
+
+
+def test_a_fabric_is_named_in_params() -> None:
+    assert ADAPTER.validate_python({"material": "towel"}, strict=False).material == FABRICS["towel"]
+    assert ADAPTER.validate_python({"material": {"density": 0.1}}, strict=False).material == Material(density=0.1)
+    with pytest.raises(ValidationError, match=r"no fabric 'wool'; there are jersey, stiff_cotton, towel"):
+        ADAPTER.validate_python({"material": "wool"}, strict=False)
+
+
+def test_what_is_recorded_of_a_fabric_are_its_numbers() -> None:
+    recorded = ADAPTER.dump_python(ADAPTER.validate_python({"material": "jersey"}, strict=False), mode="json")[
+        "material"
+    ]
+    assert recorded["density"] == 0.187
+    assert recorded["shear_stiffness"] == 20.0
+
+
+@pytest.mark.parametrize("fabric", FABRICS)
+def test_fabrics_fold_without_flaws(fabric: str) -> None:
+    """A random fold each; how high it stands is the fabric's own affair."""
+    simulation = replace(SimulationConfig(), material=FABRICS[fabric])
+    config = SimulateConfig(sequences=1, simulation=simulation, limits=Limits(height=9.0))
+    attempts = attempt_sequences(range(2), config)
+    assert (attempts.reached > 1).all()
+    assert (attempts.intersections[:, 1] == 0).all()
+    assert (attempts.gap[:, 1] > simulation.material.thickness / 2).all()
+    assert (attempts.strain_p99[:, 1] < 0.03).all()
+    assert (attempts.residual_speed[:, 1] < 0.01).all()
+
+
+def test_stiffer_cotton_stands_higher() -> None:
+    """What is four times as stiff and less than twice as heavy bends around a wider edge."""
+    heights = [
+        attempt_sequences(
+            range(2),
+            SimulateConfig(
+                sequences=1,
+                simulation=replace(SimulationConfig(), material=FABRICS[fabric]),
+                limits=Limits(height=9.0),
+            ),
+        ).height[:, 1]
+        for fabric in ("jersey", "stiff_cotton")
+    ]
+    assert np.all(heights[1] > heights[0])
