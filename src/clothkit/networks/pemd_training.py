@@ -13,6 +13,7 @@ from clothkit.cloth import mesh as meshes
 from clothkit.dataset.store import STEPS, Dataset
 from clothkit.dataset.tasks import TASKS
 from clothkit.networks.augment import Examples, augment
+from clothkit.networks.devices import spread
 from clothkit.networks.layers import run
 from clothkit.networks.pemd import PEMD, initial
 from clothkit.networks.recipe import sign_sum
@@ -132,7 +133,7 @@ def problem(settings: TrainPEMDConfig, validation: Sequences) -> Problem:
         longest = jnp.sum(data.at_least[1:] > 0)
         n = jax.random.randint(length_key, (), 1, longest + 1)
         drawn = draw(data, n, settings.training.batch, key=draw_key)
-        examples = augment(drawn, noise=settings.noise, key=augment_key)
+        examples = spread(augment(drawn, noise=settings.noise, key=augment_key))
         # One length per batch, and only the branch that is taken runs.
         branches = [partial(_on_length, net, settings, length) for length in range(1, STEPS + 1)]
         return jax.lax.switch(n - 1, branches, params, examples)

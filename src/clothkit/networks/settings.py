@@ -70,6 +70,8 @@ class TrainingConfig:
     """Validations without improvement before the learning rate is halved; `paper` only."""
     stop_below: NotNegative = 0.0
     """Training ends once the learning rate is below this; `paper` only."""
+    precision: Literal["default", "float32", "tensorfloat32", "bfloat16"] = "default"
+    """Of matrix products in training, on devices that have the choice; a CPU takes float32 whatever is asked for."""
     steps_per_call: Count = 50
     """Iterations that run on the device without a word to the host."""
     start: Start = Start()

@@ -16,6 +16,7 @@ from tqdm import tqdm
 
 from clothkit.errors import InputError
 from clothkit.networks import checkpoint
+from clothkit.networks.devices import on_all
 from clothkit.networks.recipe import optimiser, rate
 from clothkit.networks.settings import TrainingConfig
 
@@ -69,9 +70,10 @@ def train(problem: Problem, data: PyTree, training: TrainingConfig, *, work: Pat
         arrays, notes = checkpoint.read(work / CHECKPOINT, arrays)
         progress = Progress(**notes)
     # Copies, because `run` reuses the memory of what it is given, and the first best weights are the initial ones.
-    params, state, best = jax.tree.map(jnp.array, arrays)
+    params, state, best = on_all(jax.tree.map(jnp.array, arrays))
     del arrays
-    run = _runner(problem, rule, jax.random.fold_in(key, 1))
+    data = on_all(data)
+    run = runner(problem, rule, training, jax.random.fold_in(key, 1))
     with tqdm(total=training.iterations, initial=progress.iteration, unit="it", smoothing=0.05) as bar:
         while not _finished(progress, training):
             due = min(
@@ -96,7 +98,9 @@ def _finished(progress: Progress, training: TrainingConfig) -> bool:
     return stopped or progress.iteration >= training.iterations
 
 
-def _runner(problem: Problem, rule: optax.GradientTransformation, key: PRNGKeyArray) -> Callable[..., Any]:
+def runner(
+    problem: Problem, rule: optax.GradientTransformation, training: TrainingConfig, key: PRNGKeyArray
+) -> Callable[..., Any]:
     """A function that runs `count` iterations in one call: weights, state -> weights, state, mean losses."""
 
     def iterate(data: PyTree, factor: Any, carry: tuple[PyTree, PyTree], iteration: Any) -> tuple[Any, Any]:
@@ -110,7 +114,8 @@ def _runner(problem: Problem, rule: optax.GradientTransformation, key: PRNGKeyAr
     @partial(jax.jit, static_argnums=5, donate_argnums=(0, 1))
     def run(params: PyTree, state: PyTree, data: PyTree, first: Any, factor: Any, count: int) -> tuple[Any, Any, Any]:
         body = partial(iterate, data, factor)
-        (params, state), losses = jax.lax.scan(body, (params, state), first + jnp.arange(count))
+        with jax.default_matmul_precision(training.precision):
+            (params, state), losses = jax.lax.scan(body, (params, state), first + jnp.arange(count))
         return params, state, jax.tree.map(jnp.mean, losses)
 
     return run

@@ -15,6 +15,7 @@ from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.dataset.store import STEPS, Dataset
 from clothkit.manipulation.turns import turn_mesh
 from clothkit.networks.augment import random_turns
+from clothkit.networks.devices import spread
 from clothkit.networks.layers import run
 from clothkit.networks.settings import TrainVtMConfig
 from clothkit.networks.training import Problem, Trained, train
@@ -75,7 +76,7 @@ def problem(settings: TrainVtMConfig, validation: Dataset) -> Problem:
 
     def gradient(params: PyTree, data: States, key: PRNGKeyArray) -> tuple[PyTree, dict[str, Any]]:
         draw_key, noise_key = jax.random.split(key)
-        mesh = draw(data, settings, key=draw_key)
+        mesh = spread(draw(data, settings, key=draw_key))
         seen = observed(mesh, settings, key=noise_key)
         value, gradient = jax.value_and_grad(lambda params: jnp.mean(loss_vtm(mesh, run(net, params, seen))))(params)
         return gradient, {"loss": value}

@@ -1,0 +1,176 @@
+"""How much of the machine's matrix-product rate does training reach?  python benchmarks/training.py [NET ..] [options]
+
+NET is pemd or vtm (both if not said). A training step's time (drawing, augmentation, voxels, products, update: all) is
+held against the time that its matrix products take by themselves, on the same shapes in the same run: for every weight
+matrix the forward product and the two of the backward pass; one for a first layer, whose input needs no gradient. What
+the optimiser multiplies is not counted as required. Steps have the lengths that training draws. Beside that: what the
+optimiser's update takes by itself, and the gradient with its drawing.
+
+`--scale NAME` takes the sizes of a scale (the one in force), `--recipe` and `--batch` change its settings, `--steps N`
+(12) run in a call, `--rounds N` (5) repeat and take the least of each time. Data are made up: values do not matter.
+"""
+
+import argparse
+import dataclasses
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from tables import show
+
+from clothkit.cloth.grid import flat
+from clothkit.dataset.store import STATES, STEPS, Dataset
+from clothkit.networks import pemd_training, vtm_training
+from clothkit.networks.recipe import optimiser
+from clothkit.networks.training import runner
+from clothkit.params import load_params
+
+SEQUENCES = 64  # made up ones
+
+
+def made_up() -> Dataset:
+    """Flat cloths with noise."""
+    random = np.random.default_rng(0)
+    vertices = flat() + 0.01 * random.standard_normal((SEQUENCES, STATES, *flat().shape))
+    vertices[..., 2] = np.abs(vertices[..., 2])
+    return Dataset(
+        vertices=vertices.astype(np.float32),
+        centre=np.zeros((SEQUENCES, STATES, 2), np.float32),
+        manipulation=random.uniform(-0.5, 0.5, (SEQUENCES, STEPS, 6)).astype(np.float32),
+        hands=np.ones((SEQUENCES, STEPS), np.int8),
+        length=np.full(SEQUENCES, STEPS, np.int8),
+        split=np.zeros(SEQUENCES, np.int8),
+        evaluated=np.zeros(SEQUENCES, bool),
+    )
+
+
+def least(call: Callable[[], Any], rounds: int) -> float:
+    """Seconds of the quickest of some calls, after one that compiles."""
+    jax.block_until_ready(call())
+    times = []
+    for _ in range(rounds):
+        started = time.perf_counter()
+        jax.block_until_ready(call())
+        times.append(time.perf_counter() - started)
+    return min(times)
+
+
+@partial(jax.jit, static_argnames="first")
+def products(x: jax.Array, weights: jax.Array, gradient: jax.Array, *, first: bool) -> tuple[jax.Array, ...]:
+    """The forward product of a dense layer, and those of its backward pass."""
+    forward, of_weights = x @ weights, x.T @ gradient
+    return (forward, of_weights) if first else (forward, of_weights, gradient @ weights.T)
+
+
+def products_alone(shapes: dict[tuple[int, int, int, bool], int], rounds: int) -> tuple[float, float]:
+    """Seconds and FLOPs of what a step requires; shapes are (rows, in, out, first), with how often they come."""
+    seconds = flops = 0.0
+    for (rows, wide, out, first), count in shapes.items():
+        x, weights, gradient = (jnp.ones(shape) for shape in ((rows, wide), (wide, out), (rows, out)))
+        # Each call by itself is short: many in a row.
+        repeats = max(1, int(2e9 / (6 * rows * wide * out)))
+        call = partial(products, x, weights, gradient, first=first)
+        seconds += count * least(lambda call=call, repeats=repeats: [call() for _ in range(repeats)], rounds) / repeats
+        flops += count * (2 if first else 3) * 2 * rows * wide * out
+    return seconds, flops
+
+
+def shapes_of(params: Any, batch: int, n: int) -> dict[tuple[int, int, int, bool], int]:
+    """The matrix products of a step over n manipulations (VtM: 1), by the weights' places in the net."""
+    found: dict[tuple[int, int, int, bool], int] = {}
+    for path, weights in jax.tree_util.tree_leaves_with_path(params):
+        if weights.ndim != 2:
+            continue
+        names = [key.key for key in path]
+        repeated = names[0] == "M"
+        rows = batch * n if names[0] == "D" else batch
+        first = names[:2] in (["E", "layer_1"], ["layer_1", "kernel"])
+        shape = (rows, *weights.shape, first)
+        found[shape] = found.get(shape, 0) + (n if repeated else 1)
+    return found
+
+
+def lengths_drawn(key: jax.Array, steps: int) -> list[int]:
+    """The lengths of pEM*D's first batches, drawn as its training draws them."""
+    keys = [jax.random.split(jax.random.fold_in(key, i), 3)[0] for i in range(steps)]
+    return [int(jax.random.randint(k, (), 1, STEPS + 1)) for k in keys]
+
+
+def measure(name: str, settings: Any, rounds: int, steps: int) -> dict:
+    """A row of the table."""
+    dataset, key = made_up(), jax.random.key(1)
+    if name == "pemd":
+        data: Any = pemd_training.sequences(dataset)
+        problem = pemd_training.problem(settings, data)
+        lengths = lengths_drawn(key, steps)
+    else:
+        data = vtm_training.states(dataset)
+        problem = vtm_training.problem(settings, dataset)
+        lengths = [1] * steps
+    params = problem.initial(jax.random.key(0))
+    rule = optimiser(settings.training)
+    alone = flops = 0.0
+    for n in sorted(set(lengths)):
+        seconds, counted = products_alone(shapes_of(params, settings.training.batch, n), rounds)
+        alone, flops = alone + seconds * lengths.count(n) / steps, flops + counted * lengths.count(n) / steps
+    run = runner(problem, rule, settings.training, key)
+    carried = [jax.tree.map(jnp.array, params), rule.init(params)]
+
+    def step() -> Any:
+        carried[0], carried[1], losses = run(carried[0], carried[1], data, 0, 1.0, steps)
+        return losses
+
+    @jax.jit
+    def gradients(params: Any, data: Any) -> Any:
+        def body(total: Any, i: jax.Array) -> Any:
+            found, _ = problem.gradient(params, data, jax.random.fold_in(key, i))
+            return jax.tree.map(jnp.add, total, found), None
+
+        return jax.lax.scan(body, jax.tree.map(jnp.zeros_like, params), jnp.arange(steps))[0]
+
+    update = jax.jit(rule.update)
+    state = rule.init(params)
+    whole = least(step, rounds) / steps
+    return {
+        "net": name,
+        "batch": settings.training.batch,
+        "GF a step": round(flops / 1e9, 1),
+        "products ms": round(alone * 1e3, 1),
+        "gradient ms": round(least(lambda: gradients(params, data), rounds) / steps * 1e3, 1),
+        "update ms": round(least(lambda: update(params, state, params), rounds) * 1e3, 1),
+        "step ms": round(whole * 1e3, 1),
+        "GF/s of products": round(flops / alone / 1e9),
+        "GF/s of the step": round(flops / whole / 1e9),
+        "fraction": f"{alone / whole:.0%}",
+    }
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("nets", nargs="*", metavar="NET")
+    parser.add_argument("--scale")
+    parser.add_argument("--recipe")
+    parser.add_argument("--batch", type=int)
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--steps", type=int, default=12)
+    parser.add_argument("--csv", type=Path)
+    asked = parser.parse_args()
+    params = load_params(Path("params.yaml"))
+    stages = params.scales[asked.scale or params.scale]
+    rows = []
+    for name in asked.nets or ("pemd", "vtm"):
+        settings = {"pemd": stages.train_pemd, "vtm": stages.train_vtm}[name]
+        changed = {k: getattr(asked, k) for k in ("recipe", "batch") if getattr(asked, k) is not None}
+        settings = dataclasses.replace(settings, training=dataclasses.replace(settings.training, **changed))
+        rows.append(measure(name, settings, asked.rounds, asked.steps))
+    show(f"training: {asked.scale or params.scale}", rows, csv=asked.csv)
+
+
+if __name__ == "__main__":
+    main()
