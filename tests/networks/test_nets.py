@@ -1,11 +1,16 @@
 """The nets against counts and forward passes made by hand."""
 
+from dataclasses import replace
+
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from flax.traverse_util import flatten_dict
 
-from clothkit.cloth.grid import SIDE
+from clothkit.cloth.equivalents import equivalents, relabel_batch
+from clothkit.cloth.grid import SIDE, flat
+from clothkit.cloth.mesh import distance
 from clothkit.networks import pemd, store, vtm
 from clothkit.networks.net import Net
 from clothkit.networks.settings import PEMDConfig, Start, VtMConfig
@@ -108,6 +113,49 @@ def test_vtm_is_the_forward_pass_by_hand():
     estimate = vtm.estimate(net, voxels)
     np.testing.assert_allclose(estimate.mean, units[..., :3], atol=1e-4)
     np.testing.assert_allclose(estimate.std, np.exp(units[..., 3:]) + 0.01, rtol=1e-4)
+
+
+def nearly_flat(views):
+    """A net that says of everything that it is nearly flat."""
+    net = random_net(VtMConfig(hidden=6, views=views), 4)
+    bias = np.concatenate([flat(), np.full((SIDE, SIDE, 3), -3.0, np.float32)], axis=-1)
+    return replace(
+        net, params={**net.params, "mesh": {"kernel": 0.02 * net.params["mesh"]["kernel"], "bias": bias.ravel()}}
+    )
+
+
+def test_what_eight_views_show_turns_with_the_voxels():
+    net, seen = nearly_flat(8), np.random.default_rng(5).uniform(size=(2, 32, 32, 16)) < 0.05
+    plain = vtm.estimate(net, seen)
+    for k in range(8):
+        turned = vtm.estimate(net, equivalents(seen)[k])
+        back = [vtm.turned_back(part, k) for part in turned]
+        labels = jnp.argmin(distance(equivalents(back[0]), plain.mean), axis=0)
+        np.testing.assert_allclose(relabel_batch(back[0], labels), plain.mean, atol=1e-5)
+        np.testing.assert_allclose(jnp.abs(relabel_batch(back[1], labels)), plain.std, atol=1e-5)
+
+
+def test_eight_views_are_a_mixture_of_what_each_shows():
+    seen = np.random.default_rng(5).uniform(size=(32, 32, 16)) < 0.05
+    mixed, one = vtm.estimate(nearly_flat(8), seen), nearly_flat(1)
+    means, squares = [], []
+    for quarters in range(4):
+        for mirrored in (False, True):
+            view = np.rot90(np.flip(seen, 0) if mirrored else seen, quarters)
+            mean, std = (np.array(part) for part in vtm.estimate(one, view))
+            # A quarter turn takes the first axis to the second, x to y.
+            for _ in range(quarters):
+                mean = np.stack([mean[..., 1], -mean[..., 0], mean[..., 2]], -1)
+                std = std[..., [1, 0, 2]]
+            mean = mean * [-1, 1, 1] if mirrored else mean
+            candidates = [np.rot90(np.flip(mean, 0) if f else mean, q) for q in range(4) for f in (False, True)]
+            stds = [np.rot90(np.flip(std, 0) if f else std, q) for q in range(4) for f in (False, True)]
+            best = int(np.argmin([np.linalg.norm(c - flat(), axis=-1).mean() for c in candidates]))
+            means.append(candidates[best])
+            squares.append(stds[best] ** 2 + candidates[best] ** 2)
+    np.testing.assert_allclose(mixed.mean, np.mean(means, 0), atol=1e-5)
+    variance = np.mean(squares, 0) - np.mean(means, 0) ** 2
+    np.testing.assert_allclose(mixed.std, np.sqrt(variance), atol=1e-4)
 
 
 def test_start_scales_what_writes_into_the_channel_and_sets_sigma():

@@ -30,9 +30,11 @@ class PEMDConfig:
 
 @config
 class VtMConfig:
-    """Width of VtM."""
+    """Width of VtM, and how it is asked."""
 
     hidden: Count = 4096
+    views: Literal[1, 8] = 1
+    """Estimates are averaged over so many views of the voxels: as they are, or turned and mirrored, too."""
 
 
 @config
