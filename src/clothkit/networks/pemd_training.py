@@ -15,6 +15,7 @@ from clothkit.dataset.tasks import TASKS
 from clothkit.networks.augment import Examples, augment
 from clothkit.networks.devices import spread
 from clothkit.networks.layers import run
+from clothkit.networks.likelihood import held_nll
 from clothkit.networks.pemd import PEMD, initial
 from clothkit.networks.recipe import sign_sum
 from clothkit.networks.settings import TrainPEMDConfig
@@ -70,10 +71,10 @@ def shortened(examples: Examples, n: int) -> Examples:
     return Examples(examples.mesh, examples.manipulations[:, :n], examples.outcomes[:, :n], examples.shifts[:, :n])
 
 
-def loss_shape(net: PEMD, params: PyTree, examples: Examples) -> Float[Array, ""]:
-    """loss_s, eq. (8): negative log likelihood, summed over the steps, averaged over the batch."""
+def loss_shape(net: PEMD, params: PyTree, examples: Examples, *, hold: float = 0.0) -> Float[Array, ""]:
+    """loss_s, eq. (8): negative log likelihood, summed over the steps, averaged over the batch; `hold`: held_nll."""
     predicted, _, _ = run(net, params, examples.mesh, examples.manipulations)
-    return jnp.mean(jnp.sum(meshes.nll(jnp.moveaxis(examples.outcomes, 1, 0), predicted), axis=0))
+    return jnp.mean(jnp.sum(held_nll(jnp.moveaxis(examples.outcomes, 1, 0), predicted, hold), axis=0))
 
 
 def loss_position(net: PEMD, params: PyTree, examples: Examples) -> Float[Array, ""]:
@@ -92,7 +93,10 @@ def direction(
     """
 
     def both(params: PyTree) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
-        losses = {"loss_s": loss_shape(net, params, examples), "loss_p": loss_position(net, params, examples)}
+        losses = {
+            "loss_s": loss_shape(net, params, examples, hold=settings.hold),
+            "loss_p": loss_position(net, params, examples),
+        }
         return losses["loss_s"] + settings.shift_weight * losses["loss_p"], losses
 
     if settings.training.recipe == "fast":

@@ -25,6 +25,11 @@ def optimiser(training: TrainingConfig) -> optax.GradientTransformation:
         return optax.sign_sgd(training.learning_rate)
     return muon(
         _schedule(training, training.muon_learning_rate),
+        ns_steps=training.muon_iterations,
+        # With this start one iteration less makes updates as orthogonal (Boissin et al., "Turbo-Muon", 2025).
+        preconditioning="aol" if training.muon_iterations < 5 else "frobenius",
+        weight_decay=training.weight_decay,
+        adam_weight_decay=training.weight_decay,
         adam_learning_rate=_schedule(training, training.learning_rate),
         muon_weight_dimension_numbers=lambda weights: jax.tree.map(lambda w: _muon_axes(w, training), weights),
     )

@@ -64,6 +64,10 @@ class TrainingConfig:
     """At the peak of Muon's schedule; `fast` only."""
     muon_width: Annotated[int, Ge(0)] = 1100
     """Muon takes the matrices that are at most this wide on both sides, AdamW the rest; `fast` only."""
+    muon_iterations: Count = 5
+    """Newton-Schulz iterations by which Muon makes an update orthogonal; `fast` only."""
+    weight_decay: NotNegative = 0.0
+    """Of all weights, times the rate; `fast` only."""
     warm_up: Share = 0.05
     """Share of the iterations in which the rates rise; then they fall as a cosine to zero; `fast` only."""
     validate_every: Count = 10_000
@@ -89,6 +93,8 @@ class TrainPEMDConfig:
     """Standard deviation of the noise on the input's vertices [normalised]."""
     shift_weight: NotNegative = 1.0
     """Weight of loss_p beside loss_s; `recipe: fast` only, the paper's needs none."""
+    hold: Share = 0.0
+    """How far uncertain vertices are held in the likelihood, 0 to 1 (likelihood.py); `recipe: fast` only."""
 
 
 @config
@@ -101,6 +107,8 @@ class TrainVtMConfig:
     """Standard deviation of the noise on the input's points, in x and y [normalised]; 0 needs no duplicates."""
     noise_z_factor: NotNegative = 1.0
     """The noise in z, as a multiple of that in x and y (design 6.14)."""
+    hold: Share = 0.0
+    """As for the forward models; whatever the recipe."""
     flat: Share = 0.05
     """Share of flat cloths among the examples: every sequence starts with the same one."""
     height: Rate = 0.125

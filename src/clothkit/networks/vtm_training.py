@@ -17,6 +17,7 @@ from clothkit.manipulation.turns import turn_mesh
 from clothkit.networks.augment import random_turns
 from clothkit.networks.devices import spread
 from clothkit.networks.layers import run
+from clothkit.networks.likelihood import held_nll
 from clothkit.networks.settings import TrainVtMConfig
 from clothkit.networks.training import Problem, Trained, train
 from clothkit.networks.vtm import VtM, initial
@@ -55,11 +56,13 @@ def observed(
     return voxels.observe_noisily(mesh, noise=settings.noise, noise_z=noise_z, height=settings.height, key=key)
 
 
-def loss_vtm(mesh: Float[Array, "batch u v 3"], estimate: ProbabilisticMesh) -> Float[Array, " batch"]:
-    """Eq. (12): the negative log likelihood under the labelling that makes it least."""
+def loss_vtm(
+    mesh: Float[Array, "batch u v 3"], estimate: ProbabilisticMesh, *, hold: float = 0.0
+) -> Float[Array, " batch"]:
+    """Eq. (12): the negative log likelihood under the labelling that makes it least (`hold`: held_nll)."""
     # Choosing first keeps the eight candidates out of the backward pass; the gradient of the minimum is the same.
     likelihoods = jax.lax.stop_gradient(meshes.nll(equivalents(mesh), estimate))
-    return meshes.nll(relabel_batch(mesh, jnp.argmin(likelihoods, axis=0)), estimate)
+    return held_nll(relabel_batch(mesh, jnp.argmin(likelihoods, axis=0)), estimate, hold)
 
 
 def state_errors(
@@ -78,7 +81,11 @@ def problem(settings: TrainVtMConfig, validation: Dataset) -> Problem:
         draw_key, noise_key = jax.random.split(key)
         mesh = spread(draw(data, settings, key=draw_key))
         seen = observed(mesh, settings, key=noise_key)
-        value, gradient = jax.value_and_grad(lambda params: jnp.mean(loss_vtm(mesh, run(net, params, seen))))(params)
+
+        def loss(params: PyTree) -> Float[Array, ""]:
+            return jnp.mean(loss_vtm(mesh, run(net, params, seen), hold=settings.hold))
+
+        value, gradient = jax.value_and_grad(loss)(params)
         return gradient, {"loss": value}
 
     errors_of = jax.jit(lambda params, mesh: state_errors(net, params, mesh, height=settings.height))
