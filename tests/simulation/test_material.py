@@ -8,7 +8,8 @@ from pydantic import TypeAdapter, ValidationError
 
 from clothkit.simulation.attempts import attempt_sequences
 from clothkit.simulation.material import FABRICS, Material
-from clothkit.simulation.settings import Limits, SimulateConfig, SimulationConfig
+from clothkit.simulation.settings import Limits, Settling, SimulateConfig, SimulationConfig
+from clothkit.simulation.world import Motion, Worlds
 
 ADAPTER = TypeAdapter(SimulationConfig)
 
@@ -39,6 +40,18 @@ def test_fabrics_fold_without_flaws(fabric: str) -> None:
     assert (attempts.gap[:, 1] > simulation.material.thickness / 2).all()
     assert (attempts.strain_p99[:, 1] < 0.03).all()
     assert (attempts.residual_speed[:, 1] < 0.01).all()
+
+
+@pytest.mark.parametrize("fabric", FABRICS)
+def test_fabrics_do_not_creep(fabric: str) -> None:
+    """A random fold, watched for three more seconds."""
+    simulation = replace(SimulationConfig(), material=FABRICS[fabric])
+    config = SimulateConfig(sequences=1, simulation=simulation, limits=Limits(height=9.0))
+    folded = attempt_sequences(range(1), config).states[:, 1]
+    watching = replace(simulation, settling=Settling(rest_time=3.0, longest=3.5))
+    nothing = Motion(np.full((1, 2, 1), -1), np.zeros((1, 2, 2, 3)), np.array([1e-3]))
+    watched = Worlds(1, watching).execute(folded, nothing)
+    assert np.linalg.norm(watched.states - folded, axis=-1).max() < 2e-3
 
 
 def test_stiffer_cotton_stands_higher() -> None:
