@@ -93,7 +93,7 @@ def test_rows_count_the_states_that_there_are() -> None:
     of_estimates = tidy[tidy["system"] == "estimate"]
     np.testing.assert_array_equal(of_estimates["coverage"], (of_estimates["z"] > 1.45).astype(float))
     # Two manipulations of the test sequence: from its first state alone.
-    predicted, _, _ = rollout(net, vertices[1:], manipulation[1:, :2])
+    predicted, _, _ = rollout(net, vertices[1:, 0], manipulation[1:, :2])
     final = ProbabilisticMesh(*(np.asarray(part)[-1] for part in predicted))
     by_hand = calibration.curve(np.asarray(deviations(final, vertices[1:, 2])))
     found = tidy.query("split == 'test' and system == 'main' and length == 2")
