@@ -95,6 +95,7 @@ def test_prediction_rows(dataset: Dataset, forward: dict[str, Net], estimates: e
     row = tidy.query("system == 'a1' and net == 'a' and sequence == 2 and start == 1 and length == 2").iloc[0]
     moved = dataset.centre[2, 3] - dataset.centre[2, 1]
     assert row["position_error"] == pytest.approx(np.linalg.norm(np.asarray(shift).sum(0)[0] - moved) / 1.4, rel=1e-4)
+    assert row["position_no_action"] == pytest.approx(np.hypot(*moved) / 1.4, rel=1e-5)
     candidates = [np.asarray(relabel(dataset.vertices[2, 3], k)) for k in range(8)]
     by_hand = min(np.linalg.norm(np.asarray(mean.mean)[1, 0] - c, axis=-1).mean() / 1.4 for c in candidates)
     assert row["error"] == pytest.approx(by_hand, rel=1e-4)

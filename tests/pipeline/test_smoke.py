@@ -90,9 +90,20 @@ def ran(output: str) -> set[str]:
 
 def test_the_chain_ends_with_tables_pictures_and_metrics(finished: Checkout) -> None:
     report = finished.folder / "reports" / "smoke"
-    for name in ("README.md", "metrics.json", "params.yaml", "timings.csv", "tables/table_6.csv", "tables/table_6.md"):
+    for name in (
+        "README.md",
+        "metrics.json",
+        "params.yaml",
+        "timings.csv",
+        "tables/table_5.csv",
+        "tables/table_6.csv",
+        "tables/table_6.md",
+    ):
         assert (report / name).stat().st_size > 0
     assert list((report / "figures").glob("*.png"))
+    calibration = pd.read_parquet(finished.folder / "data" / "evaluation" / "calibration.parquet")
+    assert set(calibration["system"]) == {"estimate", "main", "a1"}
+    assert calibration["coverage"].between(0, 1).all()
     table = pd.read_csv(report / "tables" / "table_6.csv")
     ours = table[(table["source"] == "clothkit") & (table["system"] == "main") & (table["statistic"] == "mean")]
     assert set(ours["split"]) == {"test", "train"}

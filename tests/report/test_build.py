@@ -9,6 +9,7 @@ import pytest
 from clothkit.cloth import grid
 from clothkit.dataset.store import Dataset
 from clothkit.dataset.tasks import TASKS, Task
+from clothkit.evaluation import calibration
 from clothkit.planning.record import Sessions, Sizes, blank, tasks_of_dataset
 from clothkit.report.build import build, picked
 from clothkit.report.figures.sessions import of_record, sessions
@@ -55,11 +56,12 @@ def recorded_sessions(dataset: Dataset) -> Sessions:
 @pytest.fixture(scope="module")
 def inputs(dataset: Dataset) -> Inputs:
     common = {"split": "test", "error": 0.03, "error_no_action": 0.2, "sigma_ratio": 0.8}
+    shift = {"position_error": 0.02, "position_no_action": 0.2}
     tasks = [{"sequence": q, "start": start, "length": length} for q in (0, 1) for start, length in TASKS]
     planning = pd.DataFrame([{**common, **task, "system": system} for system in ("main", "b1") for task in tasks])
     prediction = pd.DataFrame(
         [
-            {**common, **task, "system": system, "net": net, "better": net == "b"}
+            {**common, **shift, **task, "system": system, "net": net, "better": net == "b"}
             for system in ("main", "a1")
             for net in ("a", "b")
             for task in tasks
@@ -74,13 +76,23 @@ def inputs(dataset: Dataset) -> Inputs:
         ]
     )
     history = pd.DataFrame({"iteration": [10, 20, 30], "score": [0.3, 0.1, 0.2]})
+    # Histories name the tasks and states that some validation sequence has.
+    by_task = history.assign(**{"1/0": [0.2, 0.1, 0.1], "2/0": [0.4, 0.1, 0.3]})
+    by_state = history.assign(step_0=0.01, step_1=[0.2, 0.1, 0.1])
     spread = np.full_like(dataset.vertices, 0.02)
     return Inputs(
         dataset=dataset,
         attempts=pd.DataFrame({"accepted": [True, False], "reason": ["", "height"]}),
-        histories={"a": history, "b": history, "vtm": history},
+        histories={"a": by_task, "b": history, "vtm": by_state},
         estimation=estimation,
         prediction=prediction,
+        calibration=pd.concat(
+            [
+                calibration.curve(np.full((1, 32, 32, 3), 0.5)).assign(split="test", system=system, length=length)
+                for system in ("estimate", "main", "a1")
+                for length in (1, 2, 3)
+            ]
+        ),
         planning=planning,
         estimates={
             "sequence": np.arange(2),
@@ -107,13 +119,16 @@ def contents(folder: Path) -> dict[str, bytes]:
 def test_a_report_is_complete(inputs: Inputs, tmp_path: Path) -> None:
     build(tmp_path / "report", inputs, SETTINGS, scale="smoke")
     found = contents(tmp_path / "report")
-    tables = {f"tables/{name}.{kind}" for name in ("table_2", "table_3", "table_6") for kind in ("csv", "md")}
+    tables = {
+        f"tables/{name}.{kind}" for name in ("table_2", "table_3", "table_5", "table_6") for kind in ("csv", "md")
+    }
     pictures = {
         f"figures/{name}.png"
         for name in (
             "sequences",
             "estimates",
             "predictions",
+            "calibration",
             "scatter",
             "curves",
             *(f"sessions_{n}" for n in (1, 2, 3)),

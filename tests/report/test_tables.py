@@ -28,6 +28,8 @@ def tidy_tasks(systems: tuple[str, ...], *, sequences: int = 4, seed: int = 0) -
                 "error": rng.uniform(0.01, 0.1) + (net == "b"),
                 "error_no_action": 0.2 + 0.01 * sequence + 0.1 * length,
                 "sigma_ratio": 0.7 + 0.01 * sequence,
+                "position_error": 0.01 * (sequence + length) + (net == "b"),
+                "position_no_action": 0.1 * length,
             }
             for split in ("test", "train")
             for system in systems
@@ -120,6 +122,20 @@ def test_estimation_table() -> None:
     assert cell(found, "3", kind="pmr", statistic="mean / no action", **keys) == pytest.approx(0.031 / 0.25)
 
 
+def test_position_table() -> None:
+    found = tables.position(tidy_tasks(("main", "a1")), ("main", "a1"))
+    assert list(found.columns) == ["source", "split", "system", "statistic", "1", "2", "3"]
+    assert not found.isna().any(axis=None)
+    keys = {"source": "clothkit", "split": "test"}
+    # Net a's alone, over sequences 0..3 and every start.
+    assert cell(found, "2", system="a1", statistic="mean", **keys) == pytest.approx(0.035)
+    by_hand = np.std([0.01 * (sequence + 1) for sequence in range(4)] * 3, ddof=1)
+    assert cell(found, "1", system="main", statistic="std", **keys) == pytest.approx(by_hand)
+    assert cell(found, "3", system="no action", statistic="median", **keys) == pytest.approx(0.3)
+    assert cell(found, "2", system="main", statistic="mean / no action", **keys) == pytest.approx(0.035 / 0.2)
+    assert set(found.loc[found["source"] == "paper", "system"]) == {"main", "a1"}
+
+
 def test_a_missing_system_is_named() -> None:
     with pytest.raises(InputError, match="b1"):
         tables.planning(tidy_tasks(("main",)), ("main", "b1"))
@@ -148,6 +164,10 @@ def test_bad_rows_are_named(tmp_path: Path) -> None:
         (2, {"split": "train", "kind": "pmr", "statistic": "median"}, "3", 0.0625),
         (3, {"split": "test", "system": "main", "statistic": "mean"}, "1/2", 0.0914),
         (3, {"split": "train", "system": "a1", "statistic": "median"}, "3/all", 0.0557),
+        (5, {"split": "test", "system": "main", "statistic": "mean"}, "3", 0.0505),
+        (5, {"split": "test", "system": "a1", "statistic": "std"}, "1", 0.0295),
+        (5, {"split": "train", "system": "main", "statistic": "median"}, "2", 0.0189),
+        (5, {"split": "train", "system": "a1", "statistic": "mean"}, "1", 0.0164),
         (6, {"split": "test", "system": "main", "statistic": "mean"}, "1/0", 0.0291),
         (6, {"split": "test", "system": "b1", "statistic": "median"}, "1/all", 0.0185),
         (6, {"split": "test", "system": "b3", "statistic": "mean"}, "1/2", 0.0677),
@@ -193,9 +213,11 @@ def test_metrics_are_nested_means() -> None:
     estimation = tables.estimation(tidy_estimates())
     tidy = tidy_tasks(("main", "a1"))
     prediction = tables.prediction(tidy, ("main", "a1"))
-    found = metrics.headline(estimation, prediction, prediction, tables.sigma_ratio(tidy_estimates(), tidy))
+    position = tables.position(tidy, ("main", "a1"))
+    found = metrics.headline(estimation, prediction, position, prediction, tables.sigma_ratio(tidy_estimates(), tidy))
     assert found["estimation"]["test"]["pmr"]["1"] == pytest.approx(0.011)
     assert found["prediction"]["test"]["no action"]["3/all"] == pytest.approx(0.515)
+    assert found["position"]["test"]["main"]["2"] == pytest.approx(0.035)
     assert found["sigma_ratio"]["test"]["estimate"] == pytest.approx(0.8)
     json.dumps(found, allow_nan=False)
 
@@ -226,6 +248,7 @@ def test_the_page_shows_tables_and_figures() -> None:
         scale="smoke",
         table_2=tables.estimation(tidy_estimates()),
         table_3=tables.prediction(tidy, ("main", "a1")),
+        table_5=tables.position(tidy, ("main", "a1")),
         table_6=tables.planning(tidy_tasks(("main",)), ("main",)),
         sigma_ratio=tables.sigma_ratio(tidy_estimates(), tidy),
         attempts=tables.attempts(pd.DataFrame({"accepted": [True], "reason": [""]})),
@@ -237,3 +260,5 @@ def test_the_page_shows_tables_and_figures() -> None:
     assert "figures/scatter.png" not in text
     assert "| planning | main | paper | 0.0291 |" in text
     assert "| planning | no action | clothkit | 0.315 |" in text
+    assert "| test | a1 | mean | paper | 0.0269 | 0.0379 | 0.0506 |" in text
+    assert "| test | main | paper | 0.770 | 0.750 | 0.785 | 0.861 |" in text

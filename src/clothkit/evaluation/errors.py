@@ -30,10 +30,18 @@ relabelled = jax.jit(relabel_batch)
 
 
 @jax.jit
+def deviations(
+    probabilistic: ProbabilisticMesh, truth: Float[Array | np.ndarray, "batch u v 3"]
+) -> Float[Array, "batch u v 3"]:
+    """abs(error) / sigma of every coordinate, under the labels of the truth (section 6.1)."""
+    k = labels_of_truth(probabilistic.mean, truth)
+    mean, std = (relabel_batch(jnp.asarray(part), k) for part in probabilistic)
+    return jnp.abs(truth - mean) / std
+
+
+@jax.jit
 def sigma_ratio(
     probabilistic: ProbabilisticMesh, truth: Float[Array | np.ndarray, "batch u v 3"]
 ) -> Float[Array, " batch"]:
-    """Mean over a mesh's coordinates of abs(error) / sigma, under the labels of the truth (section 6.1)."""
-    k = labels_of_truth(probabilistic.mean, truth)
-    mean, std = (relabel_batch(jnp.asarray(part), k) for part in probabilistic)
-    return jnp.mean(jnp.abs(truth - mean) / std, axis=(-3, -2, -1))
+    """Mean of a mesh's `deviations` (section 6.1)."""
+    return jnp.mean(deviations(probabilistic, truth), axis=(-3, -2, -1))

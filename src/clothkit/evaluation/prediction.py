@@ -54,8 +54,9 @@ def rows(
     """Tidy rows, one per system, net, sequence and task.
 
     split, system, net (a, b), better (whether the net has the better validation score), sequence, start, length, error,
-    error_no_action, position_error [cloth length], sigma_ratio. Predictions are not aligned beyond the centring; no
-    action is (design 2). position_error is that of the predicted centre shift, eq. (7).
+    error_no_action, position_error, position_no_action [cloth length], sigma_ratio. Predictions are not aligned beyond
+    the centring; no action is (design 2). position_error is that of the predicted centre shift, eq. (7);
+    position_no_action that of no shift at all.
     """
     tidy = []
     jobs = [(system, net, task) for system in given.meshes for net in sorted(nets) for task in TASKS]
@@ -67,7 +68,7 @@ def rows(
             continue
         truth = dataset.vertices[sequence, end]
         manipulations = dataset.manipulation[sequence, start:end]
-        predicted, shift = _predict(nets[net], given.meshes[system][long, start], manipulations, settings.batch)
+        predicted, shift = predict(nets[net], given.meshes[system][long, start], manipulations, settings.batch)
         moved = dataset.centre[sequence, end] - dataset.centre[sequence, start]
         tidy.append(
             pd.DataFrame(
@@ -82,6 +83,7 @@ def rows(
                     "error": np.asarray(errors(predicted.mean[-1], truth)),
                     "error_no_action": np.asarray(errors(dataset.vertices[sequence, start], truth, aligned=True)),
                     "position_error": np.linalg.norm(shift.sum(0) - moved, axis=-1) / CLOTH_SIDE,
+                    "position_no_action": np.linalg.norm(moved, axis=-1) / CLOTH_SIDE,
                     "sigma_ratio": np.asarray(
                         sigma_ratio(ProbabilisticMesh(predicted.mean[-1], predicted.std[-1]), truth)
                     ),
@@ -101,7 +103,7 @@ def stored(dataset: Dataset, given: Starts, net: Net, settings: EvaluatePredicti
     first = np.sort(np.concatenate([np.flatnonzero(split == name)[: settings.stored] for name in np.unique(split)]))
     start = given.meshes["main"][first, 0]
     manipulations = np.nan_to_num(dataset.manipulation[given.sequence[first]])
-    predicted, shift = _predict(net, start, manipulations, settings.batch)
+    predicted, shift = predict(net, start, manipulations, settings.batch)
     mean, std = (np.array(part) for part in predicted)
     for values in (mean, std, shift):
         values[np.arange(STEPS)[:, None] >= dataset.length[given.sequence[first]]] = np.nan
@@ -115,7 +117,7 @@ def stored(dataset: Dataset, given: Starts, net: Net, settings: EvaluatePredicti
     }
 
 
-def _predict(
+def predict(
     net: Net, mesh: np.ndarray, manipulations: np.ndarray, batch: int
 ) -> tuple[ProbabilisticMesh, Float[np.ndarray, "step n 2"]]:
     """Probabilistic meshes [step n u v 3] and centre shifts after each manipulation, in batches of one size."""

@@ -7,6 +7,7 @@ import numpy as np
 
 from clothkit.dataset.tasks import Task, tasks_of
 from clothkit.report import metrics, page, tables
+from clothkit.report.figures.calibration import calibration
 from clothkit.report.figures.curves import curves
 from clothkit.report.figures.estimates import estimates
 from clothkit.report.figures.predictions import predictions
@@ -31,17 +32,20 @@ def build(folder: Path, inputs: Inputs, settings: ReportConfig, *, scale: str) -
         scale=scale,
         table_2=tables.estimation(inputs.estimation),
         table_3=tables.prediction(inputs.prediction, settings.predictors),
+        table_5=tables.position(inputs.prediction, settings.predictors),
         table_6=tables.planning(inputs.planning, settings.planners),
         sigma_ratio=tables.sigma_ratio(inputs.estimation, inputs.prediction),
         attempts=tables.attempts(inputs.attempts),
         tasks={str(split): rows["sequence"].nunique() for split, rows in inputs.planning.groupby("split")},
         figures=draw_figures(folder / "figures", inputs, settings),
     )
-    for name in ("table_2", "table_3", "table_6", "sigma_ratio", "attempts"):
+    for name in ("table_2", "table_3", "table_5", "table_6", "sigma_ratio", "attempts"):
         table = getattr(contents, name)
         table.to_csv(folder / "tables" / f"{name}.csv", index=False, float_format="%.5g", lineterminator="\n")
         (folder / "tables" / f"{name}.md").write_text(page.table(name, table))
-    headline = metrics.headline(contents.table_2, contents.table_3, contents.table_6, contents.sigma_ratio)
+    headline = metrics.headline(
+        contents.table_2, contents.table_3, contents.table_5, contents.table_6, contents.sigma_ratio
+    )
     (folder / "metrics.json").write_text(json.dumps(headline, indent=1) + "\n")
     (folder / "README.md").write_text(page.page(contents))
 
@@ -52,9 +56,10 @@ def draw_figures(folder: Path, inputs: Inputs, settings: ReportConfig) -> list[s
     sequences(dataset, folder / "sequences.png", count=settings.sequences)
     estimates(dataset, inputs.estimates, inputs.estimation, folder / "estimates.png", count=settings.estimates)
     predictions(dataset, inputs.predictions, inputs.prediction, folder / "predictions.png", count=settings.predictions)
+    calibration(inputs.calibration, folder / "calibration.png")
     scatter(inputs.planning, inputs.prediction, PREDICTOR_OF, settings.planners, folder / "scatter.png")
     curves({net: inputs.histories[net] for net in NETS}, inputs.histories["vtm"], folder / "curves.png")
-    names = ["sequences", "estimates", "predictions", "scatter", "curves"]
+    names = ["sequences", "estimates", "predictions", "calibration", "scatter", "curves"]
     rows = inputs.planning[inputs.planning["system"] == planner]
     better = NETS.index(str(inputs.prediction.loc[inputs.prediction["better"], "net"].iloc[0]))
     test = np.unique(rows.loc[rows["split"] == "test", "sequence"]).tolist()

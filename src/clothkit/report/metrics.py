@@ -8,13 +8,18 @@ DIGITS = 6
 
 
 def headline(
-    estimation: pd.DataFrame, prediction: pd.DataFrame, planning: pd.DataFrame, sigma_ratio: pd.DataFrame
+    estimation: pd.DataFrame,
+    prediction: pd.DataFrame,
+    position: pd.DataFrame,
+    planning: pd.DataFrame,
+    sigma_ratio: pd.DataFrame,
 ) -> dict[str, Any]:
     """Mean error by split, kind or system, and column [cloth length], no action included; median sigma ratios."""
     ratios = sigma_ratio[sigma_ratio["source"] == "clothkit"].drop(columns=["source", "system"])
     return {
         "estimation": _means(estimation, "kind"),
         "prediction": _means(prediction, "system"),
+        "position": _means(position, "system"),
         "planning": _means(planning, "system"),
         "sigma_ratio": {row.pop("split"): _rounded(row) for row in ratios.to_dict("records")},
     }

@@ -16,6 +16,7 @@ class Contents:
     scale: str
     table_2: pd.DataFrame
     table_3: pd.DataFrame
+    table_5: pd.DataFrame
     table_6: pd.DataFrame
     sigma_ratio: pd.DataFrame
     attempts: pd.DataFrame
@@ -27,6 +28,7 @@ class Contents:
 KEYS = {
     "table_2": ("split", "kind", "statistic"),
     "table_3": ("split", "system", "statistic"),
+    "table_5": ("split", "system", "statistic"),
     "table_6": ("split", "system", "statistic"),
     "sigma_ratio": ("split", "system"),
 }
@@ -47,8 +49,13 @@ CAPTIONS = {
     "sessions_1": f"Planning in one step. {_SESSIONS}",
     "sessions_2": f"Planning in two steps. {_SESSIONS}",
     "sessions_3": f"Planning in three steps. {_SESSIONS}",
+    "calibration": "Test set: the share of coordinates whose error is below z σ, against the share of a normal "
+    "distribution there; dots are at z = 1. Above the dashed diagonal σ is larger than the errors warrant, below it "
+    "smaller. Estimates by the manipulations that lie behind the state; predictions from estimates, by the "
+    "manipulations predicted, from every start.",
     "scatter": "Planning error against prediction error, a dot per test task.",
-    "curves": "Validation errors during training.",
+    "curves": "Validation errors during training, with their values where the score was best (dots). Tasks: "
+    "manipulations / state that they start from; states: manipulations that lie behind them.",
 }
 
 
@@ -75,13 +82,17 @@ def page(contents: Contents) -> str:
         "## Prediction\n",
         _figure(contents, "predictions"),
         _block("Table 3", "table_3", contents.table_3),
+        "The predicted shift of the cloth's centre, by the number of manipulations, from every start; *no action* "
+        "predicts no shift.\n",
+        _block("Table 5", "table_5", contents.table_5),
         "## Estimation\n",
         _figure(contents, "estimates"),
         _block("Table 2", "table_2", contents.table_2),
         "## Stated and actual uncertainty\n",
-        "Median over meshes of the mean of abs(error) / σ; 0.798 is ideal. Columns: estimates, then predictions after "
-        "one, two and three manipulations.\n",
+        "Median over meshes of the mean of abs(error) / σ; 0.798 is ideal, less says that σ is too large. Columns: "
+        "estimates, then predictions after one, two and three manipulations; the paper tells those of the test set.\n",
         table("sigma_ratio", contents.sigma_ratio),
+        _figure(contents, "calibration"),
         "## Data and training\n",
         "[The dataset](dataset/README.md): files, columns, yield, quality, its worst states.\n",
         _figure(contents, "sequences"),

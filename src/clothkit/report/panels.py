@@ -75,6 +75,34 @@ def chart(count: int, *, width: float, height: float = 2.6, columns: int = 0) ->
     return figure, axes
 
 
+def label_ends(axis: Axes, ends: Sequence[tuple[float, str, str]], *, least: float = 0.075) -> None:
+    """Text right of a chart, each at the height where its line ends, as near as the others' text allows.
+
+    `ends`: height [data], text, colour. `least`: the distance between texts as a share of the chart's height. The
+    chart's limits must be final.
+    """
+    to_share = axis.transData + axis.transAxes.inverted()
+    ordered = sorted(ends)
+    shares = [float(to_share.transform((0, height))[1]) for height, _, _ in ordered]
+    # Pushed apart upwards and downwards; the mean of the two keeps the distances.
+    up, down = shares.copy(), shares.copy()
+    for i in range(1, len(shares)):
+        up[i] = max(up[i], up[i - 1] + least)
+        down[-1 - i] = min(down[-1 - i], down[-i] - least)
+    for share, low, high, (_, text, colour) in zip(shares, down, up, ordered, strict=True):
+        axis.annotate(
+            text,
+            (1, share),
+            xycoords="axes fraction",
+            xytext=(1.035, (low + high) / 2),
+            textcoords="axes fraction",
+            fontsize=7.5,
+            color=colour,
+            va="center",
+            arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.5, "shrinkA": 0, "shrinkB": 0},
+        )
+
+
 def show(axis: Axes, picture: UInt8[np.ndarray, "row column 3"], *, mark: str = "", note: str = "") -> None:
     """A picture of `draw` on a panel; `mark` (R real, E estimate, P prediction) bottom left, `note` bottom right."""
     axis.set_axis_on()

@@ -19,7 +19,10 @@ PREDICTION = (
     "error",
     "error_no_action",
     "sigma_ratio",
+    "position_error",
+    "position_no_action",
 )
+CALIBRATION = ("split", "system", "length", "axis", "z", "expected", "coverage")
 PLANNING = ("split", "system", "sequence", "start", "length", "error", "error_no_action")
 
 HISTORY = ("iteration", "score")

@@ -14,7 +14,7 @@ class ReportConfig:
     """Which systems the tables are about, and how many examples the pictures show."""
 
     predictors: Annotated[tuple[str, ...], MinLen(1)] = ("main", "a1")
-    """Systems of table 3."""
+    """Systems of tables 3 and 5."""
     planners: Annotated[tuple[str, ...], MinLen(1)] = ("main", "b1")
     """Systems of table 6, the first of which is shown in pictures."""
     sequences: Count = 8

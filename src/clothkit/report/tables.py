@@ -1,4 +1,4 @@
-"""Tables 2, 3 and 6 in the paper's layout: group-bys of tidy rows, with the paper's figures below ours.
+"""Tables 2, 3, 5 and 6 in the paper's layout: group-bys of tidy rows, with the paper's figures below ours.
 
 Every table has the columns source (clothkit, paper), split, kind or system, statistic (mean, std, median), then the
 paper's columns. The system *no action* is the error between start and goal; the statistic *mean / no action* puts a
@@ -17,6 +17,9 @@ TASKS = ("1/0", "1/1", "1/2", "1/all", "2/0", "2/1", "2/all", "3/all")
 STATES = ("1", "2", "3", "all")
 """Columns of table 2: how many manipulations lie behind the state."""
 
+LENGTHS = ("1", "2", "3")
+"""Columns of table 5: how many manipulations were predicted, from every start."""
+
 STATISTICS = ("mean", "std", "median")
 NO_ACTION = "no action"
 RATIO = "mean / no action"
@@ -34,6 +37,15 @@ def prediction(tidy: pd.DataFrame, systems: Sequence[str]) -> pd.DataFrame:
     rows.require(tidy, systems)
     table = _task_table(tidy[tidy["better"]], systems)
     return pd.concat([table, paper.table_of(3, systems)], ignore_index=True)
+
+
+def position(tidy: pd.DataFrame, systems: Sequence[str]) -> pd.DataFrame:
+    """Table 5: the predicted centre shift of the net with the better validation score. No action: no shift at all."""
+    rows.require(tidy, systems)
+    chosen = tidy[tidy["better"] & tidy["system"].isin(list(systems))]
+    measured = chosen.assign(error=chosen["position_error"], error_no_action=chosen["position_no_action"])
+    table = _table(measured, [measured["length"].astype(str)], LENGTHS, by="system", groups=systems)
+    return pd.concat([table, paper.table_of(5, systems)], ignore_index=True)
 
 
 def planning(tidy: pd.DataFrame, systems: Sequence[str]) -> pd.DataFrame:
