@@ -53,9 +53,12 @@ def axes(size: Sequence[int], stride: Sequence[int]) -> tuple[Axis, Axis, Axis]:
 
 
 def convolve(
-    volume: Float[Array, "*batch x y z c"], kernel: Float[Array, "i j k c d"], stride: Sequence[int]
+    volume: Float[Array | np.ndarray, "*batch x y z c"],
+    kernel: Float[Array | np.ndarray, "i j k c d"],
+    stride: Sequence[int],
 ) -> Float[Array, "*batch xx yy zz d"]:
     """The convolution of a volume of c maps to d maps (in the sense of neural nets: the kernel is not reversed)."""
+    volume, kernel = jnp.asarray(volume), jnp.asarray(kernel)
     *batch, nx, ny, nz, maps = volume.shape
     x, y, z = axes((nx, ny, nz), stride)
     flat = volume.reshape(-1, nx, ny, nz * maps)
@@ -71,15 +74,15 @@ def convolve(
 
 
 def convolve_transposed(
-    volume: Float[Array, "*batch xx yy zz d"],
-    kernel: Float[Array, "i j k c d"],
+    volume: Float[Array | np.ndarray, "*batch xx yy zz d"],
+    kernel: Float[Array | np.ndarray, "i j k c d"],
     stride: Sequence[int],
     size: Sequence[int],
 ) -> Float[Array, "*batch x y z c"]:
     """The transpose of `convolve`, as a linear map: d maps to c maps over a volume of that size."""
     *batch, _, _, _, _ = volume.shape
     source = jax.ShapeDtypeStruct((*batch, *size, kernel.shape[-2]), volume.dtype)
-    (out,) = jax.linear_transpose(lambda wide: convolve(wide, kernel, stride), source)(volume)
+    (out,) = jax.linear_transpose(lambda wide: convolve(wide, kernel, stride), source)(jnp.asarray(volume))
     return out
 
 

@@ -28,6 +28,7 @@ class Inputs:
     """Of the nets a, b and vtm."""
     estimation: pd.DataFrame
     prediction: pd.DataFrame
+    comparisons: pd.DataFrame
     planning: pd.DataFrame
     """Of all planners."""
     estimates: Mapping[str, np.ndarray]
@@ -47,6 +48,7 @@ def paths(data: Path, settings: ReportConfig) -> list[Path]:
         evaluation / "estimation.parquet",
         evaluation / "estimates.zarr",
         evaluation / "prediction.parquet",
+        evaluation / "comparisons.parquet",
         evaluation / "predictions.zarr",
         *(evaluation / f"planning/{system}.parquet" for system in settings.planners),
         evaluation / f"planning/sessions_{settings.planners[0]}.zarr",
@@ -63,6 +65,7 @@ def read(data: Path, settings: ReportConfig) -> Inputs:
         histories={**forward, "vtm": rows.read(data / "nets/vtm/history.parquet", rows.HISTORY)},
         estimation=rows.read(evaluation / "estimation.parquet", rows.ESTIMATION),
         prediction=rows.read(evaluation / "prediction.parquet", rows.PREDICTION),
+        comparisons=rows.read(evaluation / "comparisons.parquet", rows.COMPARISONS),
         planning=rows.read_planning(evaluation / "planning", settings.planners),
         estimates=arrays.load(evaluation / "estimates.zarr", ("sequence", "mean", "std", "mesh", "label")),
         predictions=arrays.load(evaluation / "predictions.zarr", ("sequence", "start", "mean", "std", "shift")),
