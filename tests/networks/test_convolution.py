@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clothkit.networks.convolution import convolve, convolve_transposed
@@ -35,6 +35,7 @@ def brute_force(volume, kernel, stride):
     return found
 
 
+@settings(max_examples=10)
 @given(SIZES, STRIDES, st.integers(0, 100))
 def test_it_is_the_brute_force_convolution(size, stride, seed):
     volume, kernel, _ = drawn(seed, size, stride)
@@ -57,6 +58,7 @@ def test_a_cut_kernel_loses_nothing_that_a_kernel_of_three_has(size, stride):
     np.testing.assert_allclose(convolve(volume, kernel, stride), expected, atol=1e-5)
 
 
+@settings(max_examples=10)
 @given(SIZES, STRIDES, st.integers(0, 100))
 def test_the_transpose_has_the_same_inner_products(size, stride, seed):
     """<convolve(x), y> = <x, transposed(y)> for all x and y is what a transpose is."""

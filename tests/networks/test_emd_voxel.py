@@ -36,6 +36,9 @@ DENSE = replace(TINY, dense=True)
 SEQUENCES = sequences(crumpled(6, 0))
 
 
+rollout, step, encode, logits = map(jax.jit, (emd_voxel.rollout, emd_voxel.step, emd_voxel.encode, emd_voxel.logits))
+
+
 def shapes(config):
     return {name: w.shape for name, w in flatten_dict(store.shapes(config), sep="/").items()}
 
@@ -68,17 +71,17 @@ def test_steps_chain_to_a_rollout(config):
     net, rng = random_net(config, 2), np.random.default_rng(3)
     seen = rng.random((2, 32, 32, 16)) < 0.1
     manipulations = rng.uniform(-1, 1, (2, 2, 6)).astype(np.float32)
-    predicted, traces, shifts = emd_voxel.rollout(net, seen, manipulations)
+    predicted, traces, shifts = rollout(net, seen, manipulations)
     assert predicted.shape == (2, 2, 32, 32, 16)
     assert (predicted >= 0).all()
     assert (predicted <= 1).all()
-    latent, trace = emd_voxel.encode(net, seen.astype(np.float32)), np.zeros((2, 3), np.float32)
+    latent, trace = encode(net, seen.astype(np.float32)), np.zeros((2, 3), np.float32)
     for i in range(2):
-        latent, trace, shift = emd_voxel.step(net, latent, trace, manipulations[:, i])
+        latent, trace, shift = step(net, latent, trace, manipulations[:, i])
         np.testing.assert_allclose(emd_voxel.decode(net, latent), predicted[i], atol=1e-5)
-        np.testing.assert_allclose(jax.nn.sigmoid(emd_voxel.logits(net, latent)), predicted[i], atol=1e-5)
+        np.testing.assert_allclose(jax.nn.sigmoid(logits(net, latent)), predicted[i], atol=1e-5)
         np.testing.assert_allclose(shift, shifts[i], atol=1e-4)
-    _, resumed, _ = emd_voxel.rollout(net, seen, manipulations[:, 1:], traces[0])
+    _, resumed, _ = rollout(net, seen, manipulations[:, 1:], traces[0])
     assert resumed.shape == (1, 2, 3)
 
 
@@ -90,12 +93,12 @@ def test_the_dense_variant_is_the_forward_pass_by_hand():
         layer = net.params["E"][name]
         units = units @ layer["kernel"] + layer["bias"]
         units = np.tanh(units) if name != "latent" else units
-    np.testing.assert_allclose(emd_voxel.encode(net, seen), units, rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(encode(net, seen), units, rtol=1e-4, atol=1e-5)
     for name in ("layer_1", "layer_2", "voxels"):
         layer = net.params["D"][name]
         units = units @ layer["kernel"] + layer["bias"]
         units = np.tanh(units) if name != "voxels" else units
-    np.testing.assert_allclose(emd_voxel.logits(net, emd_voxel.encode(net, seen)).ravel(), units, atol=1e-4)
+    np.testing.assert_allclose(logits(net, encode(net, seen)).ravel(), units, atol=1e-4)
 
 
 @pytest.mark.parametrize("config", [TINY, DENSE])
@@ -105,7 +108,7 @@ def test_logits_start_at_their_bias_and_a_loaded_net_keeps_it(config, tmp_path):
     store.save(tmp_path / "net", net, store.pd.DataFrame({"score": [0.1]}), {"validation_score": 0.1})
     loaded = store.load(tmp_path / "net")
     assert loaded.config == config
-    found = emd_voxel.logits(loaded, emd_voxel.encode(loaded, np.zeros((32, 32, 16), bool)))
+    found = logits(loaded, encode(loaded, np.zeros((32, 32, 16), bool)))
     np.testing.assert_allclose(found, -3.0, atol=1e-3)
 
 
@@ -193,19 +196,23 @@ def voxel_examples(n=2):
 
 def test_losses_sum_over_steps_and_average_over_the_batch():
     batch, net = voxel_examples(), random_net(TINY, 0)
-    predicted, _, shifts = emd_voxel.rollout(net, batch.voxels, batch.manipulations)
+    predicted, _, shifts = rollout(net, batch.voxels, batch.manipulations)
     p = np.clip(np.asarray(jnp.moveaxis(predicted, 0, 1), np.float64), 1e-12, 1 - 1e-7)
     likelihood = np.where(batch.outcomes, np.log(p), np.log(1 - p))
     expected = -likelihood.mean((2, 3, 4)).sum(1).mean()
-    assert float(loss_shape(EMDVoxel(TINY), net.params, batch)) == pytest.approx(expected, rel=1e-3)
+    assert float(jax.jit(loss_shape, static_argnums=0)(EMDVoxel(TINY), net.params, batch)) == pytest.approx(
+        expected, rel=1e-3
+    )
     misses = np.asarray(jnp.moveaxis(shifts, 0, 1) - batch.shifts)
-    assert float(loss_position(EMDVoxel(TINY), net.params, batch)) == pytest.approx(np.mean(misses**2), rel=1e-5)
+    assert float(jax.jit(loss_position, static_argnums=0)(EMDVoxel(TINY), net.params, batch)) == pytest.approx(
+        np.mean(misses**2), rel=1e-5
+    )
 
 
 def test_paper_recipe_gives_the_decoder_loss_s_alone():
     batch, params = voxel_examples(1), initial(TINY, key=jax.random.key(0))
     settings = TrainEMDVoxelConfig(net=TINY, training=TrainingConfig(recipe="paper"))
-    found, losses = direction(EMDVoxel(TINY), settings, params, batch)
+    found, losses = jax.jit(direction, static_argnums=(0, 1))(EMDVoxel(TINY), settings, params, batch)
     assert set(losses) == {"loss_s", "loss_p"}
     shape, position = (
         jax.grad(lambda p, f=f: f(EMDVoxel(TINY), p, batch))(params) for f in (loss_shape, loss_position)
@@ -217,12 +224,12 @@ def test_paper_recipe_gives_the_decoder_loss_s_alone():
 
 def test_the_score_is_the_mean_voxel_difference_over_the_tasks():
     net = random_net(TINY, 1)
-    found = task_differences(EMDVoxel(TINY), net.params, SEQUENCES)
+    found = jax.jit(task_differences, static_argnums=0)(EMDVoxel(TINY), net.params, SEQUENCES)
     assert found.shape == (6, 6)
     # One of them by hand: from state 1, two manipulations (task 4 of TASKS).
     seen, truth = (voxels.observe(SEQUENCES.vertices[2, i]) for i in (1, 3))
     manipulations = cartesian(SEQUENCES.vertices[2, 1:3], SEQUENCES.manipulation[2, 1:3])
-    predicted, _, _ = emd_voxel.rollout(net, seen, manipulations)
+    predicted, _, _ = rollout(net, seen, manipulations)
     assert float(found[4, 2]) == pytest.approx(float(np.abs(np.asarray(predicted[-1]) - truth).mean()), rel=1e-4)
     settings = TrainEMDVoxelConfig(net=TINY, training=TrainingConfig(recipe="paper"))
     scores = problem(settings, SEQUENCES).validate(net.params)
