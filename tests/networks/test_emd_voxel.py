@@ -195,27 +195,27 @@ def voxel_examples(n=2):
 
 
 def test_losses_sum_over_steps_and_average_over_the_batch():
-    batch, net = voxel_examples(), random_net(TINY, 0)
+    batch, net = voxel_examples(), random_net(DENSE, 0)
     predicted, _, shifts = rollout(net, batch.voxels, batch.manipulations)
     p = np.clip(np.asarray(jnp.moveaxis(predicted, 0, 1), np.float64), 1e-12, 1 - 1e-7)
     likelihood = np.where(batch.outcomes, np.log(p), np.log(1 - p))
     expected = -likelihood.mean((2, 3, 4)).sum(1).mean()
-    assert float(jax.jit(loss_shape, static_argnums=0)(EMDVoxel(TINY), net.params, batch)) == pytest.approx(
+    assert float(jax.jit(loss_shape, static_argnums=0)(EMDVoxel(DENSE), net.params, batch)) == pytest.approx(
         expected, rel=1e-3
     )
     misses = np.asarray(jnp.moveaxis(shifts, 0, 1) - batch.shifts)
-    assert float(jax.jit(loss_position, static_argnums=0)(EMDVoxel(TINY), net.params, batch)) == pytest.approx(
+    assert float(jax.jit(loss_position, static_argnums=0)(EMDVoxel(DENSE), net.params, batch)) == pytest.approx(
         np.mean(misses**2), rel=1e-5
     )
 
 
 def test_paper_recipe_gives_the_decoder_loss_s_alone():
-    batch, params = voxel_examples(1), initial(TINY, key=jax.random.key(0))
-    settings = TrainEMDVoxelConfig(net=TINY, training=TrainingConfig(recipe="paper"))
-    found, losses = jax.jit(direction, static_argnums=(0, 1))(EMDVoxel(TINY), settings, params, batch)
+    batch, params = voxel_examples(1), initial(DENSE, key=jax.random.key(0))
+    settings = TrainEMDVoxelConfig(net=DENSE, training=TrainingConfig(recipe="paper"))
+    found, losses = jax.jit(direction, static_argnums=(0, 1))(EMDVoxel(DENSE), settings, params, batch)
     assert set(losses) == {"loss_s", "loss_p"}
     shape, position = (
-        jax.grad(lambda p, f=f: f(EMDVoxel(TINY), p, batch))(params) for f in (loss_shape, loss_position)
+        jax.grad(lambda p, f=f: f(EMDVoxel(DENSE), p, batch))(params) for f in (loss_shape, loss_position)
     )
     jax.tree.map(lambda d, g: np.testing.assert_array_equal(d, np.sign(g)), found["D"], shape["D"])
     expected = np.sign(np.sign(shape["M"]["layer_1"]["kernel"]) + np.sign(position["M"]["layer_1"]["kernel"]))
@@ -223,15 +223,15 @@ def test_paper_recipe_gives_the_decoder_loss_s_alone():
 
 
 def test_the_score_is_the_mean_voxel_difference_over_the_tasks():
-    net = random_net(TINY, 1)
-    found = jax.jit(task_differences, static_argnums=0)(EMDVoxel(TINY), net.params, SEQUENCES)
+    net = random_net(DENSE, 1)
+    found = jax.jit(task_differences, static_argnums=0)(EMDVoxel(DENSE), net.params, SEQUENCES)
     assert found.shape == (6, 6)
     # One of them by hand: from state 1, two manipulations (task 4 of TASKS).
     seen, truth = (voxels.observe(SEQUENCES.vertices[2, i]) for i in (1, 3))
     manipulations = cartesian(SEQUENCES.vertices[2, 1:3], SEQUENCES.manipulation[2, 1:3])
     predicted, _, _ = rollout(net, seen, manipulations)
     assert float(found[4, 2]) == pytest.approx(float(np.abs(np.asarray(predicted[-1]) - truth).mean()), rel=1e-4)
-    settings = TrainEMDVoxelConfig(net=TINY, training=TrainingConfig(recipe="paper"))
+    settings = TrainEMDVoxelConfig(net=DENSE, training=TrainingConfig(recipe="paper"))
     scores = problem(settings, SEQUENCES).validate(net.params)
     assert scores["score"] == pytest.approx(float(found.mean()), rel=1e-5)
     assert scores["1/2"] == pytest.approx(float(found[2].mean()), rel=1e-5)

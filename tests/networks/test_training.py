@@ -35,7 +35,9 @@ FAST = TrainingConfig(
 )
 PEMD = TrainPEMDConfig(net=PEMDConfig(latent=8, encoder=(24, 16), manipulation=12, decoder=(16, 24)), training=FAST)
 VTM = TrainVtMConfig(net=VtMConfig(hidden=16), training=FAST, noise=0.01, noise_z_factor=0.2)
-VOXEL = TrainEMDVoxelConfig(net=EMDVoxelConfig(latent=8, manipulation=12, width=0.06), training=FAST, noise=0.0)
+VOXEL = TrainEMDVoxelConfig(
+    net=EMDVoxelConfig(latent=8, manipulation=12, dense=True, encoder=(16,), decoder=(16,)), training=FAST, noise=0.0
+)
 
 
 class Killed(Exception):
