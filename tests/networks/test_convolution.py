@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from clothkit.networks.convolution import convolve, convolve_transposed
+from clothkit.networks.convolution import convolve, convolve_transposed, glorot
 
 SIZES = st.tuples(*[st.integers(1, 7)] * 3)
 STRIDES = st.tuples(*[st.integers(1, 2)] * 3)
@@ -78,3 +78,14 @@ def test_batches_may_have_any_dimensions_or_none():
     wide = convolve_transposed(other, kernel, (2, 2, 2), (4, 4, 4))
     single = convolve_transposed(other[0], kernel, (2, 2, 2), (4, 4, 4))
     np.testing.assert_allclose(single, wide[0], atol=1e-6)
+
+
+def test_glorot_counts_a_units_connections():
+    """From 8³ voxels by strides of two: 27 weights into a unit from each map, 27 / 8 on average out of it."""
+    drawn_weights = np.asarray(glorot((2, 2, 2), (8, 8, 8), 0.5)(jax.random.key(0), (3, 3, 3, 4, 16)))
+    limit = 0.5 * np.sqrt(6 / (27 * 4 + 27 / 8 * 16))
+    assert np.abs(drawn_weights).max() == pytest.approx(limit, rel=0.01)
+    assert drawn_weights.std() == pytest.approx(limit / np.sqrt(3), rel=0.03)
+    # One voxel: a dense layer.
+    dense = np.asarray(glorot((2, 2, 2), (1, 1, 1))(jax.random.key(0), (1, 1, 1, 40, 60)))
+    assert np.abs(dense).max() == pytest.approx(np.sqrt(6 / 100), rel=0.01)

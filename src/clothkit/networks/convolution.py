@@ -7,6 +7,7 @@ voxels, or as many as the volume has where that is fewer, since the other weight
 
 from collections.abc import Sequence
 from itertools import product
+from math import prod
 from typing import NamedTuple
 
 import flax.linen as nn
@@ -86,8 +87,19 @@ def convolve_transposed(
     return out
 
 
-def _initial(scale: float) -> nn.initializers.Initializer:
-    return nn.initializers.variance_scaling(scale**2, "fan_avg", "uniform")
+def glorot(stride: Sequence[int], size: Sequence[int], scale: float = 1.0) -> nn.initializers.Initializer:
+    """Glorot uniform weights times `scale`, for `convolve` from a volume of that size or its transpose.
+
+    Each unit's connections are counted as they are: a stride lets a voxel reach fewer voxels than a kernel has weights.
+    """
+    ways_out = prod(axis.kernel * axis.out / axis.size for axis in axes(size, stride))
+
+    def weights(key: Array, shape: tuple[int, ...], dtype: type = jnp.float32) -> Array:
+        connections = prod(shape[:3]) * shape[3] + ways_out * shape[4]
+        limit = scale * (6 / connections) ** 0.5
+        return jax.random.uniform(key, shape, dtype, -limit, limit)
+
+    return weights
 
 
 class Convolution(nn.Module):
@@ -99,7 +111,8 @@ class Convolution(nn.Module):
     @nn.compact
     def __call__(self, volume: Float[Array, "*batch x y z c"]) -> Float[Array, "*batch xx yy zz d"]:
         *size, maps = volume.shape[-4:]
-        kernel = self.param("kernel", _initial(1.0), (*(min(KERNEL, n) for n in size), maps, self.maps))
+        shape = (*(axis.kernel for axis in axes(size, self.stride)), maps, self.maps)
+        kernel = self.param("kernel", glorot(self.stride, size), shape)
         bias = self.param("bias", nn.initializers.zeros, (self.maps,))
         return convolve(volume, kernel, self.stride) + bias
 
@@ -116,7 +129,7 @@ class TransposedConvolution(nn.Module):
 
     @nn.compact
     def __call__(self, volume: Float[Array, "*batch xx yy zz d"]) -> Float[Array, "*batch x y z c"]:
-        shape = (*(min(KERNEL, n) for n in self.size), self.maps, volume.shape[-1])
-        kernel = self.param("kernel", _initial(self.scale), shape)
+        shape = (*(axis.kernel for axis in axes(self.size, self.stride)), self.maps, volume.shape[-1])
+        kernel = self.param("kernel", glorot(self.stride, self.size, self.scale), shape)
         bias = self.param("bias", nn.initializers.constant(self.bias), (self.maps,))
         return convolve_transposed(volume, kernel, self.stride, self.size) + bias
