@@ -12,7 +12,7 @@ from clothkit.dataset.augment import AugmentConfig
 from clothkit.dataset.regularise import RegulariseConfig
 from clothkit.errors import InputError
 from clothkit.evaluation.settings import EvaluateEstimationConfig, EvaluatePredictionConfig
-from clothkit.networks.settings import TrainPEMDConfig, TrainVtMConfig
+from clothkit.networks.settings import TrainEMDVoxelConfig, TrainPEMDConfig, TrainVtMConfig
 from clothkit.planning.settings import NormaliseConfig, PlanConfig
 from clothkit.report.card.settings import CardConfig
 from clothkit.report.settings import ReportConfig
@@ -29,6 +29,7 @@ class StageParams(pydantic.BaseModel, frozen=True, extra="forbid"):
     regularise: RegulariseConfig
     augment: AugmentConfig
     train_pemd: TrainPEMDConfig
+    train_emd_voxel: TrainEMDVoxelConfig
     train_vtm: TrainVtMConfig
     normalise: NormaliseConfig
     evaluate_estimation: EvaluateEstimationConfig

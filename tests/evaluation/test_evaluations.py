@@ -6,13 +6,15 @@ import jax
 import numpy as np
 import pytest
 
-from clothkit.cloth import grid
+from clothkit.cloth import grid, voxels
 from clothkit.cloth.equivalents import relabel
+from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.dataset.store import Dataset
 from clothkit.dataset.tasks import TASKS
 from clothkit.errors import InputError
 from clothkit.estimation.refine import RefineConfig
 from clothkit.evaluation import arrays, estimation, prediction
+from clothkit.evaluation.occupancy import occupancy
 from clothkit.evaluation.settings import EvaluateEstimationConfig, EvaluatePredictionConfig
 from clothkit.networks import pemd, vtm
 from clothkit.networks.net import Net
@@ -99,6 +101,12 @@ def test_prediction_rows(dataset: Dataset, forward: dict[str, Net], estimates: e
     candidates = [np.asarray(relabel(dataset.vertices[2, 3], k)) for k in range(8)]
     by_hand = min(np.linalg.norm(np.asarray(mean.mean)[1, 0] - c, axis=-1).mean() / 1.4 for c in candidates)
     assert row["error"] == pytest.approx(by_hand, rel=1e-4)
+    truth = np.asarray(voxels.of_mesh(dataset.vertices[2, 3]))
+    last = ProbabilisticMesh(*(np.asarray(part)[1] for part in mean))
+    expected = np.abs(np.asarray(occupancy(last))[0] - truth).mean()
+    assert row["voxel_error"] == pytest.approx(expected, rel=1e-4)
+    start = np.asarray(voxels.of_mesh(dataset.vertices[2, 1]))
+    assert row["voxel_error_no_action"] == pytest.approx(np.mean(start != truth), rel=1e-4)
 
 
 def test_starts_carry_the_labels_of_the_truth(dataset: Dataset, estimates: estimation.Estimates) -> None:

@@ -8,8 +8,18 @@ import pytest
 
 from clothkit.errors import InputError
 from clothkit.networks import training as loop
+from clothkit.networks.emd_voxel_training import train_emd_voxel
 from clothkit.networks.pemd_training import problem, sequences, train_pemd
-from clothkit.networks.settings import PEMDConfig, Start, TrainingConfig, TrainPEMDConfig, TrainVtMConfig, VtMConfig
+from clothkit.networks.settings import (
+    EMDVoxelConfig,
+    PEMDConfig,
+    Start,
+    TrainEMDVoxelConfig,
+    TrainingConfig,
+    TrainPEMDConfig,
+    TrainVtMConfig,
+    VtMConfig,
+)
 from clothkit.networks.training import Problem, train
 from clothkit.networks.vtm_training import train_vtm
 
@@ -25,6 +35,9 @@ FAST = TrainingConfig(
 )
 PEMD = TrainPEMDConfig(net=PEMDConfig(latent=8, encoder=(24, 16), manipulation=12, decoder=(16, 24)), training=FAST)
 VTM = TrainVtMConfig(net=VtMConfig(hidden=16), training=FAST, noise=0.01, noise_z_factor=0.2)
+VOXEL = TrainEMDVoxelConfig(
+    net=EMDVoxelConfig(latent=8, manipulation=12, dense=True, encoder=(16,), decoder=(16,)), training=FAST, noise=0.0
+)
 
 
 class Killed(Exception):
@@ -50,7 +63,7 @@ def same(one, other):
     jax.tree.map(np.testing.assert_array_equal, one.params, other.params)
 
 
-@pytest.mark.parametrize(("learn", "settings"), [(train_pemd, PEMD), (train_vtm, VTM)])
+@pytest.mark.parametrize(("learn", "settings"), [(train_pemd, PEMD), (train_emd_voxel, VOXEL), (train_vtm, VTM)])
 def test_fast_learns_and_a_killed_run_ends_as_an_unbroken_one(dataset, tmp_path, monkeypatch, learn, settings):
     def go(folder):
         (tmp_path / folder).mkdir(exist_ok=True)

@@ -10,12 +10,22 @@ from clothkit.dataset import store
 from clothkit.dataset.augment import AugmentConfig, augment
 from clothkit.dataset.regularise import RegulariseConfig, assign_splits, regularise
 from clothkit.estimation.refine import RefineConfig
-from clothkit.evaluation import arrays, estimation, prediction
+from clothkit.evaluation import arrays, estimation, prediction, voxel_prediction
+from clothkit.evaluation.comparisons import of_predictions
 from clothkit.evaluation.settings import EvaluateEstimationConfig, EvaluatePredictionConfig
 from clothkit.manipulation.candidates import CandidateConfig
+from clothkit.networks.emd_voxel_training import train_emd_voxel
 from clothkit.networks.net import Net
 from clothkit.networks.pemd_training import train_pemd
-from clothkit.networks.settings import PEMDConfig, TrainingConfig, TrainPEMDConfig, TrainVtMConfig, VtMConfig
+from clothkit.networks.settings import (
+    EMDVoxelConfig,
+    PEMDConfig,
+    TrainEMDVoxelConfig,
+    TrainingConfig,
+    TrainPEMDConfig,
+    TrainVtMConfig,
+    VtMConfig,
+)
 from clothkit.networks.vtm_training import train_vtm
 from clothkit.planning import record
 from clothkit.planning.evaluate import evaluate
@@ -37,6 +47,9 @@ from tests.simulation import arcsim_runs as runs
 
 SPLITS = RegulariseConfig(train=5, validation=2, test=3, evaluated=3)
 TRAINING = TrainingConfig(recipe="fast", iterations=4, batch=4, validate_every=2, steps_per_call=2)
+VOXEL = TrainEMDVoxelConfig(
+    net=EMDVoxelConfig(latent=4, manipulation=6, dense=True, encoder=(8,), decoder=(8,)), training=TRAINING
+)
 PEMD = TrainPEMDConfig(net=PEMDConfig(latent=4, encoder=(8,), manipulation=6, decoder=(8,)), training=TRAINING)
 VTM = TrainVtMConfig(net=VtMConfig(hidden=4), training=TRAINING, noise=0.0)
 REFINE = RefineConfig(iterations=3)
@@ -83,6 +96,9 @@ def test_the_chain_runs_on_from_arcsims_runs(tmp_path: Path) -> None:
         (tmp_path / name).mkdir()
         trained = train_pemd(PEMD, training, validation, work=tmp_path / name, key=jax.random.key(k))
         nets[name], histories[name] = Net(PEMD.net, trained.params), trained.history
+    (tmp_path / "voxel").mkdir()
+    trained = train_emd_voxel(VOXEL, training, validation, work=tmp_path / "voxel", key=jax.random.key(3))
+    voxel_net = Net(VOXEL.net, trained.params)
     (tmp_path / "vtm").mkdir()
     trained = train_vtm(VTM, dataset.of_split("train"), validation, work=tmp_path / "vtm", key=jax.random.key(2))
     vtm, histories["vtm"] = Net(VTM.net, trained.params), trained.history
@@ -99,19 +115,24 @@ def test_the_chain_runs_on_from_arcsims_runs(tmp_path: Path) -> None:
     planner = Planner(system("main"), both, 0, vtm, normalisation, weights, PLAN, candidates)
     sessions = evaluate(dataset, planner, toy.execute, work=tmp_path / "plan")
 
+    of_meshes = prediction.rows(dataset, given, nets, "a", settings)
+    of_voxels = voxel_prediction.rows(dataset, given.sequence, {"a": voxel_net}, "a", settings)
+    predicted = pd.concat([of_meshes, of_voxels], ignore_index=True)
     inputs = Inputs(
         dataset=dataset,
         attempts=pd.read_parquet(tmp_path / "raw/attempts.parquet"),
         histories=histories,
         estimation=estimation.rows(dataset, found),
-        prediction=prediction.rows(dataset, given, nets, "a", settings),
+        prediction=predicted,
+        comparisons=of_predictions(predicted),
         planning=rows(sessions, "main"),
         estimates=estimates,
         predictions=arrays.load(tmp_path / "predictions.zarr", ("sequence", "start", "mean", "std", "shift")),
         sessions=sessions,
     )
-    for tidy in (inputs.estimation, inputs.prediction, inputs.planning):
+    for tidy in (inputs.estimation, of_meshes, inputs.planning):
         assert np.isfinite(tidy[["error", "error_no_action"]]).all().all()
+    assert np.isfinite(predicted[["voxel_error", "voxel_error_no_action", "position_error"]]).all().all()
     for tidy in (inputs.prediction, inputs.planning):
         ends = tidy["start"] + tidy["length"]
         assert (ends.to_numpy() <= dataset.length[tidy["sequence"]]).all()

@@ -10,6 +10,7 @@ from clothkit.cloth import grid
 from clothkit.dataset.store import Dataset
 from clothkit.dataset.tasks import TASKS, Task
 from clothkit.evaluation import calibration
+from clothkit.evaluation.comparisons import of_predictions
 from clothkit.planning.record import Sessions, Sizes, blank, tasks_of_dataset
 from clothkit.report.build import build, picked
 from clothkit.report.figures.sessions import of_record, sessions
@@ -57,12 +58,13 @@ def recorded_sessions(dataset: Dataset) -> Sessions:
 def inputs(dataset: Dataset) -> Inputs:
     common = {"split": "test", "error": 0.03, "error_no_action": 0.2, "sigma_ratio": 0.8}
     shift = {"position_error": 0.02, "position_no_action": 0.2}
+    in_voxels = {"voxel_error": 0.01, "voxel_error_no_action": 0.05}
     tasks = [{"sequence": q, "start": start, "length": length} for q in (0, 1) for start, length in TASKS]
     planning = pd.DataFrame([{**common, **task, "system": system} for system in ("main", "b1") for task in tasks])
     prediction = pd.DataFrame(
         [
-            {**common, **shift, **task, "system": system, "net": net, "better": net == "b"}
-            for system in ("main", "a1")
+            {**common, **shift, **in_voxels, **task, "system": system, "net": net, "better": net == "b"}
+            for system in ("main", "a1", "a2")
             for net in ("a", "b")
             for task in tasks
         ]
@@ -85,7 +87,6 @@ def inputs(dataset: Dataset) -> Inputs:
         attempts=pd.DataFrame({"accepted": [True, False], "reason": ["", "height"]}),
         histories={"a": by_task, "b": history, "vtm": by_state},
         estimation=estimation,
-        prediction=prediction,
         calibration=pd.concat(
             [
                 calibration.curve(np.full((1, 32, 32, 3), 0.5)).assign(split="test", system=system, length=length)
@@ -93,6 +94,8 @@ def inputs(dataset: Dataset) -> Inputs:
                 for length in (1, 2, 3)
             ]
         ),
+        prediction=prediction.assign(error=prediction["error"].where(prediction["system"] != "a2")),
+        comparisons=of_predictions(prediction),
         planning=planning,
         estimates={
             "sequence": np.arange(2),
@@ -120,7 +123,9 @@ def test_a_report_is_complete(inputs: Inputs, tmp_path: Path) -> None:
     build(tmp_path / "report", inputs, SETTINGS, scale="smoke")
     found = contents(tmp_path / "report")
     tables = {
-        f"tables/{name}.{kind}" for name in ("table_2", "table_3", "table_5", "table_6") for kind in ("csv", "md")
+        f"tables/{name}.{kind}"
+        for name in ("table_2", "table_3", "table_4", "comparisons", "table_5", "table_6")
+        for kind in ("csv", "md")
     }
     pictures = {
         f"figures/{name}.png"

@@ -9,6 +9,7 @@ import pytest
 
 from clothkit.dataset.tasks import TASKS
 from clothkit.errors import InputError
+from clothkit.evaluation.comparisons import of_predictions
 from clothkit.report import markdown, metrics, page, paper, rows, tables, timings
 
 
@@ -30,6 +31,8 @@ def tidy_tasks(systems: tuple[str, ...], *, sequences: int = 4, seed: int = 0) -
                 "sigma_ratio": 0.7 + 0.01 * sequence,
                 "position_error": 0.01 * (sequence + length) + (net == "b"),
                 "position_no_action": 0.1 * length,
+                "voxel_error": rng.uniform(0.01, 0.02) + (net == "b"),
+                "voxel_error_no_action": 0.05 + 0.01 * (system == "a2"),
             }
             for split in ("test", "train")
             for system in systems
@@ -113,6 +116,37 @@ def test_prediction_table_takes_the_better_net() -> None:
     assert (own[list(tables.TASKS)] < 0.2).all(axis=None)
 
 
+def test_voxel_table_has_the_better_net_and_no_action_of_either_truth() -> None:
+    systems = ("main", "a1", "a2")
+    tidy = tidy_tasks(systems)
+    found = tables.prediction_voxels(tidy, systems)
+    assert list(found.columns) == ["source", "split", "system", "statistic", *tables.TASKS]
+    keys = {"source": "clothkit", "split": "test"}
+    chosen = tidy.query("split == 'test' and system == 'a2' and net == 'a' and length == 2")
+    mean = cell(found, "2/all", system="a2", statistic="mean", **keys)
+    assert mean == pytest.approx(chosen["voxel_error"].mean())
+    # a2's truth is occluded, so its no action is another one.
+    assert cell(found, "3/all", system="no action", statistic="mean", **keys) == pytest.approx(0.05)
+    assert cell(found, "3/all", system="no action, occluded", statistic="mean", **keys) == pytest.approx(0.06)
+    assert cell(found, "2/all", system="a2", statistic="mean / no action", **keys) == pytest.approx(mean / 0.06)
+    assert set(found.loc[found["source"] == "paper", "system"]) == {"main", "a2"}
+    assert not found.isna().any(axis=None)
+
+
+def test_only_voxel_systems_may_lack_a_mesh_error(tmp_path: Path) -> None:
+    tidy = tidy_tasks(("main", "a2"))
+    path = tmp_path / "prediction.parquet"
+    meshless = tidy.assign(error=tidy["error"].where(tidy["system"] == "main"))
+    meshless.to_parquet(path)
+    assert rows.read(path, rows.PREDICTION)["error"].isna().sum() == len(tidy) / 2
+    tidy.assign(error=tidy["error"].where(tidy["system"] == "a2")).to_parquet(path)
+    with pytest.raises(InputError, match="column error: expected numbers only"):
+        rows.read(path, rows.PREDICTION)
+    meshless.assign(voxel_error=tidy["voxel_error"].where(tidy["system"] == "main")).to_parquet(path)
+    with pytest.raises(InputError, match="column voxel_error: expected numbers only"):
+        rows.read(path, rows.PREDICTION)
+
+
 def test_estimation_table() -> None:
     found = tables.estimation(tidy_estimates())
     assert list(found.columns) == ["source", "split", "kind", "statistic", "1", "2", "3", "all"]
@@ -168,6 +202,9 @@ def test_bad_rows_are_named(tmp_path: Path) -> None:
         (5, {"split": "test", "system": "a1", "statistic": "std"}, "1", 0.0295),
         (5, {"split": "train", "system": "main", "statistic": "median"}, "2", 0.0189),
         (5, {"split": "train", "system": "a1", "statistic": "mean"}, "1", 0.0164),
+        (4, {"split": "test", "system": "main", "statistic": "median"}, "2/1", 0.0131),
+        (4, {"split": "test", "system": "a2", "statistic": "mean"}, "1/1", 0.02069),
+        (4, {"split": "train", "system": "a2", "statistic": "std"}, "3/all", 0.00544),
         (6, {"split": "test", "system": "main", "statistic": "mean"}, "1/0", 0.0291),
         (6, {"split": "test", "system": "b1", "statistic": "median"}, "1/all", 0.0185),
         (6, {"split": "test", "system": "b3", "statistic": "mean"}, "1/2", 0.0677),
@@ -179,7 +216,7 @@ def test_the_papers_figures(number: int, keys: dict[str, str], column: str, valu
     assert cell(paper.table(number), column, **keys) == value
 
 
-@pytest.mark.parametrize(("number", "by"), [(2, "kind"), (3, "system"), (6, "system")])
+@pytest.mark.parametrize(("number", "by"), [(2, "kind"), (3, "system"), (4, "system"), (6, "system")])
 def test_the_papers_means_fit_together(number: int, by: str) -> None:
     """The paper's "all" is the mean of its columns, as far as its three digits tell: a typing error would show."""
     means = paper.table(number).query("statistic == 'mean'")
@@ -214,7 +251,8 @@ def test_metrics_are_nested_means() -> None:
     tidy = tidy_tasks(("main", "a1"))
     prediction = tables.prediction(tidy, ("main", "a1"))
     position = tables.position(tidy, ("main", "a1"))
-    found = metrics.headline(estimation, prediction, position, prediction, tables.sigma_ratio(tidy_estimates(), tidy))
+    ratios = tables.sigma_ratio(tidy_estimates(), tidy)
+    found = metrics.headline(estimation, prediction, prediction, position, prediction, ratios)
     assert found["estimation"]["test"]["pmr"]["1"] == pytest.approx(0.011)
     assert found["prediction"]["test"]["no action"]["3/all"] == pytest.approx(0.515)
     assert found["position"]["test"]["main"]["2"] == pytest.approx(0.035)
@@ -249,6 +287,8 @@ def test_the_page_shows_tables_and_figures() -> None:
         table_2=tables.estimation(tidy_estimates()),
         table_3=tables.prediction(tidy, ("main", "a1")),
         table_5=tables.position(tidy, ("main", "a1")),
+        table_4=tables.prediction_voxels(tidy_tasks(("main", "a2")), ("main", "a2")),
+        comparisons=tables.comparisons(of_predictions(tidy_tasks(("main", "a2")))),
         table_6=tables.planning(tidy_tasks(("main",)), ("main",)),
         sigma_ratio=tables.sigma_ratio(tidy_estimates(), tidy),
         attempts=tables.attempts(pd.DataFrame({"accepted": [True], "reason": [""]})),

@@ -17,10 +17,10 @@ OUTPUTS = SIDE * SIDE * 6
 """Units of an output layer: mean and incoming activation of sigma, for three coordinates of every vertex."""
 
 
-def dense(width: int, name: str, *, scale: float = 1.0, bias: bool = True) -> nn.Dense:
-    """A dense layer with Glorot uniform weights times `scale`, and a bias of zero."""
-    start = nn.initializers.variance_scaling(scale**2, "fan_avg", "uniform")
-    return nn.Dense(width, use_bias=bias, kernel_init=start, name=name)
+def dense(width: int, name: str, *, scale: float = 1.0, bias: bool = True, start: float = 0.0) -> nn.Dense:
+    """A dense layer with Glorot uniform weights times `scale`, and biases that start at `start`."""
+    glorot = nn.initializers.variance_scaling(scale**2, "fan_avg", "uniform")
+    return nn.Dense(width, use_bias=bias, kernel_init=glorot, bias_init=nn.initializers.constant(start), name=name)
 
 
 def probabilistic_output(name: str, start: Start) -> nn.Dense:

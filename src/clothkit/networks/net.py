@@ -12,6 +12,6 @@ class Net:
     """A net's configuration and its weights: a pytree of the weights, in which the configuration is static."""
 
     config: Any = field(metadata={"static": True})
-    """A PEMDConfig or a VtMConfig."""
+    """A PEMDConfig, an EMDVoxelConfig or a VtMConfig."""
     params: Any
     """The weights, nested by module and layer, float32."""

@@ -36,7 +36,10 @@ class Manipulator(nn.Module):
     centre shift is the raw output.
     """
 
-    config: PEMDConfig
+    latent: int
+    """Units of the latent, of the memory trace and of the residual channel."""
+    width: int
+    """Units of the hidden layers, without the manipulation."""
     start: Start
 
     @nn.compact
@@ -46,10 +49,10 @@ class Manipulator(nn.Module):
         trace: Float[Array, "*batch latent"],
         manipulation: Float[Array, "*batch 6"],
     ) -> tuple[Float[Array, "*batch latent"], Float[Array, "*batch latent"], Float[Array, "*batch 2"]]:
-        channel = self.config.latent
+        channel = self.latent
         layers = [jnp.concatenate([latent, trace, manipulation], axis=-1)]
         for i in range(1, LAYERS - 1):
-            units = self._writing(self.config.manipulation, f"layer_{i}")(layers[-1])
+            units = self._writing(self.width, f"layer_{i}")(layers[-1])
             if i >= 4 and i % 2 == 0:
                 skip = dense(channel, f"skip_{i - 2}_{i}", scale=self.start.residual, bias=False)(layers[i - 2])
                 units = units + self._widened(skip)
@@ -61,18 +64,34 @@ class Manipulator(nn.Module):
 
     def _widened(self, channel: Float[Array, "*batch latent"]) -> Float[Array, "*batch width"]:
         """The channel as a hidden layer that is zero elsewhere: padding fuses where an indexed update would not."""
-        wider = [(0, 0)] * (channel.ndim - 1) + [(0, self.config.manipulation - self.config.latent)]
+        wider = [(0, 0)] * (channel.ndim - 1) + [(0, self.width - self.latent)]
         return jnp.pad(channel, wider)
 
     def _writing(self, width: int, name: str) -> nn.Dense:
         """A dense layer whose first `latent` units write into the residual channel."""
-        channel, factor = self.config.latent, self.start.residual
+        channel, factor = self.latent, self.start.residual
         glorot = nn.initializers.glorot_uniform()
 
         def weights(key: Array, shape: tuple[int, int], dtype: type) -> Array:
             return glorot(key, shape, dtype) * jnp.where(jnp.arange(shape[1]) < channel, factor, 1.0).astype(dtype)
 
         return nn.Dense(width, kernel_init=weights, name=name)
+
+
+def unrolled(
+    manipulator: Manipulator,
+    latent: Float[Array, "*batch latent"],
+    manipulations: Float[Array, "*batch n 6"],
+    trace: Float[Array, "*batch latent"] | None = None,
+) -> tuple[Float[Array, "n *batch latent"], Float[Array, "n *batch latent"], Float[Array, "n *batch 2"]]:
+    """Latents, memory traces and centre shifts after each manipulation of a latent; the first trace is zero."""
+    trace = jnp.zeros_like(latent) if trace is None else trace
+    steps = []
+    for i in range(manipulations.shape[-2]):
+        latent, trace, shift = manipulator(latent, trace, manipulations[..., i, :])
+        steps.append((latent, trace, shift))
+    latents, traces, shifts = (jnp.stack(values) for values in zip(*steps, strict=True))
+    return latents, traces, shifts
 
 
 class Decoder(nn.Module):
@@ -97,7 +116,7 @@ class PEMD(nn.Module):
 
     def setup(self) -> None:
         self.E = Encoder(self.config)
-        self.M = Manipulator(self.config, self.start)
+        self.M = Manipulator(self.config.latent, self.config.manipulation, self.start)
         self.D = Decoder(self.config, self.start)
 
     def __call__(
@@ -127,14 +146,7 @@ class PEMD(nn.Module):
         trace: Float[Array, "*batch latent"] | None = None,
     ) -> tuple[Float[Array, "n *batch latent"], Float[Array, "n *batch latent"], Float[Array, "n *batch 2"]]:
         """Latents, memory traces and centre shifts after each manipulation: eq. (5) without its decoder."""
-        latent = self.E(mesh)
-        trace = jnp.zeros_like(latent) if trace is None else trace
-        steps = []
-        for i in range(manipulations.shape[-2]):
-            latent, trace, shift = self.M(latent, trace, manipulations[..., i, :])
-            steps.append((latent, trace, shift))
-        latents, traces, shifts = (jnp.stack(values) for values in zip(*steps, strict=True))
-        return latents, traces, shifts
+        return unrolled(self.M, self.E(mesh), manipulations, trace)
 
 
 def initial(config: PEMDConfig, start: Start = Start(), *, key: PRNGKeyArray) -> PyTree:  # noqa: B008

@@ -1,5 +1,6 @@
 """What pEM*D learns: likely outcomes and centre shifts of recorded manipulations (section 4.6, eq. 8)."""
 
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,12 +13,12 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 from clothkit.cloth import mesh as meshes
 from clothkit.dataset.store import STEPS, Dataset
 from clothkit.dataset.tasks import TASKS
+from clothkit.networks import recipe
 from clothkit.networks.augment import Examples, augment
 from clothkit.networks.devices import spread
 from clothkit.networks.layers import run
 from clothkit.networks.likelihood import held_nll
 from clothkit.networks.pemd import PEMD, initial
-from clothkit.networks.recipe import sign_sum
 from clothkit.networks.settings import TrainPEMDConfig
 from clothkit.networks.training import Problem, Trained, train
 
@@ -66,6 +67,12 @@ def draw(data: Sequences, n: Array | int, batch: int, *, key: PRNGKeyArray) -> E
     )
 
 
+def random_length(data: Sequences, *, key: PRNGKeyArray) -> Int[Array, ""]:
+    """A length for a batch, uniform from 1 to that of the longest sequence."""
+    longest = jnp.sum(data.at_least[1:] > 0)
+    return jax.random.randint(key, (), 1, longest + 1)
+
+
 def shortened(examples: Examples, n: int) -> Examples:
     """The first n steps."""
     return Examples(examples.mesh, examples.manipulations[:, :n], examples.outcomes[:, :n], examples.shifts[:, :n])
@@ -86,25 +93,15 @@ def loss_position(net: PEMD, params: PyTree, examples: Examples) -> Float[Array,
 def direction(
     net: PEMD, settings: TrainPEMDConfig, params: PyTree, examples: Examples
 ) -> tuple[PyTree, dict[str, Float[Array, ""]]]:
-    """What the optimiser is given, and the two losses.
-
-    `paper`: the sign sum of the two gradients, taken separately. `fast`: the gradient of loss_s + shift_weight loss_p,
-    in one backward pass.
-    """
-
-    def both(params: PyTree) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
-        losses = {
-            "loss_s": loss_shape(net, params, examples, hold=settings.hold),
-            "loss_p": loss_position(net, params, examples),
-        }
-        return losses["loss_s"] + settings.shift_weight * losses["loss_p"], losses
-
-    if settings.training.recipe == "fast":
-        gradient, losses = jax.grad(both, has_aux=True)(params)
-        return gradient, losses
-    loss_s, shape = jax.value_and_grad(lambda p: loss_shape(net, p, examples))(params)
-    loss_p, position = jax.value_and_grad(lambda p: loss_position(net, p, examples))(params)
-    return sign_sum(shape, position), {"loss_s": loss_s, "loss_p": loss_p}
+    """What the optimiser is given, and the two losses: `recipe.direction`."""
+    hold = settings.hold if settings.training.recipe == "fast" else 0.0
+    return recipe.direction(
+        lambda params: loss_shape(net, params, examples, hold=hold),
+        lambda params: loss_position(net, params, examples),
+        params,
+        recipe=settings.training.recipe,
+        shift_weight=settings.shift_weight,
+    )
 
 
 def task_errors(net: PEMD, params: PyTree, data: Sequences) -> Float[Array, "6 sequences"]:
@@ -134,18 +131,25 @@ def problem(settings: TrainPEMDConfig, validation: Sequences) -> Problem:
 
     def gradient(params: PyTree, data: Sequences, key: PRNGKeyArray) -> tuple[PyTree, dict[str, Any]]:
         length_key, draw_key, augment_key = jax.random.split(key, 3)
-        longest = jnp.sum(data.at_least[1:] > 0)
-        n = jax.random.randint(length_key, (), 1, longest + 1)
+        n = random_length(data, key=length_key)
         drawn = draw(data, n, settings.training.batch, key=draw_key)
         examples = spread(augment(drawn, noise=settings.noise, key=augment_key))
         # One length per batch, and only the branch that is taken runs.
         branches = [partial(_on_length, net, settings, length) for length in range(1, STEPS + 1)]
         return jax.lax.switch(n - 1, branches, params, examples)
 
+    validate = validation_of_tasks(partial(task_errors, net), validation)
+    return Problem(lambda key: initial(settings.net, settings.training.start, key=key), gradient, validate)
+
+
+def validation_of_tasks(
+    errors_of_tasks: Callable[[PyTree, Sequences], Float[Array, "6 sequences"]], validation: Sequences
+) -> Callable[[PyTree], dict[str, float]]:
+    """weights -> mean error of each task that some validation sequence is long enough for; `score`: their mean."""
     # By the tasks' ends, not by what is finite: a net that gives NaN must not look better for it.
     counted = np.array(TASKS).sum(1)[:, None] <= np.asarray(validation.length)
     errors_of = jax.jit(
-        lambda params, data: jnp.sum(jnp.where(counted, task_errors(net, params, data), 0), axis=1) / counted.sum(1)
+        lambda params, data: jnp.sum(jnp.where(counted, errors_of_tasks(params, data), 0), axis=1) / counted.sum(1)
     )
 
     def validate(params: PyTree) -> dict[str, float]:
@@ -155,7 +159,7 @@ def problem(settings: TrainPEMDConfig, validation: Sequences) -> Problem:
         named = {f"{n}/{i}": float(e) for (i, n), e, some in zip(TASKS, errors, present, strict=True) if some}
         return {"score": float(errors[present].mean()), **named}
 
-    return Problem(lambda key: initial(settings.net, settings.training.start, key=key), gradient, validate)
+    return validate
 
 
 def train_pemd(

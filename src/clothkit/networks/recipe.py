@@ -1,11 +1,12 @@
 """How weights are updated: the paper's SignSGD, and Muon with AdamW (sections 4.6, 4.8; design 6.4)."""
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import PyTree
+from jaxtyping import Array, Float, PyTree
 from optax.contrib import MuonDimensionNumbers, muon
 
 from clothkit.networks.settings import TrainingConfig
@@ -17,6 +18,32 @@ def sign_sum(shape: PyTree, position: PyTree) -> PyTree:
     Where the two disagree the weight stays; where one is zero (loss_p in D) the other decides.
     """
     return jax.tree.map(lambda s, p: jnp.sign(jnp.sign(s) + jnp.sign(p)), shape, position)
+
+
+def direction(
+    loss_shape: Callable[[PyTree], Float[Array, ""]],
+    loss_position: Callable[[PyTree], Float[Array, ""]],
+    params: PyTree,
+    *,
+    recipe: str,
+    shift_weight: float,
+) -> tuple[PyTree, dict[str, Float[Array, ""]]]:
+    """What the optimiser is given for a forward model's two losses of the weights, and these losses by name.
+
+    `paper`: the sign sum of the two gradients, taken separately. `fast`: the gradient of loss_s + shift_weight loss_p,
+    in one backward pass.
+    """
+
+    def both(params: PyTree) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
+        losses = {"loss_s": loss_shape(params), "loss_p": loss_position(params)}
+        return losses["loss_s"] + shift_weight * losses["loss_p"], losses
+
+    if recipe == "fast":
+        gradient, losses = jax.grad(both, has_aux=True)(params)
+        return gradient, losses
+    loss_s, shape = jax.value_and_grad(loss_shape)(params)
+    loss_p, position = jax.value_and_grad(loss_position)(params)
+    return sign_sum(shape, position), {"loss_s": loss_s, "loss_p": loss_p}
 
 
 def optimiser(training: TrainingConfig) -> optax.GradientTransformation:

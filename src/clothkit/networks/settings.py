@@ -38,6 +38,28 @@ class VtMConfig:
 
 
 @config
+class EMDVoxelConfig:
+    """Widths of the voxel EM*D."""
+
+    latent: Count = 512
+    """Units of the latent, of the memory trace and of M's residual channel; E's last layer gives as many maps."""
+    manipulation: Count = 1024
+    """Units of M's hidden layers, without the manipulation that is appended to each; at least `latent`."""
+    width: Rate = 1.0
+    """Factor on the feature maps of E's and D's layers, 32, 32, 64, 128 and 256; rounded, at least one each."""
+    dense: bool = False
+    """Fully connected E and D, as in the mesh version, in place of convolutions."""
+    encoder: Annotated[tuple[Count, ...], MinLen(1)] = (2048, 1024)
+    """`dense` only."""
+    decoder: Annotated[tuple[Count, ...], MinLen(1)] = (1024, 2048)
+    """`dense` only."""
+
+    def __post_init__(self) -> None:
+        if self.manipulation < self.latent:
+            raise ValueError(f"manipulation must be at least latent ({self.latent})")
+
+
+@config
 class Start:
     """Where training starts from: Glorot weights, zero biases (design 6.3), unless told otherwise."""
 
@@ -47,6 +69,8 @@ class Start:
     """Factor on the Glorot scale of the last layer's weights."""
     sigma: float = 0.0
     """Bias of the units that give sigma: std starts near exp(sigma) + 0.01 [normalised]."""
+    logit: float = 0.0
+    """Bias of the units that give voxels: they start near the sigmoid of it."""
 
 
 @config
@@ -113,3 +137,17 @@ class TrainVtMConfig:
     """Share of flat cloths among the examples: every sequence starts with the same one."""
     height: Rate = 0.125
     """Upper end of the voxel viewport [normalised]."""
+
+
+@config
+class TrainEMDVoxelConfig:
+    """One forward model of the voxel baseline and its training."""
+
+    net: EMDVoxelConfig = EMDVoxelConfig()
+    training: TrainingConfig = TrainingConfig()
+    noise: NotNegative = 0.025
+    """Standard deviation of the noise on the input's points, in x and y [normalised]; 0 needs no duplicates."""
+    noise_z_factor: NotNegative = 1.0
+    """The noise in z, as a multiple of that in x and y (design 6.14)."""
+    shift_weight: NotNegative = 1.0
+    """Weight of loss_p beside loss_s; `recipe: fast` only, the paper's needs none."""

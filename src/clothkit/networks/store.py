@@ -15,12 +15,12 @@ from flax.traverse_util import flatten_dict
 from pydantic import ValidationError
 
 from clothkit.errors import InputError
-from clothkit.networks import pemd, vtm
+from clothkit.networks import emd_voxel, pemd, vtm
 from clothkit.networks.net import Net
-from clothkit.networks.settings import PEMDConfig, VtMConfig
+from clothkit.networks.settings import EMDVoxelConfig, PEMDConfig, VtMConfig
 
 WEIGHTS, ATTRIBUTES, HISTORY = "net.msgpack", "net.json", "history.parquet"
-KINDS = {"pemd": PEMDConfig, "vtm": VtMConfig}
+KINDS = {"pemd": PEMDConfig, "emd_voxel": EMDVoxelConfig, "vtm": VtMConfig}
 
 
 def save(folder: Path, net: Net, history: pd.DataFrame, attributes: Mapping[str, Any]) -> None:
@@ -62,9 +62,11 @@ def load(folder: Path) -> Net:
     return Net(config, jax.tree.map(jnp.asarray, params))
 
 
-def shapes(config: PEMDConfig | VtMConfig) -> Any:
+def shapes(config: PEMDConfig | EMDVoxelConfig | VtMConfig) -> Any:
     """The shapes that a net's weights have, nested like the weights themselves."""
     key = jax.random.key(0)
     if isinstance(config, PEMDConfig):
         return jax.eval_shape(lambda: pemd.initial(config, key=key))
+    if isinstance(config, EMDVoxelConfig):
+        return jax.eval_shape(lambda: emd_voxel.initial(config, key=key))
     return jax.eval_shape(lambda: vtm.initial(config, key=key))

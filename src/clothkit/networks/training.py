@@ -32,7 +32,7 @@ class Problem:
     gradient: Callable[[PyTree, PyTree, PRNGKeyArray], tuple[PyTree, dict[str, Any]]]
     """weights, data, key -> gradient (or a direction in its place) on a freshly drawn batch, losses by name."""
     validate: Callable[[PyTree], dict[str, float]]
-    """weights -> errors on the validation split [cloth length]; `score` decides."""
+    """weights -> errors on the validation split [cloth length, or mean voxel difference]; `score` decides."""
 
 
 @dataclass

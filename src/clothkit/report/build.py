@@ -32,6 +32,8 @@ def build(folder: Path, inputs: Inputs, settings: ReportConfig, *, scale: str) -
         scale=scale,
         table_2=tables.estimation(inputs.estimation),
         table_3=tables.prediction(inputs.prediction, settings.predictors),
+        table_4=tables.prediction_voxels(inputs.prediction, settings.voxel_predictors),
+        comparisons=tables.comparisons(inputs.comparisons),
         table_5=tables.position(inputs.prediction, settings.predictors),
         table_6=tables.planning(inputs.planning, settings.planners),
         sigma_ratio=tables.sigma_ratio(inputs.estimation, inputs.prediction),
@@ -39,12 +41,17 @@ def build(folder: Path, inputs: Inputs, settings: ReportConfig, *, scale: str) -
         tasks={str(split): rows["sequence"].nunique() for split, rows in inputs.planning.groupby("split")},
         figures=draw_figures(folder / "figures", inputs, settings),
     )
-    for name in ("table_2", "table_3", "table_5", "table_6", "sigma_ratio", "attempts"):
+    for name in ("table_2", "table_3", "table_4", "comparisons", "table_5", "table_6", "sigma_ratio", "attempts"):
         table = getattr(contents, name)
         table.to_csv(folder / "tables" / f"{name}.csv", index=False, float_format="%.5g", lineterminator="\n")
         (folder / "tables" / f"{name}.md").write_text(page.table(name, table))
     headline = metrics.headline(
-        contents.table_2, contents.table_3, contents.table_5, contents.table_6, contents.sigma_ratio
+        contents.table_2,
+        contents.table_3,
+        contents.table_4,
+        contents.table_5,
+        contents.table_6,
+        contents.sigma_ratio,
     )
     (folder / "metrics.json").write_text(json.dumps(headline, indent=1) + "\n")
     (folder / "README.md").write_text(page.page(contents))
@@ -61,7 +68,8 @@ def draw_figures(folder: Path, inputs: Inputs, settings: ReportConfig) -> list[s
     curves({net: inputs.histories[net] for net in NETS}, inputs.histories["vtm"], folder / "curves.png")
     names = ["sequences", "estimates", "predictions", "calibration", "scatter", "curves"]
     rows = inputs.planning[inputs.planning["system"] == planner]
-    better = NETS.index(str(inputs.prediction.loc[inputs.prediction["better"], "net"].iloc[0]))
+    of_main = inputs.prediction[inputs.prediction["better"] & (inputs.prediction["system"] == "main")]
+    better = NETS.index(str(of_main["net"].iloc[0]))
     test = np.unique(rows.loc[rows["split"] == "test", "sequence"]).tolist()
     for length, abreast in ABREAST.items():
         chosen: list[Session] = []

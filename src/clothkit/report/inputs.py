@@ -29,6 +29,7 @@ class Inputs:
     estimation: pd.DataFrame
     prediction: pd.DataFrame
     calibration: pd.DataFrame
+    comparisons: pd.DataFrame
     planning: pd.DataFrame
     """Of all planners."""
     estimates: Mapping[str, np.ndarray]
@@ -49,6 +50,7 @@ def paths(data: Path, settings: ReportConfig) -> list[Path]:
         evaluation / "estimates.zarr",
         evaluation / "prediction.parquet",
         evaluation / "calibration.parquet",
+        evaluation / "comparisons.parquet",
         evaluation / "predictions.zarr",
         *(evaluation / f"planning/{system}.parquet" for system in settings.planners),
         evaluation / f"planning/sessions_{settings.planners[0]}.zarr",
@@ -66,6 +68,7 @@ def read(data: Path, settings: ReportConfig) -> Inputs:
         estimation=rows.read(evaluation / "estimation.parquet", rows.ESTIMATION),
         prediction=rows.read(evaluation / "prediction.parquet", rows.PREDICTION),
         calibration=rows.read(evaluation / "calibration.parquet", rows.CALIBRATION),
+        comparisons=rows.read(evaluation / "comparisons.parquet", rows.COMPARISONS),
         planning=rows.read_planning(evaluation / "planning", settings.planners),
         estimates=arrays.load(evaluation / "estimates.zarr", ("sequence", "mean", "std", "mesh", "label")),
         predictions=arrays.load(evaluation / "predictions.zarr", ("sequence", "start", "mean", "std", "shift")),

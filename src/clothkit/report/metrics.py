@@ -10,16 +10,21 @@ DIGITS = 6
 def headline(
     estimation: pd.DataFrame,
     prediction: pd.DataFrame,
+    prediction_voxels: pd.DataFrame,
     position: pd.DataFrame,
     planning: pd.DataFrame,
     sigma_ratio: pd.DataFrame,
 ) -> dict[str, Any]:
-    """Mean error by split, kind or system, and column [cloth length], no action included; median sigma ratios."""
+    """Means by split, kind or system, and column, no action included: errors [cloth length], voxel differences.
+
+    Of sigma ratios the medians.
+    """
     ratios = sigma_ratio[sigma_ratio["source"] == "clothkit"].drop(columns=["source", "system"])
     return {
         "estimation": _means(estimation, "kind"),
         "prediction": _means(prediction, "system"),
         "position": _means(position, "system"),
+        "prediction_voxels": _means(prediction_voxels, "system"),
         "planning": _means(planning, "system"),
         "sigma_ratio": {row.pop("split"): _rounded(row) for row in ratios.to_dict("records")},
     }

@@ -21,9 +21,18 @@ PREDICTION = (
     "sigma_ratio",
     "position_error",
     "position_no_action",
+    "voxel_error",
+    "voxel_error_no_action",
 )
 CALIBRATION = ("split", "system", "length", "axis", "z", "expected", "coverage")
 PLANNING = ("split", "system", "sequence", "start", "length", "error", "error_no_action")
+
+COMPARISONS = ("split", "measure", "system", "against", "column", "sequences", "difference", "low", "high", "p")
+
+VOXEL_SYSTEMS = ("a2",)
+"""Systems that predict voxels: they have no error in cloth lengths."""
+
+_NUMBERS = ("error", "error_no_action", "voxel_error", "voxel_error_no_action")
 
 HISTORY = ("iteration", "score")
 ATTEMPTS = ("accepted", "reason")
@@ -32,7 +41,8 @@ ATTEMPTS = ("accepted", "reason")
 def read(path: Path, columns: Sequence[str]) -> pd.DataFrame:
     """The tidy rows of a parquet file.
 
-    Raises InputError if the file can't be read, is empty, lacks one of `columns`, or holds an error that is no number.
+    Raises InputError if the file can't be read, is empty, lacks one of `columns`, or holds an error that is no number;
+    `error` may be missing in the rows of VOXEL_SYSTEMS alone.
     """
     try:
         rows = pd.read_parquet(path)
@@ -43,9 +53,11 @@ def read(path: Path, columns: Sequence[str]) -> pd.DataFrame:
         raise InputError(f"{path}: expected the columns {', '.join(columns)}; {', '.join(missing)} not found")
     if rows.empty:
         raise InputError(f"{path}: expected at least one row, found none")
-    unknown = [column for column in ("error", "error_no_action") if column in columns and rows[column].isna().any()]
-    if unknown:
-        raise InputError(f"{path}: column {unknown[0]}: expected numbers only, found a missing value")
+    meshless = rows["system"].isin(VOXEL_SYSTEMS) if "system" in rows else pd.Series(False, rows.index)
+    for column in _NUMBERS:
+        expected = ~meshless if column == "error" else meshless | True
+        if column in columns and rows.loc[expected, column].isna().any():
+            raise InputError(f"{path}: column {column}: expected numbers only, found a missing value")
     return rows
 
 

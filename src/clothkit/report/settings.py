@@ -15,6 +15,8 @@ class ReportConfig:
 
     predictors: Annotated[tuple[str, ...], MinLen(1)] = ("main", "a1")
     """Systems of tables 3 and 5."""
+    voxel_predictors: Annotated[tuple[str, ...], MinLen(1)] = ("main", "a1", "a2")
+    """Systems of table 4."""
     planners: Annotated[tuple[str, ...], MinLen(1)] = ("main", "b1")
     """Systems of table 6, the first of which is shown in pictures."""
     sequences: Count = 8

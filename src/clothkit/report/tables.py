@@ -1,18 +1,18 @@
-"""Tables 2, 3, 5 and 6 in the paper's layout: group-bys of tidy rows, with the paper's figures below ours.
+"""Tables 2 to 6 in the paper's layout: group-bys of tidy rows, with the paper's figures below ours.
 
 Every table has the columns source (clothkit, paper), split, kind or system, statistic (mean, std, median), then the
 paper's columns. The system *no action* is the error between start and goal; the statistic *mean / no action* puts a
-mean in relation to it. All in cloth lengths.
+mean in relation to it. All in cloth lengths, but for table 4, which is in mean voxel differences.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
 from clothkit.report import paper, rows
 
 TASKS = ("1/0", "1/1", "1/2", "1/all", "2/0", "2/1", "2/all", "3/all")
-"""Columns of tables 3 and 6: length / start."""
+"""Columns of tables 3, 4 and 6: length / start."""
 
 STATES = ("1", "2", "3", "all")
 """Columns of table 2: how many manipulations lie behind the state."""
@@ -22,6 +22,7 @@ LENGTHS = ("1", "2", "3")
 
 STATISTICS = ("mean", "std", "median")
 NO_ACTION = "no action"
+NO_ACTION_OCCLUDED = "no action, occluded"
 RATIO = "mean / no action"
 
 
@@ -48,6 +49,23 @@ def position(tidy: pd.DataFrame, systems: Sequence[str]) -> pd.DataFrame:
     return pd.concat([table, paper.table_of(5, systems)], ignore_index=True)
 
 
+def prediction_voxels(tidy: pd.DataFrame, systems: Sequence[str]) -> pd.DataFrame:
+    """Table 4: the net with the better validation score, from rows of both.
+
+    The truth of a2, whose nets predict occluded voxels, is occluded, and so is its *no action* (design 6.14).
+    """
+    rows.require(tidy, systems)
+    names = {system: NO_ACTION_OCCLUDED for system in systems if system in rows.VOXEL_SYSTEMS}
+    table = _task_table(tidy[tidy["better"]], systems, measure="voxel_error", no_action=names)
+    return pd.concat([table, paper.table_of(4, systems)], ignore_index=True)
+
+
+def comparisons(tidy: pd.DataFrame) -> pd.DataFrame:
+    """Paired comparisons in the order of the other tables' columns."""
+    order = tidy.sort_values("column", key=lambda column: column.map(TASKS.index), kind="stable")
+    return order.sort_values("split", kind="stable", ignore_index=True)
+
+
 def planning(tidy: pd.DataFrame, systems: Sequence[str]) -> pd.DataFrame:
     """Table 6. Outcomes are aligned with their goals (section 6.3)."""
     rows.require(tidy, systems)
@@ -65,31 +83,46 @@ def sigma_ratio(estimates: pd.DataFrame, predictions: pd.DataFrame) -> pd.DataFr
     return pd.concat([table, paper.sigma_ratios()], ignore_index=True)[paper.sigma_ratios().columns]
 
 
-def _task_table(tidy: pd.DataFrame, systems: Sequence[str]) -> pd.DataFrame:
+def _task_table(
+    tidy: pd.DataFrame, systems: Sequence[str], *, measure: str = "error", no_action: Mapping[str, str] | None = None
+) -> pd.DataFrame:
     length = tidy["length"].astype(str)
-    return _table(tidy, [length + "/" + tidy["start"].astype(str), length + "/all"], TASKS, by="system", groups=systems)
+    labels = [length + "/" + tidy["start"].astype(str), length + "/all"]
+    return _table(tidy, labels, TASKS, by="system", groups=systems, measure=measure, no_action=no_action or {})
 
 
 def _table(
-    tidy: pd.DataFrame, labels: Sequence[pd.Series], columns: Sequence[str], *, by: str, groups: Sequence[str]
+    tidy: pd.DataFrame,
+    labels: Sequence[pd.Series],
+    columns: Sequence[str],
+    *,
+    by: str,
+    groups: Sequence[str],
+    measure: str = "error",
+    no_action: Mapping[str, str] | None = None,
 ) -> pd.DataFrame:
-    """Statistics of `error`, a row counting in every column that one of its `labels` names."""
+    """Statistics of `measure`, a row counting in every column that one of its `labels` names.
+
+    `no_action` gives another name to the no action of groups whose starts and goals are not in the others' format.
+    """
+    names = {group: (no_action or {}).get(group, NO_ACTION) for group in groups}
     counted = pd.concat([tidy.assign(column=label) for label in labels], ignore_index=True)
     keys = ["split", by, "column"]
-    own = counted.groupby(keys)["error"].agg(list(STATISTICS))
-    # All groups face the same starts and goals: those of the first stand for them.
-    first = counted[counted[by] == groups[0]]
-    none = first.groupby(["split", "column"])["error_no_action"].agg(list(STATISTICS)).reset_index()
-    own = own.reset_index().merge(none[["split", "column", "mean"]], on=["split", "column"], suffixes=("", "_none"))
+    own = counted.groupby(keys)[measure].agg(list(STATISTICS)).reset_index()
+    nones = counted.groupby(keys)[f"{measure}_no_action"].agg(list(STATISTICS)).reset_index()
+    own = own.merge(nones[[*keys, "mean"]], on=keys, suffixes=("", "_none"))
     own[RATIO] = own["mean"] / own.pop("mean_none")
-    table = pd.concat([own, none.assign(**{by: NO_ACTION})]).melt(keys, var_name="statistic")
+    # Groups of one name face the same starts and goals: the first of them stands for all.
+    first = {name: next(group for group in groups if names[group] == name) for name in names.values()}
+    none = pd.concat([nones[nones[by] == group].assign(**{by: name}) for name, group in first.items()])
+    table = pd.concat([own, none]).melt(keys, var_name="statistic")
     table = table.pivot(index=["split", by, "statistic"], columns="column", values="value")
     splits = [split for split in ("test", "train") if split in set(tidy["split"])]
     order = [
         (split, group, statistic)
         for split in splits
-        for group in (*groups, NO_ACTION)
-        for statistic in (STATISTICS if group == NO_ACTION else (*STATISTICS, RATIO))
+        for group in (*groups, *first)
+        for statistic in (STATISTICS if group in first else (*STATISTICS, RATIO))
     ]
     table = table.reindex(index=pd.MultiIndex.from_tuples(order, names=["split", by, "statistic"])).reindex(
         columns=list(columns)

@@ -1,0 +1,86 @@
+"""Whether one system is better than another on the same tasks: intervals and paired tests of mean differences.
+
+Tasks of one sequence share its states, so sequences are what is resampled and what is independent, not tasks.
+"""
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float
+
+from clothkit.dataset.store import STEPS
+
+DRAWS = 10_000
+"""Resamples of a bootstrap, and random sign flips of a test."""
+
+CONFIDENCE = 0.95
+
+KEYS = ["sequence", "start", "length"]
+
+
+def interval(
+    total: Float[np.ndarray, " n"], count: np.ndarray, *, seed: int = 0, draws: int = DRAWS
+) -> tuple[float, float]:
+    """The 95 % bootstrap interval (percentiles) of sum(total) / sum(count): a mean over tasks, drawn by sequences.
+
+    `total` and `count` are each sequence's sum and number of differences.
+    """
+    picked = np.random.default_rng(seed).integers(len(total), size=(draws, len(total)))
+    means = total[picked].sum(1) / count[picked].sum(1)
+    low, high = np.quantile(means, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
+    return float(low), float(high)
+
+
+def sign_flip(total: Float[np.ndarray, " n"], *, seed: int = 0, draws: int = DRAWS) -> float:
+    """Two-sided p of the paired permutation test: how often random signs give a sum as far from zero as the sum found.
+
+    `total` is each sequence's sum of differences; under the null hypothesis its sign is as likely either way. Never
+    below 1 / (draws + 1).
+    """
+    signs = np.random.default_rng(seed).integers(2, size=(draws, len(total))) * 2.0 - 1
+    found = abs(total.sum())
+    # Sums that are equal but for rounding count as equal.
+    as_far = np.abs(signs @ total) >= found * (1 - 1e-9)
+    return float((1 + as_far.sum()) / (draws + 1))
+
+
+def compare(tidy: pd.DataFrame, measure: str, system: str, against: str, *, seed: int = 0) -> pd.DataFrame:
+    """Paired comparisons of two systems by a column of tidy rows, a row per split and column of the tables.
+
+    split, measure, system, against, column (length/start, `all` for every start), sequences, difference (mean of
+    `measure` of `system` minus that of `against`, over the tasks that both have), low, high (95 % bootstrap interval),
+    p (two-sided sign-flip test).
+    """
+    one, other = (
+        tidy.loc[tidy["system"] == name, ["split", *KEYS, measure]].set_index(["split", *KEYS])[measure]
+        for name in (system, against)
+    )
+    pairs = (one - other).dropna().rename("difference").reset_index()
+    length = pairs["length"].astype(str)
+    # Three manipulations have one start only: the tables call it all.
+    labels = ((length + "/" + pairs["start"].astype(str)).where(pairs["length"] < STEPS), length + "/all")
+    found = []
+    for label in labels:
+        for (split, column), rows in pairs.groupby(["split", label]):
+            by_sequence = rows.groupby("sequence")["difference"].agg(["sum", "count"])
+            total, count = by_sequence["sum"].to_numpy(np.float64), by_sequence["count"].to_numpy()
+            low, high = interval(total, count, seed=seed)
+            found.append(
+                {
+                    "split": split,
+                    "measure": measure,
+                    "system": system,
+                    "against": against,
+                    "column": column,
+                    "sequences": len(total),
+                    "difference": float(total.sum() / count.sum()),
+                    "low": low,
+                    "high": high,
+                    "p": sign_flip(total, seed=seed),
+                }
+            )
+    return pd.DataFrame(found).sort_values(["split", "column"], ignore_index=True)
+
+
+def of_predictions(tidy: pd.DataFrame) -> pd.DataFrame:
+    """The comparisons that table 4 is about: main against a2 by voxel difference, the better net of each."""
+    return compare(tidy[tidy["better"]], "voxel_error", "main", "a2")

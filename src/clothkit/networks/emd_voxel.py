@@ -1,0 +1,187 @@
+"""The voxel EM*D, baseline A2: encoder and decoder over voxels around pEM*D's manipulator (section 6.2, design 6.15).
+
+Its grasp points are Cartesian, relative to the centre of the state that is manipulated: there is no geodesic space.
+"""
+
+from math import prod
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray, PyTree, Shaped
+from numpy import ndarray
+
+from clothkit.cloth.voxels import RESOLUTION
+from clothkit.manipulation.geometry import to_cartesian
+from clothkit.manipulation.vector import displacement, grasp_points
+from clothkit.networks.convolution import Convolution, TransposedConvolution, axes
+from clothkit.networks.layers import dense, run
+from clothkit.networks.net import Net
+from clothkit.networks.pemd import Manipulator, unrolled
+from clothkit.networks.settings import EMDVoxelConfig, Start
+
+MAPS = (32, 32, 64, 128, 256)
+"""Feature maps after E's first five layers at width 1; the sixth gives the latent."""
+
+STRIDES = ((2, 2, 1), *((2, 2, 2),) * 5)
+
+
+def resolutions() -> list[tuple[int, int, int]]:
+    """The resolution of the voxels and after each of E's layers: 32 x 32 x 16 to 1."""
+    found = [RESOLUTION]
+    for stride in STRIDES:
+        x, y, z = (axis.out for axis in axes(found[-1], stride))
+        found.append((x, y, z))
+    return found
+
+
+def maps(config: EMDVoxelConfig) -> list[int]:
+    """The feature maps of the voxels and after each of E's layers."""
+    return [1, *(max(1, round(count * config.width)) for count in MAPS), config.latent]
+
+
+class VoxelEncoder(nn.Module):
+    """E, eq. (2), over voxels: six convolutions, tanh between them, linear end."""
+
+    config: EMDVoxelConfig
+
+    @nn.compact
+    def __call__(self, voxels: Shaped[Array, "*batch x y z"]) -> Float[Array, "*batch latent"]:
+        units = voxels.astype(jnp.float32)
+        if self.config.dense:
+            units = units.reshape(*units.shape[:-3], -1)
+            for i, width in enumerate(self.config.encoder):
+                units = jnp.tanh(dense(width, f"layer_{i + 1}")(units))
+            return dense(self.config.latent, "latent")(units)
+        units = units[..., None]
+        *hidden, last = zip(maps(self.config)[1:], STRIDES, strict=True)
+        for i, (count, stride) in enumerate(hidden):
+            units = jnp.tanh(Convolution(count, stride, name=f"layer_{i + 1}")(units))
+        units = Convolution(*last, name="latent")(units)
+        return units.reshape(*voxels.shape[:-3], -1)
+
+
+class VoxelDecoder(nn.Module):
+    """D, eq. (4), over voxels: E mirrored; the logits of occupancy."""
+
+    config: EMDVoxelConfig
+    start: Start
+
+    @nn.compact
+    def __call__(self, latent: Float[Array, "*batch latent"]) -> Float[Array, "*batch 32 32 16"]:
+        if self.config.dense:
+            units = latent
+            for i, width in enumerate(self.config.decoder):
+                units = jnp.tanh(dense(width, f"layer_{i + 1}")(units))
+            last = dense(prod(RESOLUTION), "voxels", scale=self.start.output, start=self.start.logit)
+            return last(units).reshape(*latent.shape[:-1], *RESOLUTION)
+        units = latent[..., None, None, None, :]
+        layers = list(zip(maps(self.config), STRIDES, resolutions(), strict=False))[::-1]
+        for i, (count, stride, size) in enumerate(layers[:-1]):
+            units = jnp.tanh(TransposedConvolution(count, stride, size, name=f"layer_{i + 1}")(units))
+        start = self.start
+        return TransposedConvolution(*layers[-1], scale=start.output, bias=start.logit, name="voxels")(units)[..., 0]
+
+
+class EMDVoxel(nn.Module):
+    """The three modules; `start` only decides the initial weights."""
+
+    config: EMDVoxelConfig
+    start: Start = Start()
+
+    def setup(self) -> None:
+        self.E = VoxelEncoder(self.config)
+        self.M = Manipulator(self.config.latent, self.config.manipulation, self.start)
+        self.D = VoxelDecoder(self.config, self.start)
+
+    def __call__(
+        self, voxels: Shaped[Array, "*batch x y z"], manipulations: Float[Array, "*batch n 6"]
+    ) -> tuple[Float[Array, "n *batch x y z"], Float[Array, "n *batch latent"], Float[Array, "n *batch 2"]]:
+        """Logits, memory traces and centre shifts after each manipulation."""
+        latents, traces, shifts = self.unroll(voxels, manipulations)
+        return self.D(latents), traces, shifts
+
+    def encode(self, voxels: Shaped[Array, "*batch x y z"]) -> Float[Array, "*batch latent"]:
+        return self.E(voxels)
+
+    def step(
+        self,
+        latent: Float[Array, "*batch latent"],
+        trace: Float[Array, "*batch latent"],
+        manipulation: Float[Array, "*batch 6"],
+    ) -> tuple[Float[Array, "*batch latent"], Float[Array, "*batch latent"], Float[Array, "*batch 2"]]:
+        return self.M(latent, trace, manipulation)
+
+    def decode(self, latent: Float[Array, "*batch latent"]) -> Float[Array, "*batch x y z"]:
+        return self.D(latent)
+
+    def unroll(
+        self,
+        voxels: Shaped[Array, "*batch x y z"],
+        manipulations: Float[Array, "*batch n 6"],
+        trace: Float[Array, "*batch latent"] | None = None,
+    ) -> tuple[Float[Array, "n *batch latent"], Float[Array, "n *batch latent"], Float[Array, "n *batch 2"]]:
+        """Latents, memory traces and centre shifts after each manipulation: eq. (5) without its decoder."""
+        return unrolled(self.M, self.E(voxels), manipulations, trace)
+
+
+def initial(config: EMDVoxelConfig, start: Start = Start(), *, key: PRNGKeyArray) -> PyTree:  # noqa: B008
+    """Weights to start training from."""
+    return EMDVoxel(config, start).init(key, jnp.zeros(RESOLUTION), jnp.zeros((1, 6)))["params"]
+
+
+def cartesian(
+    states: Float[Array | ndarray, "*batch n u v 3"], manipulations: Float[Array | ndarray, "*batch n 6"]
+) -> Float[Array, "*batch n 6"]:
+    """Recorded manipulations as this net takes them: m' of eq. (3), x1 y1 x2 y2 dx dy [normalised].
+
+    `states` are the true meshes before each manipulation, centred: a point on one is relative to its own centre, which
+    is eq. (3)'s shift by -a_i. Grasp points after the first manipulation are clipped to the viewport (design 6.15).
+    """
+    first, second = grasp_points(manipulations)
+    grasps = jnp.concatenate([to_cartesian(states, uv)[..., :2] for uv in (first, second)], axis=-1)
+    later = jnp.arange(grasps.shape[-2])[:, None] > 0
+    grasps = jnp.where(later, jnp.clip(grasps, -1, 1), grasps)
+    return jnp.concatenate([grasps, jnp.asarray(displacement(manipulations))], axis=-1)
+
+
+def encode(net: Net, voxels: Shaped[Array | ndarray, "*batch 32 32 16"]) -> Float[Array, "*batch latent"]:
+    """The latent of occluded, centred voxels (bool or 0 / 1): eq. (2)."""
+    return run(EMDVoxel(net.config), net.params, jnp.asarray(voxels), method="encode")
+
+
+def step(
+    net: Net,
+    latent: Float[Array | ndarray, "*batch latent"],
+    trace: Float[Array | ndarray, "*batch latent"],
+    manipulation: Float[Array | ndarray, "*batch 6"],
+) -> tuple[Float[Array, "*batch latent"], Float[Array, "*batch latent"], Float[Array, "*batch 2"]]:
+    """Latent, memory trace and centre shift [normalised] after one manipulation, Cartesian: eq. (3).
+
+    The first trace is zero.
+    """
+    return run(EMDVoxel(net.config), net.params, *map(jnp.asarray, (latent, trace, manipulation)), method="step")
+
+
+def logits(net: Net, latent: Float[Array | ndarray, "*batch latent"]) -> Float[Array, "*batch 32 32 16"]:
+    """Logits of the occupancy that a latent stands for: `decode` before its sigmoid, for losses."""
+    return run(EMDVoxel(net.config), net.params, jnp.asarray(latent), method="decode")
+
+
+def decode(net: Net, latent: Float[Array | ndarray, "*batch latent"]) -> Float[Array, "*batch 32 32 16"]:
+    """The probability that each voxel is occupied, 0..1: eq. (4)."""
+    return jax.nn.sigmoid(logits(net, latent))
+
+
+def rollout(
+    net: Net,
+    voxels: Shaped[Array | ndarray, "*batch 32 32 16"],
+    manipulations: Float[Array | ndarray, "*batch n 6"],
+    trace: Float[Array | ndarray, "*batch latent"] | None = None,
+) -> tuple[Float[Array, "n *batch 32 32 16"], Float[Array, "n *batch latent"], Float[Array, "n *batch 2"]]:
+    """Predictions after each of n manipulations, Cartesian, eq. (5): occupancy 0..1, memory traces, centre shifts."""
+    trace = None if trace is None else jnp.asarray(trace)
+    latents, traces, shifts = run(
+        EMDVoxel(net.config), net.params, jnp.asarray(voxels), jnp.asarray(manipulations), trace, method="unroll"
+    )
+    return decode(net, latents), traces, shifts

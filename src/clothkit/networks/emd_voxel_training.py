@@ -1,0 +1,144 @@
+"""What the voxel EM*D learns: which voxels are occupied after recorded manipulations (section 6.2, design 6.15)."""
+
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, PRNGKeyArray, PyTree
+
+from clothkit.cloth import voxels
+from clothkit.dataset.store import STEPS, Dataset
+from clothkit.dataset.tasks import TASKS
+from clothkit.manipulation.vector import swap_grasps
+from clothkit.networks import recipe
+from clothkit.networks.augment import Examples, random_turns, turned
+from clothkit.networks.devices import spread
+from clothkit.networks.emd_voxel import EMDVoxel, cartesian, initial
+from clothkit.networks.layers import run
+from clothkit.networks.pemd_training import Sequences, draw, random_length, sequences, shortened, validation_of_tasks
+from clothkit.networks.settings import TrainEMDVoxelConfig
+from clothkit.networks.training import Problem, Trained, train
+
+
+class VoxelExamples(NamedTuple):
+    """Stretches of n manipulations, as the voxel EM*D takes and predicts them."""
+
+    voxels: Bool[Array, "batch 32 32 16"]
+    """The first state as it is observed: the input."""
+    manipulations: Float[Array, "batch n 6"]
+    """Cartesian [normalised]."""
+    outcomes: Bool[Array, "batch n 32 32 16"]
+    """The state after each manipulation, centred."""
+    shifts: Float[Array, "batch n 2"]
+    """How far each manipulation moved the centre [normalised]."""
+
+
+def voxelised(examples: Examples, *, noise: float, noise_z: float, key: PRNGKeyArray) -> VoxelExamples:
+    """The same stretches in voxels: doubled and occluded, input and outcomes alike; noise is on the input alone."""
+    before = jnp.concatenate([examples.mesh[:, None], examples.outcomes[:, :-1]], axis=1)
+    if noise:
+        seen = voxels.observe_noisily(examples.mesh, noise=noise, noise_z=noise_z, key=key)
+    else:
+        seen = voxels.observe(examples.mesh)
+    return VoxelExamples(
+        voxels=seen,
+        manipulations=cartesian(before, examples.manipulations),
+        outcomes=voxels.observe(examples.outcomes),
+        shifts=examples.shifts,
+    )
+
+
+def augment(examples: Examples, *, noise: float, noise_z: float, key: PRNGKeyArray) -> VoxelExamples:
+    """Other descriptions of the same stretches (section 4.6): meshes turn before they become voxels.
+
+    There are no equivalents to draw: voxels have no labels.
+    """
+    turn_key, swap_key, noise_key = jax.random.split(key, 3)
+    batch, n = examples.manipulations.shape[:2]
+    examples = turned(examples, random_turns(batch, key=turn_key))
+    swap = jax.random.bernoulli(swap_key, shape=(batch, n, 1))
+    manipulations = jnp.where(swap, swap_grasps(examples.manipulations), examples.manipulations)
+    return voxelised(examples._replace(manipulations=manipulations), noise=noise, noise_z=noise_z, key=noise_key)
+
+
+def cross_entropy(logits: Float[Array, "*batch x y z"], truth: Bool[Array, "*batch x y z"]) -> Float[Array, "*batch"]:
+    """Binary cross-entropy of the truth under logits of occupancy, the mean over voxels [nat]."""
+    return jnp.mean(jax.nn.softplus(logits) - logits * truth, axis=(-3, -2, -1))
+
+
+def loss_shape(net: EMDVoxel, params: PyTree, examples: VoxelExamples) -> Float[Array, ""]:
+    """loss_s: binary cross-entropy in place of eq. (8)'s likelihood, summed over the steps, averaged over the batch."""
+    logits, _, _ = run(net, params, examples.voxels, examples.manipulations)
+    return jnp.mean(jnp.sum(cross_entropy(logits, jnp.moveaxis(examples.outcomes, 1, 0)), axis=0))
+
+
+def loss_position(net: EMDVoxel, params: PyTree, examples: VoxelExamples) -> Float[Array, ""]:
+    """loss_p: mean squared error of the centre shifts [normalised squared] (section 4.6)."""
+    _, _, shifts = run(net, params, examples.voxels, examples.manipulations, method="unroll")
+    return jnp.mean((shifts - jnp.moveaxis(examples.shifts, 1, 0)) ** 2)
+
+
+def direction(
+    net: EMDVoxel, settings: TrainEMDVoxelConfig, params: PyTree, examples: VoxelExamples
+) -> tuple[PyTree, dict[str, Float[Array, ""]]]:
+    """What the optimiser is given, and the two losses: `recipe.direction`."""
+    return recipe.direction(
+        lambda params: loss_shape(net, params, examples),
+        lambda params: loss_position(net, params, examples),
+        params,
+        recipe=settings.training.recipe,
+        shift_weight=settings.shift_weight,
+    )
+
+
+def task_differences(net: EMDVoxel, params: PyTree, data: Sequences) -> Float[Array, "6 sequences"]:
+    """Mean absolute voxel differences of the predictions for the six tasks of each sequence, from noise-free voxels.
+
+    Meaningless where a sequence is too short for the task.
+    """
+    seen = voxels.observe(data.vertices)
+    differences = {}
+    for start in range(STEPS):
+        manipulations = cartesian(data.vertices[:, start:STEPS], data.manipulation[:, start:])
+        logits, _, _ = run(net, params, seen[:, start], manipulations)
+        truth = jnp.moveaxis(seen[:, start + 1 :], 1, 0)
+        for i, difference in enumerate(jnp.mean(jnp.abs(jax.nn.sigmoid(logits) - truth), axis=(-3, -2, -1))):
+            differences[start, i + 1] = difference
+    return jnp.stack([differences[task] for task in TASKS])
+
+
+def _on_length(
+    net: EMDVoxel, settings: TrainEMDVoxelConfig, n: int, params: PyTree, examples: Examples, key: PRNGKeyArray
+) -> tuple[PyTree, dict[str, Any]]:
+    noise_z = settings.noise * settings.noise_z_factor
+    seen = augment(shortened(examples, n), noise=settings.noise, noise_z=noise_z, key=key)
+    return direction(net, settings, params, seen)
+
+
+def problem(settings: TrainEMDVoxelConfig, validation: Sequences) -> Problem:
+    """The voxel EM*D's part of the training loop; its data are `Sequences`."""
+    net = EMDVoxel(settings.net, settings.training.start)
+
+    def gradient(params: PyTree, data: Sequences, key: PRNGKeyArray) -> tuple[PyTree, dict[str, Any]]:
+        length_key, draw_key, augment_key = jax.random.split(key, 3)
+        n = random_length(data, key=length_key)
+        drawn = spread(draw(data, n, settings.training.batch, key=draw_key))
+        # One length per batch, and only the branch that is taken runs.
+        branches = [partial(_on_length, net, settings, length) for length in range(1, STEPS + 1)]
+        return jax.lax.switch(n - 1, branches, params, drawn, augment_key)
+
+    validate = validation_of_tasks(partial(task_differences, net), validation)
+    return Problem(lambda key: initial(settings.net, settings.training.start, key=key), gradient, validate)
+
+
+def train_emd_voxel(
+    settings: TrainEMDVoxelConfig, training: Dataset, validation: Dataset, *, work: Path, key: PRNGKeyArray
+) -> Trained:
+    """A voxel EM*D of the best validation score, going on from `work` after a kill.
+
+    The score is the mean absolute voxel difference over the six tasks, of those that some validation sequence is long
+    enough for.
+    """
+    return train(problem(settings, sequences(validation)), sequences(training), settings.training, work=work, key=key)

@@ -1,0 +1,32 @@
+"""Trains one of the voxel baseline's two nets: `python stages/train_emd_voxel.py a` (or b, independent by its seed)."""
+
+import sys
+from pathlib import Path
+
+import jax
+
+from clothkit.dataset import store
+from clothkit.networks.emd_voxel_training import train_emd_voxel
+from clothkit.networks.net import Net
+from clothkit.networks.store import save
+from clothkit.stage import stage
+
+NETS = ("a", "b")
+
+
+def main(name: str) -> None:
+    with stage("train_emd_voxel", name) as s:
+        training, meshes = Path("data/augmented.zarr"), Path("data/meshes.zarr")
+        work = s.work(inputs=[training, meshes])
+        key = jax.random.fold_in(jax.random.key(s.params.training.seed), NETS.index(name))
+        validation = store.load(meshes).of_split("validation")
+        trained = train_emd_voxel(s.params, store.load(training), validation, work=work, key=key)
+        attributes = {**s.attributes, "validation_score": trained.score}
+        save(work / "net", Net(s.params.net, trained.params), trained.history, attributes)
+        s.publish(work / "net", f"data/nets/emd_voxel_{name}")
+
+
+if __name__ == "__main__":
+    if len(sys.argv) != 2 or sys.argv[1] not in NETS:
+        sys.exit(f"train_emd_voxel: expected one argument, {' or '.join(NETS)}")
+    main(sys.argv[1])

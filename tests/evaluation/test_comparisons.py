@@ -1,0 +1,90 @@
+"""Paired comparisons against SciPy, and that they tell differences from noise."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats
+
+from clothkit.dataset.tasks import TASKS
+from clothkit.evaluation.comparisons import compare, interval, of_predictions, sign_flip
+
+ONE_TASK = np.ones(40, int)
+
+
+def test_the_interval_is_scipys() -> None:
+    values = np.random.default_rng(0).normal(0.3, 1, 40)
+    found = interval(values, ONE_TASK)
+    theirs = stats.bootstrap((values,), np.mean, method="percentile", n_resamples=10_000, rng=np.random.default_rng(1))
+    assert found == pytest.approx(tuple(theirs.confidence_interval), abs=0.02)
+
+
+def test_the_p_value_is_scipys() -> None:
+    values = np.random.default_rng(1).normal(0.3, 1, 40)
+    theirs = stats.permutation_test(
+        (values, np.zeros(40)), lambda a, b: np.mean(a - b), permutation_type="samples", n_resamples=10_000, rng=2
+    )
+    assert sign_flip(values) == pytest.approx(theirs.pvalue, abs=0.02)
+
+
+def test_p_is_never_zero_and_one_for_no_difference() -> None:
+    assert sign_flip(np.ones(40)) == pytest.approx(1 / 10_001)
+    assert sign_flip(np.zeros(5)) == 1
+    # With three sequences a quarter of all signs are as far from zero.
+    assert sign_flip(np.ones(3)) == pytest.approx(0.25, abs=0.02)
+
+
+def test_p_is_uniform_without_a_difference() -> None:
+    rng = np.random.default_rng(2)
+    found = [sign_flip(rng.normal(size=30), seed=k, draws=500) for k in range(200)]
+    assert stats.kstest(found, "uniform").pvalue > 0.01
+
+
+def test_an_interval_over_sequences_weighs_them_by_their_tasks() -> None:
+    total, count = np.array([3.0, 1.0]), np.array([3, 1])
+    assert interval(total, count) == (1, 1)
+
+
+def rows(sequences: int = 12) -> pd.DataFrame:
+    rng = np.random.default_rng(3)
+    return pd.DataFrame(
+        [
+            {
+                "split": split,
+                "system": system,
+                "better": better,
+                "sequence": sequence,
+                "start": start,
+                "length": length,
+                "voxel_error": 0.01 + 0.01 * (system == "a2") + (not better) + 0.001 * rng.normal(),
+            }
+            for split in ("test", "train")
+            for system in ("main", "a1", "a2")
+            for better in (True, False)
+            for sequence in range(sequences)
+            for start, length in TASKS
+        ]
+    )
+
+
+def test_main_and_a2_are_compared_task_by_task() -> None:
+    tidy = rows()
+    found = of_predictions(tidy)
+    columns = ["1/0", "1/1", "1/2", "1/all", "2/0", "2/1", "2/all", "3/all"]
+    assert list(zip(found["split"], found["column"], strict=True)) == [
+        (s, c) for s in ("test", "train") for c in columns
+    ]
+    better = tidy[tidy["better"] & (tidy["split"] == "test") & (tidy["length"] == 2)]
+    means = better.groupby("system")["voxel_error"].mean()
+    row = found[(found["split"] == "test") & (found["column"] == "2/all")].iloc[0]
+    assert row["difference"] == pytest.approx(means["main"] - means["a2"])
+    assert row["low"] < row["difference"] < row["high"] < 0
+    assert row["sequences"] == 12
+    assert row["p"] < 0.01
+
+
+def test_tasks_that_one_system_lacks_are_left_out() -> None:
+    tidy = rows()
+    tidy = tidy[~((tidy["system"] == "a2") & (tidy["sequence"] == 3))]
+    found = compare(tidy[tidy["better"]], "voxel_error", "main", "a2")
+    assert set(found["sequences"]) == {11}
+    assert np.isfinite(found[["difference", "low", "high", "p"]]).all().all()

@@ -1,0 +1,49 @@
+"""Rows of the voxel baseline on a tiny net and made-up sequences."""
+
+import jax
+import numpy as np
+import pytest
+
+from clothkit.cloth import voxels
+from clothkit.dataset.store import Dataset
+from clothkit.dataset.tasks import TASKS
+from clothkit.evaluation import voxel_prediction
+from clothkit.evaluation.settings import EvaluatePredictionConfig
+from clothkit.networks import emd_voxel
+from clothkit.networks.net import Net
+from clothkit.networks.settings import EMDVoxelConfig
+from tests.networks.conftest import crumpled
+
+CONFIG = EMDVoxelConfig(latent=4, manipulation=6, dense=True, encoder=(6,), decoder=(6,))
+
+
+@pytest.fixture(scope="module")
+def dataset() -> Dataset:
+    """Three sequences, the last of them, 2, with two manipulations only."""
+    made = crumpled(3, 0)
+    made.length[2] = 2
+    made.vertices[2, 3] = made.centre[2, 3] = made.manipulation[2, 2] = np.nan
+    made.split[:] = [0, 2, 2]
+    return made
+
+
+def test_rows_of_the_voxel_baseline(dataset: Dataset) -> None:
+    nets = {name: Net(CONFIG, emd_voxel.initial(CONFIG, key=jax.random.key(k))) for k, name in enumerate("ab")}
+    tidy = voxel_prediction.rows(dataset, np.arange(3), nets, "b", EvaluatePredictionConfig(batch=2))
+    assert len(tidy) == 2 * (2 * 6 + 3)
+    assert set(tidy["system"]) == {"a2"}
+    assert set(tidy.loc[tidy["better"], "net"]) == {"b"}
+    assert set(zip(tidy["start"], tidy["length"], strict=True)) == set(TASKS)
+    # Voxels have no vertices: no mesh error and no sigma.
+    assert tidy[["error", "sigma_ratio"]].isna().all().all()
+    assert not tidy.drop(columns=["error", "sigma_ratio"]).isna().any().any()
+    # One of them by hand, net a, from true, noise-free, occluded voxels.
+    truth = np.asarray(voxels.observe(dataset.vertices[1, 3]))
+    seen = voxels.observe(dataset.vertices[1, 1])
+    manipulations = emd_voxel.cartesian(dataset.vertices[1, 1:3], dataset.manipulation[1, 1:3])
+    predicted, _, shift = jax.jit(emd_voxel.rollout)(nets["a"], seen, manipulations)
+    row = tidy.query("net == 'a' and sequence == 1 and start == 1 and length == 2").iloc[0]
+    assert row["voxel_error"] == pytest.approx(np.abs(np.asarray(predicted[-1]) - truth).mean(), rel=1e-4)
+    assert row["voxel_error_no_action"] == pytest.approx(np.mean(np.asarray(seen) != truth), rel=1e-4)
+    moved = dataset.centre[1, 3] - dataset.centre[1, 1]
+    assert row["position_error"] == pytest.approx(np.linalg.norm(np.asarray(shift).sum(0) - moved) / 1.4, rel=1e-4)
