@@ -10,7 +10,7 @@ from clothkit.dataset import store
 from clothkit.dataset.augment import AugmentConfig, augment
 from clothkit.dataset.regularise import RegulariseConfig, assign_splits, regularise
 from clothkit.estimation.refine import RefineConfig
-from clothkit.evaluation import arrays, estimation, prediction, voxel_prediction
+from clothkit.evaluation import arrays, calibration, estimation, prediction, voxel_prediction
 from clothkit.evaluation.comparisons import of_predictions
 from clothkit.evaluation.settings import EvaluateEstimationConfig, EvaluatePredictionConfig
 from clothkit.manipulation.candidates import CandidateConfig
@@ -124,6 +124,7 @@ def test_the_chain_runs_on_from_arcsims_runs(tmp_path: Path) -> None:
         histories=histories,
         estimation=estimation.rows(dataset, found),
         prediction=predicted,
+        calibration=calibration.rows(dataset, given, nets["a"], estimates, settings),
         comparisons=of_predictions(predicted),
         planning=rows(sessions, "main"),
         estimates=estimates,
