@@ -46,11 +46,15 @@ def generate(folder: Path, settings: SimulateConfig, *, work: Path, attributes: 
     Finished blocks lie in `work`; an interrupted run goes on from them. Raises InputError when the limits accept
     nothing.
     """
+    paths: list[Path] = []
+    # Without their states, which would fill the memory: these are read again, block by block, as they are written.
     blocks: list[Attempts] = []
     accepted = 0
     with tqdm(total=settings.sequences, desc="simulate", unit="sequence", mininterval=1, smoothing=0.05) as bar:
-        for block in _finished_blocks(settings, work):
-            blocks.append(block)
+        for path in _finished_blocks(settings, work):
+            block = read_block(path)
+            paths.append(path)
+            blocks.append(block._replace(states=block.states[:, :0].copy()))
             accepted += int(block.accepted.sum())
             bar.update(min(accepted, settings.sequences) - bar.n)
             tried = sum(len(b.attempt) for b in blocks)
@@ -62,7 +66,8 @@ def generate(folder: Path, settings: SimulateConfig, *, work: Path, attributes: 
     attempts = Attempts(*(np.concatenate(arrays) for arrays in zip(*blocks, strict=True)))
     last = np.flatnonzero(np.cumsum(attempts.accepted) == settings.sequences)[0] + 1
     attempts = Attempts(*(array[:last] for array in attempts))
-    write_raw(folder, attempts, settings.simulation, seed=settings.seed, attributes=attributes)
+    states = (block.states[block.accepted] for block in map(read_block, paths))
+    write_raw(folder, attempts, states, settings.simulation, seed=settings.seed, attributes=attributes)
     return summarise(attempts)
 
 
@@ -92,13 +97,13 @@ def read_block(path: Path) -> Attempts:
         return Attempts(**{name: arrays[name] for name in Attempts._fields})
 
 
-def _finished_blocks(settings: SimulateConfig, work: Path) -> Iterator[Attempts]:
-    """The blocks in order, made on all workers at once (on CUDA in this process, where a block fills the device)."""
+def _finished_blocks(settings: SimulateConfig, work: Path) -> Iterator[Path]:
+    """The blocks' files in order, made on all workers at once (on CUDA in this process: a block fills the device)."""
     workers = settings.workers or cores()
     number = 0
     if workers == 1 or settings.simulation.device != "cpu":
         while True:
-            yield read_block(make_block(number, settings, work))
+            yield make_block(number, settings, work)
             number += 1
     pool = make_pool(workers)
     try:
@@ -108,7 +113,7 @@ def _finished_blocks(settings: SimulateConfig, work: Path) -> Iterator[Attempts]
                 if ahead not in jobs:
                     jobs[ahead] = pool.submit(make_block, ahead, settings, work)
             wait([jobs[number]], return_when=FIRST_COMPLETED)
-            yield read_block(jobs.pop(number).result())
+            yield jobs.pop(number).result()
             number += 1
     finally:
         pool.shutdown(wait=True, cancel_futures=True)

@@ -3,8 +3,9 @@
 Both sources of sequences, our solver and ARCSim's runs, write what the schemas here say.
 """
 
+import itertools
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -64,13 +65,23 @@ SCHEMAS = {"states": STATES, "manipulations": MANIPULATIONS, "attempts": ATTEMPT
 
 
 def write_raw(
-    folder: Path, attempts: Attempts, simulation: SimulationConfig, *, seed: int, attributes: dict[str, Any]
+    folder: Path,
+    attempts: Attempts,
+    states: Iterable[np.ndarray],
+    simulation: SimulationConfig,
+    *,
+    seed: int,
+    attributes: dict[str, Any],
 ) -> None:
-    """Write our solver's states, manipulations, attempts and topologies under `folder`."""
+    """Write our solver's states, manipulations, attempts and topologies under `folder`.
+
+    The attempts come without their states; those of the accepted ones come in order, in pieces of any size
+    [accepted states u v 3], more of them perhaps than there are accepted attempts.
+    """
     accepted = Attempts(*(array[attempts.accepted] for array in attempts))
     shards = (
-        _states(Attempts(*(array[first : first + SHARD] for array in accepted)), first)
-        for first in range(0, len(accepted.attempt), SHARD)
+        _states(Attempts(*(array[first : first + SHARD] for array in accepted))._replace(states=part), first)
+        for first, part in _shards(states, len(accepted.attempt))
     )
     others = {
         "manipulations": _manipulations(accepted, seed),
@@ -78,6 +89,17 @@ def write_raw(
         "topologies": _topologies(simulation),
     }
     write_tables(folder, shards, others, attributes)
+
+
+def _shards(pieces: Iterable[np.ndarray], count: int) -> Iterator[tuple[int, np.ndarray]]:
+    """The first `count` rows of the pieces, as many together as a file holds, with the number of the first."""
+    rows: list[np.ndarray] = []
+    first = 0
+    for row in itertools.islice((row for piece in pieces for row in piece), count):
+        rows.append(row)
+        if len(rows) == min(SHARD, count - first):
+            yield first, np.stack(rows)
+            first, rows = first + len(rows), []
 
 
 def write_tables(
