@@ -42,11 +42,15 @@ def whiten_probabilistic(mesh: ProbabilisticMesh) -> ProbabilisticMesh:
     return ProbabilisticMesh((mesh.mean - mean) / spread, mesh.std / spread)
 
 
+def coordinate_nll(mesh: Mesh, probabilistic: ProbabilisticMesh) -> Float[Array, "... u v 3"]:
+    """Negative log likelihood of each coordinate of a mesh."""
+    z = (jnp.asarray(mesh) - probabilistic.mean) / probabilistic.std
+    return 0.5 * z**2 + jnp.log(probabilistic.std) + 0.5 * jnp.log(2 * jnp.pi)
+
+
 def nll(mesh: Mesh, probabilistic: ProbabilisticMesh) -> Float[Array, "..."]:
     """Negative log likelihood of a mesh, the mean over its coordinates (eqs. 8, 12 and 13)."""
-    z = (mesh - probabilistic.mean) / probabilistic.std
-    density = 0.5 * z**2 + jnp.log(probabilistic.std) + 0.5 * jnp.log(2 * jnp.pi)
-    return jnp.mean(density, axis=(-3, -2, -1))
+    return jnp.mean(coordinate_nll(mesh, probabilistic), axis=(-3, -2, -1))
 
 
 def distance(a: Mesh, b: Mesh) -> Float[Array, "..."]:

@@ -58,6 +58,7 @@ def rows(
                     "error": np.float32(np.nan),
                     "error_no_action": np.asarray(errors(states[:, 0], states[:, -1], aligned=True)),
                     "position_error": np.linalg.norm(shift.sum(0) - moved, axis=-1) / CLOTH_SIDE,
+                    "position_no_action": np.linalg.norm(moved, axis=-1) / CLOTH_SIDE,
                     "sigma_ratio": np.float32(np.nan),
                     "voxel_error": error,
                     "voxel_error_no_action": no_action,

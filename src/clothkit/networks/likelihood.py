@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from clothkit.cloth.mesh import Mesh, ProbabilisticMesh, nll
+from clothkit.cloth.mesh import Mesh, ProbabilisticMesh, coordinate_nll, nll
 
 
 def held_nll(mesh: Mesh, predicted: ProbabilisticMesh, hold: float) -> Float[Array, "..."]:
@@ -19,6 +19,4 @@ def held_nll(mesh: Mesh, predicted: ProbabilisticMesh, hold: float) -> Float[Arr
         return nll(mesh, predicted)
     weights = jax.lax.stop_gradient(jnp.asarray(predicted.std) ** (2 * hold))
     weights = weights / jnp.mean(weights, axis=(-3, -2, -1), keepdims=True)
-    z = (mesh - predicted.mean) / predicted.std
-    density = 0.5 * z**2 + jnp.log(predicted.std) + 0.5 * jnp.log(2 * jnp.pi)
-    return jnp.mean(weights * density, axis=(-3, -2, -1))
+    return jnp.mean(weights * coordinate_nll(mesh, predicted), axis=(-3, -2, -1))

@@ -8,6 +8,7 @@ Sources of FABRICS:
     Transactions on Graphics 41(6), 2022, with its data set of 618 measured fabrics.
 """
 
+from dataclasses import replace
 from typing import Annotated
 
 from annotated_types import Ge, Gt, Lt
@@ -41,47 +42,30 @@ class Material:
     drag: NotNegative = 2.0  # 1/s, of the air
 
 
+_JERSEY = Material(
+    density=0.187,
+    bending_stiffness=2e-5,
+    bending_limit=1e4,
+    bending_friction=4e-4,
+    shear_stiffness=20.0,
+    cloth_friction=0.6,
+    table_friction=0.3,
+    viscosity=1e-3,
+    drag=0.5,
+)
+
 FABRICS = {
     # A T-shirt's knit: gray-interlock [1], density, the mean of the bending stiffnesses along warp, weft and bias at
     # small curvature (23, 25 and 14 uN m) and the shear modulus at small strain (37 N/m; 20 N/m is more like ARCSim's
     # folds). Friction is that of ARCSim's scenes. Viscosity, drag and bending friction are fitted to ARCSim's folds.
-    "jersey": Material(
-        density=0.187,
-        bending_stiffness=2e-5,
-        bending_limit=1e4,
-        bending_friction=4e-4,
-        shear_stiffness=20.0,
-        cloth_friction=0.6,
-        table_friction=0.3,
-        viscosity=1e-3,
-        drag=0.5,
-    ),
-    # 11 oz black denim [1], likewise: bending 64, 73 and 97 uN m, shear 53 N/m.
-    "stiff_cotton": Material(
-        density=0.324,
-        bending_stiffness=7.8e-5,
-        bending_limit=1e4,
-        bending_friction=4e-4,
-        shear_stiffness=53.0,
-        cloth_friction=0.6,
-        table_friction=0.3,
-        viscosity=1e-3,
-        drag=0.5,
-    ),
+    "jersey": _JERSEY,
+    # 11 oz black denim [1], likewise: bending 64, 73 and 97 uN m, shear 53 N/m. The rest is the jersey's.
+    "stiff_cotton": replace(_JERSEY, density=0.324, bending_stiffness=7.8e-5, shear_stiffness=53.0),
     # A terry towel of 400 g/m^2. Its bending stiffness is the median of the fabrics from 350 to 450 g/m^2 [2] (26
-    # of them: 41, 19 and 27 uN m along warp, weft and bias). Its pile keeps layers further apart and rubs more: no
-    # source that we know gives numbers, and shear is the jersey's.
-    "towel": Material(
-        density=0.4,
-        bending_stiffness=2.9e-5,
-        bending_limit=1e4,
-        bending_friction=4e-4,
-        shear_stiffness=20.0,
-        thickness=4e-3,
-        cloth_friction=0.8,
-        table_friction=0.5,
-        viscosity=1e-3,
-        drag=0.5,
+    # of them: 41, 19 and 27 uN m along warp, weft and bias). Its pile keeps layers further apart and rubs more, by
+    # numbers that no source gave; shear and what is fitted are the jersey's.
+    "towel": replace(
+        _JERSEY, density=0.4, bending_stiffness=2.9e-5, thickness=4e-3, cloth_friction=0.8, table_friction=0.5
     ),
 }
 """Measured fabrics by name. Their edges are as stiff as the default material's: they stretch less than real ones."""

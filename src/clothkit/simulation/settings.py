@@ -8,10 +8,7 @@ from pydantic import BeforeValidator
 from clothkit.config import config
 from clothkit.manipulation.candidates import CandidateConfig
 from clothkit.manipulation.sampling import SamplingConfig
-from clothkit.simulation.material import Material, of_fabric
-
-Positive = Annotated[float, Gt(0.0)]
-NotNegative = Annotated[float, Ge(0.0)]
+from clothkit.simulation.material import Material, NotNegative, Positive, of_fabric
 
 
 @config

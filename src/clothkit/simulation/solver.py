@@ -48,6 +48,7 @@ def make_solver(settings: SimulationConfig) -> Solver:
         "drag": material.drag,
         "top_speed": settings.top_speed,
         "thickness": material.thickness,
+        # Half a quad's diagonal, and what lists reach beyond a thickness at the speed of hands.
         "cell": 0.7 * h + 4.5 * material.thickness,
         "margin": 0.9 * material.thickness,
         "prediction_time": 0.02,
