@@ -1,82 +1,162 @@
-"""Which recipe trains the forward model better in the same time?  python studies/recipes.py [iterations]
+"""What trains a net best in the same time?  python studies/recipes.py NET MINUTES [VARIANT ..] [--seeds 0 1 2]
 
-Trains a forward model at the scale in force with the scale's own recipe, its schedule shortened to so many iterations
-(500 if not said), then with `recipe: paper` (batches of 64, the paper's rate) and with that at ten times the rate, for
-as many CPU seconds each, compilation and validation included. Writes the validation scores to
-reports/<scale>/studies/recipes.csv. Needs `dvc repro augment`.
+NET is pemd or vtm. Every variant (all of VARIANTS[NET] if none is named) changes the settings of the scale in force, is
+given as many iterations as fit into so many CPU minutes by a measurement of its own, and is trained with its schedule
+over them. The validation score after each tenth goes to reports/<scale>/studies/recipes_<net>.csv beside iterations
+and CPU minutes (compilation and validation left out), with the variant, its settings and its seed; what is there
+already is not done again. Needs `dvc repro augment`.
 """
 
+import argparse
 import dataclasses
-import sys
+import json
 import tempfile
 import time
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import jax
 import pandas as pd
 
 from clothkit.dataset import store
-from clothkit.dataset.store import Dataset
-from clothkit.networks.pemd_training import problem, sequences
-from clothkit.networks.settings import TrainingConfig, TrainPEMDConfig
-from clothkit.networks.training import train
+from clothkit.networks import pemd_training, vtm_training
+from clothkit.networks.training import Problem, train
 from clothkit.params import load_params
 
 CHECKS = 10
+TIMED = 30  # iterations by which a variant's pace is measured
+BASE: dict[str, Any] = {}
+VARIANTS: dict[str, dict[str, dict[str, Any]]] = {
+    "pemd": {
+        "base": BASE,
+        "paper": {"training.recipe": "paper", "training.batch": 64, "training.learning_rate": 5e-5},
+        "paper, 10 x rate": {"training.recipe": "paper", "training.batch": 64, "training.learning_rate": 5e-4},
+        "adamw": {"training.muon_width": 0},
+        "batch 128": {"training.batch": 128},
+        "batch 512": {"training.batch": 512},
+        "muon 4": {"training.muon_iterations": 4},
+        "muon 3": {"training.muon_iterations": 3},
+        "muon 1.4e-2": {"training.muon_learning_rate": 1.4e-2},
+        "muon 4e-3": {"training.muon_learning_rate": 4e-3},
+        "adamw 2e-3": {"training.learning_rate": 2e-3},
+        "hold 0.5": {"hold": 0.5},
+        "hold 1": {"hold": 1.0},
+        "decay 0.1": {"training.weight_decay": 0.1},
+        "noise 0.01": {"noise": 0.01},
+        "noise 0": {"noise": 0.0},
+        "narrower": {"net.manipulation": 192, "net.encoder": [384, 192], "net.decoder": [192, 384]},
+        "wider": {"net.latent": 192, "net.manipulation": 384, "net.encoder": [768, 384], "net.decoder": [384, 768]},
+    },
+    "vtm": {
+        "base": BASE,
+        "adamw": {"training.muon_width": 0},
+        "batch 128": {"training.batch": 128},
+        "batch 512": {"training.batch": 512},
+        "muon 4": {"training.muon_iterations": 4},
+        "muon 1.4e-2": {"training.muon_learning_rate": 1.4e-2},
+        "adamw 2e-3": {"training.learning_rate": 2e-3},
+        "hold 0.5": {"hold": 0.5},
+        "hold 1": {"hold": 1.0},
+        "decay 0.1": {"training.weight_decay": 0.1},
+        "narrower": {"net.hidden": 384},
+        "wider": {"net.hidden": 768},
+    },
+}
 
 
-class TimeIsUp(Exception):
-    """Ends a training whose time is used up."""
+class Enough(Exception):
+    """Ends a training that was only to be timed."""
 
 
-def curve(settings: TrainPEMDConfig, learn: Dataset, validate: Dataset, *, budget: float = float("inf")) -> list[dict]:
-    """A row per validation: iteration, CPU seconds since the start and score, until `budget` CPU seconds are spent."""
-    whole = problem(settings, sequences(validate))
-    started = time.process_time()
-    rows: list[dict] = []
+def changed(settings: Any, changes: Mapping[str, Any]) -> Any:
+    """Settings with some of them changed, by dotted names."""
+    for name, value in changes.items():
+        head, _, rest = name.partition(".")
+        given = changed(getattr(settings, head), {rest: value}) if rest else value
+        settings = dataclasses.replace(settings, **{head: tuple(given) if isinstance(given, list) else given})
+    return settings
 
-    def timed(params: object) -> dict[str, float]:
-        errors = whole.validate(params)
-        spent = time.process_time() - started
-        iteration = settings.training.validate_every * (len(rows) + 1)
-        rows.append({"iteration": iteration, "cpu_seconds": round(spent, 1), "score": errors["score"]})
-        if spent > budget:
-            raise TimeIsUp
+
+def learn(settings: Any, problem: Problem, data: Any, *, stop: int = 0) -> list[dict[str, float]]:
+    """A row per validation: iteration, CPU minutes since the first one that did not compile, errors by name."""
+    rows: list[dict[str, float]] = []
+    spent, since = 0.0, None
+    every = settings.training.validate_every
+
+    def timed(params: Any) -> dict[str, float]:
+        nonlocal spent, since
+        now = time.process_time()
+        # The first stretch holds the compilation: it is taken to last as long as the mean of the others.
+        if since is not None:
+            spent += now - since
+        errors = problem.validate(params)
+        rows.append({"iteration": every * (len(rows) + 1), "minutes": spent / 60, **errors})
+        if stop and len(rows) == stop:
+            raise Enough
+        since = time.process_time()
         return errors
 
     with tempfile.TemporaryDirectory() as work:
         try:
-            key = jax.random.key(settings.training.seed)
-            watched = dataclasses.replace(whole, validate=timed)
-            train(watched, sequences(learn), settings.training, work=Path(work), key=key)
-        except TimeIsUp:
+            watched = dataclasses.replace(problem, validate=timed)
+            train(watched, data, settings.training, work=Path(work), key=jax.random.key(settings.training.seed))
+        except Enough:
             pass
-    return rows
+    pace = rows[-1]["minutes"] / max(len(rows) - 1, 1)
+    return [{**row, "minutes": row["minutes"] + pace} for row in rows]
 
 
-def main(iterations: int) -> None:
-    """Write one row per recipe and validation, and print the best of each recipe."""
+def posed(net: str, settings: Any, training: Any, validation: Any) -> tuple[Problem, Any]:
+    """The problem and its data."""
+    if net == "pemd":
+        return pemd_training.problem(settings, pemd_training.sequences(validation)), pemd_training.sequences(training)
+    return vtm_training.problem(settings, validation), vtm_training.states(training)
+
+
+def study(net: str, settings: Any, minutes: float) -> list[dict[str, Any]]:
+    """The rows of one variant and seed, trained for so many CPU minutes."""
+    meshes = store.load(Path("data/meshes.zarr"))
+    learnt = store.load(Path("data/augmented.zarr")) if net == "pemd" else meshes.of_split("train")
+    short = changed(settings, {"training.validate_every": TIMED, "training.steps_per_call": 10})
+    problem, data = posed(net, short, learnt, meshes.of_split("validation"))
+    second = learn(short, problem, data, stop=2)[-1]
+    every = max(1, round(minutes / (second["minutes"] / second["iteration"]) / CHECKS))
+    whole = changed(settings, {"training.validate_every": every, "training.iterations": CHECKS * every})
+    problem, data = posed(net, whole, learnt, meshes.of_split("validation"))
+    return learn(whole, problem, data)
+
+
+def main() -> None:
+    """Do what is asked and print each variant's score as it comes."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("net", choices=list(VARIANTS))
+    parser.add_argument("minutes", type=float)
+    parser.add_argument("variants", nargs="*", metavar="VARIANT")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0])
+    asked = parser.parse_args()
     params = load_params(Path("params.yaml"))
-    settings = params.stages.train_pemd
-    learn = store.load(Path("data/augmented.zarr"))
-    validate = store.load(Path("data/meshes.zarr")).of_split("validation")
-    fast = dataclasses.replace(settings.training, iterations=iterations, validate_every=iterations // CHECKS)
-    paper = TrainingConfig(recipe="paper", validate_every=iterations // CHECKS, steps_per_call=fast.steps_per_call)
-    rows = [
-        {"recipe": fast.recipe, **row} for row in curve(dataclasses.replace(settings, training=fast), learn, validate)
-    ]
-    budget = rows[-1]["cpu_seconds"]
-    for name, rate in (("paper", 5e-5), ("paper, 10 x rate", 5e-4)):
-        training = dataclasses.replace(paper, learning_rate=rate)
-        found = curve(dataclasses.replace(settings, training=training), learn, validate, budget=budget)
-        rows += [{"recipe": name, **row} for row in found]
-    table = pd.DataFrame(rows)
-    folder = Path("reports") / params.scale / "studies"
-    folder.mkdir(parents=True, exist_ok=True)
-    table.to_csv(folder / "recipes.csv", index=False, lineterminator="\n")
-    best = {"iterations": ("iteration", "max"), "cpu_seconds": ("cpu_seconds", "max"), "score": ("score", "min")}
-    print(table.groupby("recipe", sort=False).agg(**best).to_string())
+    settings = getattr(params.stages, f"train_{asked.net}")
+    path = Path("reports") / params.scale / "studies" / f"recipes_{asked.net}.csv"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    table = pd.read_csv(path) if path.exists() else pd.DataFrame(columns=["budget", "variant", "seed"])
+    for seed in asked.seeds:
+        for variant in asked.variants or VARIANTS[asked.net]:
+            changes = VARIANTS[asked.net][variant]
+            known = (table["variant"] == variant) & (table["seed"] == seed) & (table["budget"] == asked.minutes)
+            if not known.any():
+                rows = study(asked.net, changed(settings, {**changes, "training.seed": seed}), asked.minutes)
+                of = {"budget": asked.minutes, "variant": variant, "changes": json.dumps(changes), "seed": seed}
+                table = pd.concat([table, pd.DataFrame([{**of, **row} for row in rows])], ignore_index=True)
+                table.to_csv(path, index=False, lineterminator="\n", float_format="%.5g")
+                known = table.index >= len(table) - len(rows)
+            best = table[known].sort_values("score").iloc[0]
+            print(
+                f"{variant}, seed {seed}: {best['score']:.4f} after {best['iteration']:.0f} iterations, "
+                f"{best['minutes']:.1f} CPU minutes",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 500)
+    main()
