@@ -67,6 +67,11 @@ def products(x: jax.Array, weights: jax.Array, gradient: jax.Array, *, first: bo
     return (forward, of_weights) if first else (forward, of_weights, gradient @ weights.T)
 
 
+def in_a_row(call: Callable[[], Any], repeats: int) -> list[Any]:
+    """The results of so many calls."""
+    return [call() for _ in range(repeats)]
+
+
 def products_alone(shapes: dict[tuple[int, int, int, bool], int], rounds: int) -> tuple[float, float]:
     """Seconds and FLOPs of what a step requires; shapes are (rows, in, out, first), with how often they come."""
     seconds = flops = 0.0
@@ -74,8 +79,8 @@ def products_alone(shapes: dict[tuple[int, int, int, bool], int], rounds: int) -
         x, weights, gradient = (jnp.ones(shape) for shape in ((rows, wide), (wide, out), (rows, out)))
         # Each call by itself is short: many in a row.
         repeats = max(1, int(2e9 / (6 * rows * wide * out)))
-        call = partial(products, x, weights, gradient, first=first)
-        seconds += count * least(lambda call=call, repeats=repeats: [call() for _ in range(repeats)], rounds) / repeats
+        row = partial(in_a_row, partial(products, x, weights, gradient, first=first), repeats)
+        seconds += count * least(row, rounds) / repeats
         flops += count * (2 if first else 3) * 2 * rows * wide * out
     return seconds, flops
 
@@ -97,7 +102,7 @@ def shapes_of(params: Any, batch: int, n: int) -> dict[tuple[int, int, int, bool
 
 def lengths_drawn(key: jax.Array, steps: int) -> list[int]:
     """The lengths of pEM*D's first batches, drawn as its training draws them."""
-    keys = [jax.random.split(jax.random.fold_in(key, i), 3)[0] for i in range(steps)]
+    keys = [jax.random.split(jax.random.fold_in(key, i))[0] for i in range(steps)]
     return [int(jax.random.randint(k, (), 1, STEPS + 1)) for k in keys]
 
 
@@ -165,7 +170,7 @@ def main() -> None:
     stages = params.scales[asked.scale or params.scale]
     rows = []
     for name in asked.nets or ("pemd", "vtm"):
-        settings = {"pemd": stages.train_pemd, "vtm": stages.train_vtm}[name]
+        settings: Any = {"pemd": stages.train_pemd, "vtm": stages.train_vtm}[name]
         changed = {k: getattr(asked, k) for k in ("recipe", "batch") if getattr(asked, k) is not None}
         settings = dataclasses.replace(settings, training=dataclasses.replace(settings.training, **changed))
         rows.append(measure(name, settings, asked.rounds, asked.steps))

@@ -8,14 +8,14 @@ import pytest
 from clothkit.manipulation.geometry import release_points, to_cartesian
 from clothkit.manipulation.turns import planar
 from clothkit.networks.augment import Examples, augment, relabelled, turned
-from clothkit.networks.pemd_training import draw, sequences, shortened
+from clothkit.networks.pemd_training import draw, sequences
 from tests.networks.conftest import crumpled
 
 SEQUENCES = sequences(crumpled(6, 0))
 
 
 def examples(n=2, batch=4):
-    return shortened(draw(SEQUENCES, n, batch, key=jax.random.key(0)), n)
+    return draw(SEQUENCES, n, batch, key=jax.random.key(0))
 
 
 def releases(mesh, manipulation):
@@ -71,7 +71,7 @@ def test_drawn_stretches_are_recorded_ones():
     data.length[:] = [1, 2, 3, 3, 2, 1]
     data.vertices[0, 2:] = np.nan
     for n in (1, 2, 3):
-        drawn = shortened(draw(sequences(data), n, 64, key=jax.random.key(n)), n)
+        drawn = draw(sequences(data), n, 64, key=jax.random.key(n))
         assert np.isfinite(drawn.outcomes).all()
         for i in range(64):
             found = [

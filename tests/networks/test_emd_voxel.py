@@ -27,7 +27,7 @@ from clothkit.networks.emd_voxel_training import (
     voxelised,
 )
 from clothkit.networks.net import Net
-from clothkit.networks.pemd_training import draw, sequences, shortened
+from clothkit.networks.pemd_training import draw, sequences
 from clothkit.networks.settings import EMDVoxelConfig, PEMDConfig, Start, TrainEMDVoxelConfig, TrainingConfig
 from tests.networks.conftest import crumpled
 
@@ -134,7 +134,7 @@ def test_cartesian_manipulations_do_not_depend_on_labels():
 
 
 def examples(n=2, batch=3):
-    return shortened(draw(SEQUENCES, n, batch, key=jax.random.key(0)), n)
+    return draw(SEQUENCES, n, batch, key=jax.random.key(0))
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
@@ -239,7 +239,7 @@ def test_the_score_is_the_mean_voxel_difference_over_the_tasks():
 
 def test_voxel_examples_have_no_labels():
     """All eight labellings of a stretch are one example."""
-    one = shortened(draw(SEQUENCES, 1, 1, key=jax.random.key(4)), 1)
+    one = draw(SEQUENCES, 1, 1, key=jax.random.key(4))
     all_eight = Examples(
         mesh=equivalents(one.mesh)[:, 0],
         manipulations=equivalents_of_manipulation(one.manipulations)[:, 0],

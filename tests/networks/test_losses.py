@@ -11,7 +11,7 @@ from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.networks import pemd_training
 from clothkit.networks.layers import probabilistic_mesh
 from clothkit.networks.pemd import PEMD, initial
-from clothkit.networks.pemd_training import direction, draw, loss_position, loss_shape, shortened
+from clothkit.networks.pemd_training import direction, draw, loss_position, loss_shape
 from clothkit.networks.recipe import sign_sum
 from clothkit.networks.settings import PEMDConfig, TrainingConfig, TrainPEMDConfig
 from clothkit.networks.vtm_training import loss_vtm
@@ -28,7 +28,7 @@ def test_sigma_is_exp_plus_a_hundredth():
 
 
 def batch(dataset, n):
-    return shortened(draw(pemd_training.sequences(dataset), n, 4, key=jax.random.key(1)), n)
+    return draw(pemd_training.sequences(dataset), n, 4, key=jax.random.key(1))
 
 
 def test_loss_s_sums_likelihoods_over_steps_and_loss_p_is_a_mean_square(dataset):

@@ -17,7 +17,7 @@ from clothkit.networks.augment import Examples, random_turns, turned
 from clothkit.networks.devices import spread
 from clothkit.networks.emd_voxel import EMDVoxel, cartesian, initial
 from clothkit.networks.layers import run
-from clothkit.networks.pemd_training import Sequences, draw, random_length, sequences, shortened, validation_of_tasks
+from clothkit.networks.pemd_training import Sequences, draw, random_length, sequences, validation_of_tasks
 from clothkit.networks.settings import TrainEMDVoxelConfig
 from clothkit.networks.training import Problem, Trained, train
 
@@ -110,10 +110,12 @@ def task_differences(net: EMDVoxel, params: PyTree, data: Sequences) -> Float[Ar
 
 
 def _on_length(
-    net: EMDVoxel, settings: TrainEMDVoxelConfig, n: int, params: PyTree, examples: Examples, key: PRNGKeyArray
+    net: EMDVoxel, settings: TrainEMDVoxelConfig, n: int, params: PyTree, data: Sequences, key: PRNGKeyArray
 ) -> tuple[PyTree, dict[str, Any]]:
+    draw_key, augment_key = jax.random.split(key)
+    drawn = spread(draw(data, n, settings.training.batch, key=draw_key))
     noise_z = settings.noise * settings.noise_z_factor
-    seen = augment(shortened(examples, n), noise=settings.noise, noise_z=noise_z, key=key)
+    seen = augment(drawn, noise=settings.noise, noise_z=noise_z, key=augment_key)
     return direction(net, settings, params, seen)
 
 
@@ -122,12 +124,11 @@ def problem(settings: TrainEMDVoxelConfig, validation: Sequences) -> Problem:
     net = EMDVoxel(settings.net, settings.training.start)
 
     def gradient(params: PyTree, data: Sequences, key: PRNGKeyArray) -> tuple[PyTree, dict[str, Any]]:
-        length_key, draw_key, augment_key = jax.random.split(key, 3)
+        length_key, batch_key = jax.random.split(key)
         n = random_length(data, key=length_key)
-        drawn = spread(draw(data, n, settings.training.batch, key=draw_key))
         # One length per batch, and only the branch that is taken runs.
         branches = [partial(_on_length, net, settings, length) for length in range(1, STEPS + 1)]
-        return jax.lax.switch(n - 1, branches, params, drawn, augment_key)
+        return jax.lax.switch(n - 1, branches, params, data, batch_key)
 
     validate = validation_of_tasks(partial(task_differences, net), validation)
     return Problem(lambda key: initial(settings.net, settings.training.start, key=key), gradient, validate)

@@ -47,21 +47,17 @@ def sequences(dataset: Dataset) -> Sequences:
     )
 
 
-def draw(data: Sequences, n: Array | int, batch: int, *, key: PRNGKeyArray) -> Examples:
-    """A batch of stretches of n manipulations: sequences that are long enough, a start for each (design 6.5).
-
-    The arrays hold three steps, whatever n is (which may be traced); those after the n-th repeat its outcome.
-    """
+def draw(data: Sequences, n: int, batch: int, *, key: PRNGKeyArray) -> Examples:
+    """A batch of stretches of n manipulations: sequences that are long enough, a start for each (design 6.5)."""
     sequence_key, start_key = jax.random.split(key)
     sequence = jax.random.randint(sequence_key, (batch,), 0, data.at_least[n])
     start = jax.random.randint(start_key, (batch,), 0, data.length[sequence] - n + 1)
-    states = start[:, None] + jnp.minimum(jnp.arange(STEPS + 1), n)
-    steps = start[:, None] + jnp.minimum(jnp.arange(STEPS), n - 1)
+    states = start[:, None] + jnp.arange(n + 1)
     vertices = data.vertices[sequence[:, None], states]
     centre = data.centre[sequence[:, None], states]
     return Examples(
         mesh=vertices[:, 0],
-        manipulations=data.manipulation[sequence[:, None], steps],
+        manipulations=data.manipulation[sequence[:, None], states[:, :-1]],
         outcomes=vertices[:, 1:],
         shifts=centre[:, 1:] - centre[:, :-1],
     )
@@ -71,11 +67,6 @@ def random_length(data: Sequences, *, key: PRNGKeyArray) -> Int[Array, ""]:
     """A length for a batch, uniform from 1 to that of the longest sequence."""
     longest = jnp.sum(data.at_least[1:] > 0)
     return jax.random.randint(key, (), 1, longest + 1)
-
-
-def shortened(examples: Examples, n: int) -> Examples:
-    """The first n steps."""
-    return Examples(examples.mesh, examples.manipulations[:, :n], examples.outcomes[:, :n], examples.shifts[:, :n])
 
 
 def loss_shape(net: PEMD, params: PyTree, examples: Examples, *, hold: float = 0.0) -> Float[Array, ""]:
@@ -120,9 +111,11 @@ def task_errors(net: PEMD, params: PyTree, data: Sequences) -> Float[Array, "6 s
 
 
 def _on_length(
-    net: PEMD, settings: TrainPEMDConfig, n: int, params: PyTree, examples: Examples
+    net: PEMD, settings: TrainPEMDConfig, n: int, params: PyTree, data: Sequences, key: PRNGKeyArray
 ) -> tuple[PyTree, dict[str, Any]]:
-    return direction(net, settings, params, shortened(examples, n))
+    draw_key, augment_key = jax.random.split(key)
+    drawn = spread(draw(data, n, settings.training.batch, key=draw_key))
+    return direction(net, settings, params, augment(drawn, noise=settings.noise, key=augment_key))
 
 
 def problem(settings: TrainPEMDConfig, validation: Sequences) -> Problem:
@@ -130,13 +123,11 @@ def problem(settings: TrainPEMDConfig, validation: Sequences) -> Problem:
     net = PEMD(settings.net, settings.training.start)
 
     def gradient(params: PyTree, data: Sequences, key: PRNGKeyArray) -> tuple[PyTree, dict[str, Any]]:
-        length_key, draw_key, augment_key = jax.random.split(key, 3)
+        length_key, batch_key = jax.random.split(key)
         n = random_length(data, key=length_key)
-        drawn = draw(data, n, settings.training.batch, key=draw_key)
-        examples = spread(augment(drawn, noise=settings.noise, key=augment_key))
         # One length per batch, and only the branch that is taken runs.
         branches = [partial(_on_length, net, settings, length) for length in range(1, STEPS + 1)]
-        return jax.lax.switch(n - 1, branches, params, examples)
+        return jax.lax.switch(n - 1, branches, params, data, batch_key)
 
     validate = validation_of_tasks(partial(task_errors, net), validation)
     return Problem(lambda key: initial(settings.net, settings.training.start, key=key), gradient, validate)
