@@ -1,4 +1,4 @@
-"""Reference values of the planning loss: `python stages/normalise.py mesh`."""
+"""Reference values of the planning loss: `python stages/normalise.py mesh` (or voxel)."""
 
 import sys
 from pathlib import Path
@@ -7,23 +7,28 @@ from clothkit.dataset import store
 from clothkit.networks.store import load
 from clothkit.planning.forward import MESH
 from clothkit.planning.normalisation import normalise, save
+from clothkit.planning.recorded import in_meshes, in_voxels
+from clothkit.planning.voxel_forward import VOXEL
 from clothkit.stage import stage
 
-MESHES = Path("data/meshes.zarr")
-NETS = {"mesh": (Path("data/nets/pemd_a"), Path("data/nets/pemd_b"))}
+MESHES, NETS = Path("data/meshes.zarr"), Path("data/nets")
+KINDS = {"mesh": ("pemd", MESH, in_meshes), "voxel": ("emd_voxel", VOXEL, in_voxels)}
 
 
 def main(kind: str) -> None:
     """Write data/normalisation/<kind>.json."""
+    net, forward, recorded = KINDS[kind]
+    folders = [NETS / f"{net}_a", NETS / f"{net}_b"]
     with stage("normalise", kind) as s:
-        work = s.work(inputs=[MESHES, *NETS[kind]])
-        a, b = (load(folder) for folder in NETS[kind])
-        normalisation = normalise(MESH, (a, b), store.load(MESHES).of_split("validation"), s.params)
+        work = s.work(inputs=[MESHES, *folders])
+        a, b = (load(folder) for folder in folders)
+        validation = store.load(MESHES).of_split("validation")
+        normalisation = normalise(forward, (a, b), validation, s.params, recorded=recorded)
         save(work / f"{kind}.json", normalisation, s.attributes)
         s.publish(work / f"{kind}.json", f"data/normalisation/{kind}.json")
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 2 or sys.argv[1] not in NETS:
-        sys.exit(f"normalise: expected one argument, {' or '.join(NETS)}")
+    if len(sys.argv) != 2 or sys.argv[1] not in KINDS:
+        sys.exit(f"normalise: expected one argument, {' or '.join(KINDS)}")
     main(sys.argv[1])

@@ -1,4 +1,4 @@
-"""Plans and executes every task with one of the systems: `python stages/plan.py main` (or b1, b2, b3)."""
+"""Plans and executes every task with one of the systems: `python stages/plan.py main` (or b1, b2, ..)."""
 
 import hashlib
 import sys
@@ -9,43 +9,51 @@ from clothkit.dataset import store
 from clothkit.dataset.rows import write_rows
 from clothkit.networks.store import load
 from clothkit.planning import normalisation
-from clothkit.planning.evaluate import evaluate
+from clothkit.planning.evaluate import cost, evaluate
 from clothkit.planning.loss import Weights
+from clothkit.planning.planner import Planner
 from clothkit.planning.record import save
 from clothkit.planning.rows import rows
-from clothkit.planning.session import Planner
+from clothkit.planning.sight import MeshSight, VoxelSight
 from clothkit.planning.systems import SYSTEMS, better_net
 from clothkit.simulation.executor import execute
 from clothkit.stage import stage
 
-MESHES, VTM, REFERENCE = Path("data/meshes.zarr"), Path("data/nets/vtm"), Path("data/normalisation/mesh.json")
-NETS = {"a": Path("data/nets/pemd_a"), "b": Path("data/nets/pemd_b")}
+MESHES, VTM = Path("data/meshes.zarr"), Path("data/nets/vtm")
 
 
 def main(name: str) -> None:
     """Write data/evaluation/planning/<system>.parquet and sessions_<system>.zarr."""
     system = SYSTEMS[name]
+    reference = Path(f"data/normalisation/{'voxel' if system.voxels else 'mesh'}.json")
+    nets = {net: Path(f"data/nets/{'emd_voxel' if system.voxels else 'pemd'}_{net}") for net in ("a", "b")}
+    estimating = not (system.voxels or system.true_meshes)
     with stage("plan", name) as s:
-        inputs = [MESHES, REFERENCE, *NETS.values()] + ([] if system.true_meshes else [VTM])
-        work = s.work(inputs=inputs)
-        alpha = s.shared.alpha if system.alpha is None else system.alpha
-        weights = Weights(alpha, s.shared.beta, s.shared.gamma)
-        better = better_net(NETS)
-        names = sorted(NETS) if system.nets == 2 else [better]
+        work = s.work(inputs=[MESHES, reference, *nets.values()] + [VTM] * estimating)
+        settings = s.params.of(system)
+        sight = (
+            VoxelSight()
+            if system.voxels
+            else MeshSight(load(VTM) if estimating else None, settings.refine, refine=system.refine)
+        )
+        weights = Weights(s.shared.alpha if system.alpha is None else system.alpha, s.shared.beta, s.shared.gamma)
+        better = better_net(nets)
+        names = sorted(nets) if system.nets == 2 else [better]
         planner = Planner(
             system,
-            tuple(load(NETS[net]) for net in names),
+            sight,
+            tuple(load(nets[net]) for net in names),
             names.index(better),
-            None if system.true_meshes else load(VTM),
-            normalisation.load(REFERENCE),
+            normalisation.load(reference),
             weights,
-            s.params,
+            settings,
             s.shared.stages.simulate.candidates,
         )
         simulation = s.shared.stages.simulate.simulation
         # Pieces of a run with other weights or another world are not this run's.
         pieces = work / hashlib.sha256(repr((weights, planner.grasping, simulation)).encode()).hexdigest()[:16]
-        sessions = evaluate(store.load(MESHES), planner, partial(execute, settings=simulation), work=pieces)
+        sessions, clock = evaluate(store.load(MESHES), planner, partial(execute, settings=simulation), work=pieces)
+        s.costs.update(plans=cost(clock))
         attributes = {**s.attributes, **weights._asdict()}
         save(work / "sessions.zarr", sessions, attributes)
         write_rows(work / "rows.parquet", rows(sessions, name), attributes)

@@ -29,6 +29,8 @@ class Stage:
         self.shared: Params = load_params(Path("params.yaml"))
         self.params: Any = getattr(self.shared.stages, name)
         self._work: list[tuple[Path, Any]] = []
+        self.costs: dict[str, Any] = {}
+        """What else the note of the run's cost says, JSON types only."""
 
     @property
     def attributes(self) -> dict[str, Any]:
@@ -72,6 +74,7 @@ class Stage:
             "cpu_seconds": round(sum(u.ru_utime + u.ru_stime for u in usage), 1),
             "peak_memory_mib": round(max(u.ru_maxrss for u in usage) / 1024),
             "machine": f"{os.cpu_count()} x {platform.machine()} {platform.system()}",
+            **self.costs,
         }
         path = WORK / "timings" / f"{self.name}.json"
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -6,9 +6,12 @@ import numpy as np
 
 from clothkit.cloth.grid import flat
 from clothkit.planning.draw import Candidates, random_manipulations, random_plans, snap
+from clothkit.planning.forward import points
 
 POINTS = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1], [1, 0], [0, 0], [0, 0]], np.float32)
 CANDIDATES = Candidates(POINTS, 5)
+FLAT = 0.7 * jnp.asarray(POINTS)
+"""Where they lie on the flat cloth."""
 
 
 def test_plans_without_restrictions() -> None:
@@ -20,7 +23,7 @@ def test_plans_without_restrictions() -> None:
 
 
 def test_first_grasps_are_candidates_on_one_side_of_m() -> None:
-    plans = np.asarray(random_plans(4000, 3, jnp.asarray(flat()), CANDIDATES, key=jax.random.key(1)))
+    plans = np.asarray(random_plans(4000, 3, CANDIDATES, FLAT, key=jax.random.key(1)))
     first = plans[:, 0]
     grasps = first[:, :4].reshape(-1, 2, 2)
     index = np.abs(grasps[:, :, None] - POINTS[:5]).sum(-1).argmin(-1)
@@ -36,7 +39,7 @@ def test_first_grasps_are_candidates_on_one_side_of_m() -> None:
 
 
 def test_a_single_candidate_leaves_one_hand() -> None:
-    plans = np.asarray(random_plans(50, 1, jnp.asarray(flat()), Candidates(POINTS, 1), key=jax.random.key(2)))
+    plans = np.asarray(random_plans(50, 1, Candidates(POINTS, 1), FLAT, key=jax.random.key(2)))
     assert (plans[:, 0, :4] == -1).all()
 
 
@@ -44,6 +47,8 @@ def test_snapping_takes_the_nearest_candidate_in_xy() -> None:
     # The cloth folded over u = 0: the far corner lies on the near one.
     mesh = flat().copy()
     mesh[..., 0] = -np.abs(mesh[..., 0])
-    candidates = Candidates(np.array([[-1, -1], [-1, 1], [9, 9]], np.float32), 2)
-    snapped = snap(jnp.array([1.0, 0.9, -0.8, -0.9, 0.5, 0.6]), jnp.asarray(mesh), candidates)
+    candidates = Candidates(jnp.array([[-1.0, -1], [-1, 1], [9, 9]]), 2)
+    manipulation = jnp.array([1.0, 0.9, -0.8, -0.9, 0.5, 0.6])
+    wanted, xy = (points(jnp.asarray(mesh), uv) for uv in (manipulation[:4].reshape(2, 2), candidates.grasps))
+    snapped = snap(manipulation, wanted, candidates, xy)
     np.testing.assert_allclose(snapped, [-1, 1, -1, -1, 0.5, 0.6])

@@ -32,7 +32,7 @@ def padded(points: np.ndarray) -> Candidates:
 def problem(mesh: np.ndarray, goal: np.ndarray, length: int = 1, **changes: object) -> Problem:
     """A first search of a session."""
     fields = {
-        "mesh": mesh,
+        "state": mesh,
         "goal": goal,
         "candidates": padded(CORNERS),
         "traces": tuple(np.zeros((COUNT, 3072), np.float32) for _ in toy.NETS),

@@ -15,11 +15,13 @@ from clothkit.cloth.silhouette import centred
 from clothkit.dataset.store import SPLITS, Dataset
 from clothkit.dataset.tasks import Task
 from clothkit.errors import InputError
-from clothkit.planning import session
-from clothkit.planning.evaluate import evaluate
+from clothkit.planning import planner as planners
+from clothkit.planning.evaluate import cost, evaluate
 from clothkit.planning.record import Tasks, join, load, save, tasks_of_dataset
 from clothkit.planning.rows import rows
-from clothkit.planning.session import best_of_restarts, candidate_points, run_sessions
+from clothkit.planning.search import Problem
+from clothkit.planning.session import best_of_restarts, run_sessions
+from clothkit.planning.sight import MeshSight, mesh_candidates
 from tests.planning import toy
 
 MANIPULATIONS = np.array([[-1, -1, -1, -1, 0.6, 0.5], [1, 1, 1, 1, -0.7, -0.3], [-1, 1, -1, 1, 0.5, -0.6]], np.float32)
@@ -53,7 +55,7 @@ def tasks(*chosen: Task) -> Tasks:
 
 
 def test_true_meshes_reach_the_goal_in_known_labels() -> None:
-    sessions = run_sessions(tasks(Task(0, 0, 1), Task(1, 1, 1)), toy.planner("b1"), toy.execute)
+    sessions, _ = run_sessions(tasks(Task(0, 0, 1), Task(1, 1, 1)), toy.planner("b1"), toy.execute)
     tidy = rows(sessions, "b1")
     assert (tidy.error < 0.02).all()
     assert (tidy.error_labelled < 0.02).all()
@@ -70,7 +72,7 @@ def test_estimates_in_any_labels_reach_the_goals_shape() -> None:
     """Two steps, each estimate in labels of its own as VtM may give them: later ones follow the prediction's."""
     labels = {0: 5, 1: 6}
 
-    def seen(truth: np.ndarray, expected: np.ndarray | None, planner: session.Planner) -> np.ndarray:
+    def seen(sight: MeshSight, truth: np.ndarray, expected: np.ndarray | None) -> np.ndarray:
         found = [np.asarray(relabel(mesh, labels[i])) for i, mesh in enumerate(truth)]
         if expected is not None:
             near = [
@@ -83,8 +85,8 @@ def test_estimates_in_any_labels_reach_the_goals_shape() -> None:
 
     planner = toy.planner("main")
     given = tasks(Task(0, 0, 2), Task(1, 0, 1))
-    with mock.patch.object(session, "_estimates", seen):
-        sessions = run_sessions(given, planner, toy.execute)
+    with mock.patch.object(MeshSight, "see", seen), mock.patch.object(MeshSight, "labelled", False):
+        sessions, _ = run_sessions(given, planner, toy.execute)
     outcome = sessions.state[np.arange(2), sessions.length]
     errors, before = np.asarray(error(outcome, sessions.goal, aligned=True)), rows(sessions, "main").error_no_action
     assert (errors < 0.5 * before).all()
@@ -105,9 +107,11 @@ def test_nothing_is_done_where_nothing_helps() -> None:
         calls.append(arguments)
         return toy.execute(*arguments)
 
-    sessions = run_sessions(given, toy.planner("b1"), execute)
+    sessions, _ = run_sessions(given, toy.planner("b1"), execute)
     assert sessions.null[0, :2].all()
-    assert not calls
+    tidy = rows(sessions, "b1")
+    # What the check has cancelled was tried on the side, and would have been worse.
+    assert len(calls) == tidy.nulls_fired[0] == tidy.nulls_helped[0]
     for step in (1, 2):
         np.testing.assert_array_equal(sessions.state[0, step], sessions.state[0, 0])
         np.testing.assert_array_equal(sessions.estimate[0, min(step, 1)], sessions.estimate[0, 0])
@@ -118,14 +122,14 @@ def test_nothing_is_done_where_nothing_helps() -> None:
 def test_a_second_search_is_given_the_first_ones_plan_and_traces() -> None:
     planner = toy.planner("b1")
     asked = []
-    original = session.search
+    original = planners.search
 
-    def spy(forward: object, nets: object, problems: session.Problem, *rest: object, **more: object) -> object:
+    def spy(forward: object, nets: object, problems: Problem, *rest: object, **more: object) -> object:
         asked.append(problems)
         return original(forward, nets, problems, *rest, **more)
 
-    with mock.patch.object(session, "search", spy):
-        sessions = run_sessions(tasks(Task(0, 0, 2)), planner, toy.execute)
+    with mock.patch.object(planners, "search", spy):
+        sessions, _ = run_sessions(tasks(Task(0, 0, 2)), planner, toy.execute)
     assert [problems.carried.shape[1] for problems in asked] == [2, 1]
     for step, problems in enumerate(asked[1:], start=1):
         assert problems.later.all()
@@ -141,12 +145,12 @@ def test_a_broken_simulation_is_told() -> None:
 
 
 def test_candidates_of_the_flat_cloth_are_its_corners() -> None:
-    points = candidate_points(dataset(1).vertices[0, 0], toy.planner("b1").grasping)
+    points = mesh_candidates(dataset(1).vertices[0, 0], toy.planner("b1").grasping)
     assert {tuple(np.sign(p)) for p in points} <= {(-1, -1), (-1, 1), (1, -1), (1, 1)}
     disc = np.zeros((32, 32, 3), np.float32)
     angle, radius = np.linspace(0, 2 * np.pi, 32)[:, None], np.linspace(0, 0.6, 32)[None]
     disc[..., 0], disc[..., 1] = radius * np.cos(angle), radius * np.sin(angle)
-    assert len(candidate_points(disc, toy.planner("b1").grasping)) >= 1
+    assert len(mesh_candidates(disc, toy.planner("b1").grasping)) >= 1
 
 
 def test_best_of_restarts_by_hand() -> None:
@@ -159,7 +163,7 @@ def test_an_interrupted_run_goes_on_to_the_same_rows(tmp_path: Path) -> None:
     # Sequences of one manipulation have one task each.
     data = dataset()
     data, planner = dataclasses.replace(data, length=np.ones_like(data.length)), toy.planner("b1")
-    whole = evaluate(data, planner, toy.execute, work=tmp_path / "whole")
+    whole, clock = evaluate(data, planner, toy.execute, work=tmp_path / "whole")
     calls = 0
 
     def killed(*arguments: np.ndarray) -> np.ndarray:
@@ -171,9 +175,11 @@ def test_an_interrupted_run_goes_on_to_the_same_rows(tmp_path: Path) -> None:
 
     with pytest.raises(KeyboardInterrupt):
         evaluate(data, planner, killed, work=tmp_path / "broken")
-    assert sorted(p.name for p in (tmp_path / "broken").iterdir()) == ["sessions_000.npz"]
-    resumed = evaluate(data, planner, toy.execute, work=tmp_path / "broken")
+    assert sorted(p.name for p in (tmp_path / "broken").iterdir()) == ["seconds_000.json", "sessions_000.npz"]
+    resumed, _ = evaluate(data, planner, toy.execute, work=tmp_path / "broken")
     pd.testing.assert_frame_equal(rows(whole, "b1"), rows(resumed, "b1"))
+    # Two pieces of one task; the first search, which compiles, is not counted.
+    assert cost(clock)["1"] == (toy.BATCH, pytest.approx(clock["1"][1][1], abs=1e-3))
     save(tmp_path / "a.zarr", whole, {"system": "b1"})
     save(tmp_path / "b.zarr", resumed, {"system": "b1"})
     files = [sorted(p for p in (tmp_path / f"{n}.zarr").rglob("*") if p.is_file()) for n in "ab"]

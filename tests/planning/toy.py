@@ -15,9 +15,10 @@ from clothkit.manipulation.geometry import to_geodesic
 from clothkit.planning.forward import Forward
 from clothkit.planning.loss import Weights
 from clothkit.planning.normalisation import Normalisation
+from clothkit.planning.planner import Planner
 from clothkit.planning.search import SearchConfig
-from clothkit.planning.session import Planner
 from clothkit.planning.settings import PlanConfig
+from clothkit.planning.sight import MeshSight
 from clothkit.planning.systems import system
 
 NETS = (jnp.float32(1.0), jnp.float32(1.03))
@@ -78,4 +79,5 @@ def planner(name: str) -> Planner:
     plan = PlanConfig(test=2, train=0, search=SEARCH, together=1, batch=BATCH)
     chosen = system(name)
     nets = NETS[: chosen.nets]
-    return Planner(chosen, nets, 0, None, NORMALISATION, Weights(1.0, 5.0, 1.25), plan, CANDIDATES, forward=FORWARD)
+    sight = MeshSight(None, plan.refine, forward=FORWARD)
+    return Planner(chosen, sight, nets, 0, NORMALISATION, Weights(1.0, 5.0, 1.25), plan, CANDIDATES)

@@ -40,6 +40,16 @@ def estimate(
     return Estimate(labelled, refine(labelled, predicted, settings))
 
 
+def estimate_unrefined(
+    net: Net,
+    voxels: Shaped[Array | np.ndarray, "batch x y z"],
+    predicted: Float[Array | np.ndarray, "batch u v 3"] | None = None,
+) -> Float[Array, "batch u v 3"]:
+    """VtM's means alone, under the labels that `estimate` would give them."""
+    probabilistic = _vtm(net, jnp.asarray(voxels))
+    return jnp.asarray((probabilistic if predicted is None else labelled_like(probabilistic, predicted)).mean)
+
+
 def labelled_like(
     probabilistic: ProbabilisticMesh, mesh: Float[Array | np.ndarray, "batch u v 3"]
 ) -> ProbabilisticMesh:

@@ -6,9 +6,13 @@ import cv2
 import numpy as np
 from annotated_types import Ge, Gt, Lt
 from jaxtyping import Bool, Float
+from scipy import ndimage
 
 from clothkit.cloth.silhouette import pixel_centres, silhouette
 from clothkit.config import config
+
+EDGE_BLUR = 0.025
+"""Standard deviation of the blur that takes the steps off a silhouette of voxels [normalised]."""
 
 
 @config
@@ -45,6 +49,27 @@ def candidates(
     corners = convex_corners(image, settings)
     vertices = moved[..., :2].reshape(-1, 2)
     return (_snap_outwards(corners, vertices, image, settings) + middle).astype(np.float32)
+
+
+def voxel_candidates(
+    voxels: Bool[np.ndarray, "x y z"], settings: CandidateConfig | None = None
+) -> Float[np.ndarray, "candidates 2"]:
+    """Graspable points of voxels over -1..1, xy [normalised]: convex corners of their projection from above.
+
+    The middle of what is occupied if it shows no corner.
+    """
+    settings = settings or CandidateConfig()
+    covered = np.asarray(voxels).any(axis=-1).astype(np.float32)
+    side = covered.shape[0]
+    axis = pixel_centres(settings.resolution, settings.extent)
+    cells = (axis + 1) * (side / 2) - 0.5
+    smooth = ndimage.map_coordinates(covered, np.meshgrid(cells, cells, indexing="ij"), order=1, mode="constant")
+    blur = EDGE_BLUR * settings.resolution / (2 * settings.extent)
+    corners = convex_corners(cv2.GaussianBlur(smooth, (0, 0), blur) > 0.5, settings)
+    if not len(corners):
+        occupied = np.argwhere(covered > 0) if covered.any() else np.full((1, 2), side / 2 - 0.5)
+        corners = ((occupied + 0.5) * (2 / side) - 1).mean(0, keepdims=True)
+    return np.clip(corners, -1, 1).astype(np.float32)
 
 
 def convex_corners(image: Bool[np.ndarray, "x y"], settings: CandidateConfig) -> Float[np.ndarray, "corners 2"]:

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, PRNGKeyArray, PyTree
+from jaxtyping import Array, Bool, Float, PRNGKeyArray, PyTree, Shaped
 
 from clothkit.cloth import voxels
 from clothkit.dataset.store import STEPS, Dataset
@@ -63,8 +63,10 @@ def augment(examples: Examples, *, noise: float, noise_z: float, key: PRNGKeyArr
     return voxelised(examples._replace(manipulations=manipulations), noise=noise, noise_z=noise_z, key=noise_key)
 
 
-def cross_entropy(logits: Float[Array, "*batch x y z"], truth: Bool[Array, "*batch x y z"]) -> Float[Array, "*batch"]:
-    """Binary cross-entropy of the truth under logits of occupancy, the mean over voxels [nat]."""
+def cross_entropy(
+    logits: Float[Array, "*batch x y z"], truth: Shaped[Array, "*#batch x y z"]
+) -> Float[Array, "*batch"]:
+    """Binary cross-entropy of the truth (bool or 0 / 1) under logits of occupancy, the mean over voxels [nat]."""
     return jnp.mean(jax.nn.softplus(logits) - logits * truth, axis=(-3, -2, -1))
 
 

@@ -1,4 +1,8 @@
-"""Random plans: where each strain of a search starts from (section 5.1, design 6.2 and 6.9)."""
+"""Random plans: where each strain of a search starts from (section 5.1, design 6.2 and 6.9).
+
+Grasp points are in the coordinates in which the net takes them: geodesic, or Cartesian for the voxel baseline. `xy` is
+where they lie on the table, which is what geometry is about.
+"""
 
 from typing import NamedTuple
 
@@ -7,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
-from clothkit.manipulation.geometry import release_points, to_cartesian
+from clothkit.manipulation.geometry import release_points
 
 REACH = 1.4
 """Displacements are drawn from -REACH..REACH in x and y [normalised]."""
@@ -20,9 +24,9 @@ FIRST_STEP_DRAWS = 16
 
 
 class Candidates(NamedTuple):
-    """Grasp points of one mesh, padded to a fixed number so that every task has the same shapes."""
+    """Grasp points of one state, padded to a fixed number so that every task has the same shapes."""
 
-    uv: Float[Array, "candidates 2"] | Float[np.ndarray, "candidates 2"]
+    grasps: Float[Array, "candidates 2"] | Float[np.ndarray, "candidates 2"]
     present: Int[Array, ""] | Int[np.ndarray, ""] | int
 
 
@@ -39,23 +43,23 @@ def random_manipulations(shape: tuple[int, ...], *, key: PRNGKeyArray) -> Float[
 def random_plans(
     strains: int,
     steps: int,
-    mesh: Float[Array, "u v 3"],
     candidates: Candidates,
+    xy: Float[Array, "candidates 2"],
     *,
     key: PRNGKeyArray,
 ) -> Float[Array, "strains n 6"]:
-    """Random plans whose first grasp points are candidates, in the mesh's labels.
+    """Random plans whose first grasp points are candidates; these lie at `xy`.
 
     Two hands of a first manipulation never fall on different sides of m (unless 16 draws failed).
     """
     key_first, key_later = jax.random.split(key)
-    first = _first_manipulations(strains, mesh, candidates, key=key_first)
+    first = _first_manipulations(strains, candidates, xy, key=key_first)
     later = random_manipulations((strains, steps - 1), key=key_later)
     return jnp.concatenate([first[:, None], later], axis=1)
 
 
 def _first_manipulations(
-    strains: int, mesh: Float[Array, "u v 3"], candidates: Candidates, *, key: PRNGKeyArray
+    strains: int, candidates: Candidates, xy: Float[Array, "candidates 2"], *, key: PRNGKeyArray
 ) -> Float[Array, "strains 6"]:
     key_hands, key_grasps, key_displacement = jax.random.split(key, 3)
     single = (jax.random.uniform(key_hands, (strains, 1)) < SINGLE_SHARE) | (candidates.present < 2)
@@ -65,10 +69,9 @@ def _first_manipulations(
     other = jnp.where(single, one, other + (other >= one))
     displacement = jax.random.uniform(key_displacement, (strains, FIRST_STEP_DRAWS, 2), minval=-REACH, maxval=REACH)
 
-    uv = jnp.asarray(candidates.uv)
-    xy = to_cartesian(jnp.broadcast_to(mesh, (len(uv), *mesh.shape)), uv)[:, :2]
+    grasps = jnp.asarray(candidates.grasps)
     valid = release_points(jnp.stack([xy[one], xy[other]], axis=-2), displacement).same_side
-    drawn = jnp.concatenate([uv[one], uv[other], displacement], axis=-1)
+    drawn = jnp.concatenate([grasps[one], grasps[other], displacement], axis=-1)
     return _first_valid(drawn, jnp.asarray(valid))
 
 
@@ -77,12 +80,16 @@ def _first_valid(drawn: Float[Array, "strains draws 6"], valid: Bool[Array, "str
     return jnp.take_along_axis(drawn, chosen[:, None, None], axis=1)[:, 0]
 
 
-def snap(manipulation: Float[Array, "6"], mesh: Float[Array, "u v 3"], candidates: Candidates) -> Float[Array, "6"]:
-    """The manipulation with each grasp point moved to the candidate nearest to it in the mesh's xy (design 6.11)."""
-    uv = jnp.asarray(candidates.uv)
-    wanted = manipulation[:4].reshape(2, 2)
-    points = jnp.concatenate([wanted, uv])
-    xy = to_cartesian(jnp.broadcast_to(mesh, (len(points), *mesh.shape)), points)[:, :2]
-    squared = jnp.sum((xy[:2, None] - xy[None, 2:]) ** 2, axis=-1)
-    nearest = jnp.argmin(jnp.where(jnp.arange(len(uv)) < candidates.present, squared, jnp.inf), axis=-1)
-    return jnp.concatenate([uv[nearest].reshape(4), manipulation[4:]])
+def snap(
+    manipulation: Float[Array, "6"],
+    wanted: Float[Array, "2 2"],
+    candidates: Candidates,
+    xy: Float[Array, "candidates 2"],
+) -> Float[Array, "6"]:
+    """The manipulation with each grasp point moved to the nearest candidate in xy (design 6.11).
+
+    Its grasp points lie at `wanted`, the candidates at `xy`.
+    """
+    squared = jnp.sum((wanted[:, None] - xy) ** 2, axis=-1)
+    nearest = jnp.argmin(jnp.where(jnp.arange(len(xy)) < candidates.present, squared, jnp.inf), axis=-1)
+    return jnp.concatenate([jnp.asarray(candidates.grasps)[nearest].reshape(4), manipulation[4:]])

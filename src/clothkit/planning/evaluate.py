@@ -1,5 +1,7 @@
 """Sessions for all tasks of a system, kept piece by piece so that an interrupted run goes on."""
 
+import json
+from collections import defaultdict
 from pathlib import Path
 
 from tqdm import tqdm
@@ -7,8 +9,9 @@ from tqdm import tqdm
 from clothkit.dataset.store import Dataset
 from clothkit.dataset.tasks import tasks_of
 from clothkit.errors import InputError
+from clothkit.planning.planner import Planner
 from clothkit.planning.record import Sessions, Tasks, join, load_piece, save_piece, tasks_of_dataset
-from clothkit.planning.session import Execute, Planner, run_sessions
+from clothkit.planning.session import Clock, Execute, run_sessions
 from clothkit.planning.settings import PlanConfig
 
 
@@ -26,18 +29,34 @@ def pieces(dataset: Dataset, settings: PlanConfig) -> list[Tasks]:
     return found
 
 
-def evaluate(dataset: Dataset, planner: Planner, execute: Execute, *, work: Path) -> Sessions:
+def evaluate(dataset: Dataset, planner: Planner, execute: Execute, *, work: Path) -> tuple[Sessions, Clock]:
     """The sessions of every task; those that `work` holds from an earlier run are not run again."""
     work.mkdir(parents=True, exist_ok=True)
     todo = pieces(dataset, planner.settings)
     # Lengths without reference values are told now, not hours later.
     planner.normalisation.reference(max(task.length for piece in todo for task in piece.task))
-    done = []
+    done, clock = [], defaultdict[str, list[tuple[int, float]]](list)
     with tqdm(total=sum(len(piece.task) for piece in todo), desc=planner.system.name, unit="session") as bar:
         for number, piece in enumerate(todo):
-            path = work / f"sessions_{number:03d}.npz"
+            path, seconds = work / f"sessions_{number:03d}.npz", work / f"seconds_{number:03d}.json"
             if not path.exists():
-                save_piece(path, run_sessions(piece, planner, execute))
+                sessions, calls = run_sessions(piece, planner, execute)
+                seconds.write_text(json.dumps(calls))
+                save_piece(path, sessions)
             done.append(load_piece(path))
+            for what, of_piece in json.loads(seconds.read_text()).items():
+                clock[what] += [(count, spent) for count, spent in of_piece]
             bar.update(len(piece.task))
-    return join(done)
+    return join(done), dict(clock)
+
+
+def cost(clock: Clock) -> dict[str, tuple[int, float]]:
+    """Searches by plan length and estimates: how many, and their seconds.
+
+    The first call of a kind, which compiles, is left out where there are others.
+    """
+    counted = {}
+    for what, calls in clock.items():
+        kept = calls[1:] or calls
+        counted[what] = (sum(count for count, _ in kept), round(sum(seconds for _, seconds in kept), 3))
+    return counted

@@ -1,28 +1,68 @@
-"""What a search asks of a forward model: encode, step and decode, for any net that has them."""
+"""What a search asks of a forward model and of the states that it predicts, for any net and representation."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
+from clothkit.cloth import equivalents as symmetry
+from clothkit.cloth.equivalents import COUNT
 from clothkit.cloth.grid import SIDE
-from clothkit.cloth.mesh import ProbabilisticMesh
+from clothkit.cloth.mesh import ProbabilisticMesh, whiten
+from clothkit.manipulation.geometry import to_cartesian
 from clothkit.networks import pemd
 from clothkit.networks.layers import LEAST_STD
 from clothkit.networks.net import Net
+from clothkit.planning import loss
+
+
+def points(state: Float[Array, "u v 3"], grasps: Float[Array, "*points 2"]) -> Float[Array, "*points 2"]:
+    """Where geodesic grasp points lie on a mesh, xy [normalised]."""
+    return to_cartesian(jnp.broadcast_to(state, (*grasps.shape[:-1], *state.shape)), grasps)[..., :2]
+
+
+def relabelled(prediction: ProbabilisticMesh, k: Int[Array, ""]) -> ProbabilisticMesh:
+    """A predicted mesh under the labels of equivalent k."""
+    return ProbabilisticMesh(*(symmetry.relabel(part, k) for part in prediction))
+
+
+def thinned(goals: Float[Array, "*goals u v 3"], every: int) -> Float[Array, "*goals thin thin 3"]:
+    """Each `every`-th vertex along u and v."""
+    return goals[..., ::every, ::every, :]
 
 
 class Forward(NamedTuple):
-    """The three modules of a forward model as pure functions whose first argument is the net (eqs. 2 to 4)."""
+    """A forward model as pure functions, and how its states are labelled and compared; by default as meshes are.
+
+    A state is what the net encodes, `[*state]`: a mesh [u v 3], or voxels [x y z]. A prediction is what it decodes.
+    """
 
     encode: Callable[..., Any]
-    """net, meshes [*b u v 3] -> latents [*b latent]"""
+    """net, states [*b *state] -> latents [*b latent], eq. (2)"""
     step: Callable[..., Any]
-    """net, latents, traces [*b latent], manipulations [*b 6] -> latents, traces, centre shifts [*b 2]"""
+    """net, latents, traces [*b latent], manipulations [*b 6] -> latents, traces, centre shifts [*b 2], eq. (3)"""
     decode: Callable[..., Any]
-    """net, latents, every -> ProbabilisticMesh [*b u/every v/every 3], each `every`-th vertex along u and v"""
+    """net, latents, every -> predictions; of meshes each `every`-th vertex along u and v, eq. (4)"""
+    labels: int = COUNT
+    """How many labellings describe one state: eight equivalents, or one where a state has no labels."""
+    equivalents: Callable[..., Any] = symmetry.equivalents
+    """state -> [labels *state]"""
+    relabelled: Callable[..., Any] = relabelled
+    """prediction, k -> the prediction under the labels of equivalent k"""
+    points: Callable[..., Any] = points
+    """state, grasp points [*p 2] -> xy [*p 2], normalised"""
+    target: Callable[..., Any] = whiten
+    """goals [*g *state] -> goals as the losses take them"""
+    thinned: Callable[..., Any] = thinned
+    """goals, every -> what of them thinned predictions are compared with"""
+    accuracy: Callable[..., Any] = loss.accuracy
+    """goals, predictions, span -> accuracy terms of eq. (13) [*b]"""
+    accuracy_of_each: Callable[..., Any] = loss.accuracy_of_each
+    """goals [g ..], predictions [b ..], span -> accuracy terms [b g]"""
+    diff: Callable[..., Any] = loss.diff
+    """predictions of two nets -> how far they differ, eq. (15) [*b]"""
 
 
 def decode_thinned(net: Net, latent: Float[Array, "*batch latent"], every: int) -> ProbabilisticMesh:
@@ -33,7 +73,7 @@ def decode_thinned(net: Net, latent: Float[Array, "*batch latent"], every: int) 
     if every == 1:
         return pemd.decode(net, latent)
     decoder = net.params["D"]
-    units = latent
+    units = latent.reshape(-1, latent.shape[-1])
     for i in range(len(net.config.decoder)):
         layer = decoder[f"layer_{i + 1}"]
         units = jnp.tanh(units @ layer["kernel"] + layer["bias"])
@@ -42,7 +82,7 @@ def decode_thinned(net: Net, latent: Float[Array, "*batch latent"], every: int) 
     )
     side = SIDE // every
     units = units @ kernel.reshape(len(kernel), -1) + bias.reshape(-1)
-    units = units.reshape(*units.shape[:-1], side, side, 6)
+    units = units.reshape(*latent.shape[:-1], side, side, 6)
     return ProbabilisticMesh(units[..., :3], jnp.exp(units[..., 3:]) + LEAST_STD)
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,17 +12,21 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from clothkit.cloth.mesh import ProbabilisticMesh, whiten
 from clothkit.dataset.store import STEPS, Dataset
 from clothkit.errors import InputError
+from clothkit.planning.batches import in_batches
 from clothkit.planning.draw import random_manipulations
 from clothkit.planning.forward import Forward, unroll
-from clothkit.planning.loss import Range, Spread, accuracy, diff
+from clothkit.planning.loss import Range, Spread
+from clothkit.planning.recorded import Recorded, in_meshes
 from clothkit.planning.search import Reference
 from clothkit.planning.settings import NormaliseConfig
 
-LEAST_SPAN = 0.01
+LEAST_SPAN = 0.001
 """Least high - low: nets that barely trained may find random plans as good as the recorded ones."""
+
+TOGETHER = 100
+"""Tasks that are predicted as one program."""
 
 LEAST_DEVIATION = 0.01
 """Least sigma_v, as a share of mu_v: a handful of validation sequences may have none to speak of."""
@@ -70,49 +75,57 @@ class Normalisation:
         )
 
 
-def normalise(forward: Forward, nets: tuple[Any, Any], validation: Dataset, settings: NormaliseConfig) -> Normalisation:
+def normalise(
+    forward: Forward,
+    nets: tuple[Any, Any],
+    validation: Dataset,
+    settings: NormaliseConfig,
+    *,
+    recorded: Callable[..., Recorded] = in_meshes,
+) -> Normalisation:
     """The reference values of two nets, up to the longest sequence. Eq. (14)'s i runs over 0..3 - n (design 6.9)."""
     key = jax.random.key(settings.seed)
     low, high, mu, sigma = [], [], [], []
     for length in range(1, int(validation.length.max()) + 1):
-        start, plan, goal = _tasks(validation, length)
-        recorded = [_outcomes(forward, net, start, plan) for net in nets]
-        low.append([_median(goal, outcome) for outcome in recorded])
-        between = np.asarray(jax.jit(diff)(*recorded))
-        mu.append(float(between.mean()))
-        sigma.append(max(float(between.std()), LEAST_DEVIATION * mu[-1]))
-        losses: list[list[Array]] = [[], []]
+        tasks = recorded(*_stretches(validation, length))
+        together, score = min(TOGETHER, len(tasks.start)), partial(_scores, forward, nets)
+        found = in_batches(score, together, tasks.start, tasks.goal, tasks.plan)
+        low.append([float(np.median(scores)) for scores in found[:2]])
+        mu.append(float(found[2].mean()))
+        sigma.append(max(float(found[2].std()), LEAST_DEVIATION * mu[-1]))
+        losses: list[list[np.ndarray]] = [[], []]
         for draw in range(settings.draws):
-            random = random_manipulations(plan.shape[:2], key=jax.random.fold_in(key, STEPS * draw + length))
-            for net, scores in zip(nets, losses, strict=True):
-                scores.append(_scores(goal, _outcomes(forward, net, start, random)))
-        medians = [float(np.median(np.concatenate(scores))) for scores in losses]
+            random = random_manipulations(tasks.plan.shape[:2], key=jax.random.fold_in(key, STEPS * draw + length))
+            drawn = in_batches(score, together, tasks.start, tasks.goal, np.asarray(random))
+            for of_net, scores in zip(losses, drawn[:2], strict=True):
+                of_net.append(scores)
+        medians = [float(np.median(np.concatenate(of_net))) for of_net in losses]
         high.append([max(median, least + LEAST_SPAN) for median, least in zip(medians, low[-1], strict=True)])
     # From a row per length to a row per net.
     return Normalisation(tuple(zip(*low, strict=True)), tuple(zip(*high, strict=True)), tuple(mu), tuple(sigma))
 
 
-def _tasks(dataset: Dataset, length: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Starts, recorded plans and goals of all subsequences of one length."""
+def _stretches(dataset: Dataset, length: int) -> tuple[np.ndarray, np.ndarray]:
+    """True states and recorded manipulations of all subsequences of one length."""
     pairs = [(d, i) for d in range(len(dataset)) for i in range(int(dataset.length[d]) - length + 1)]
     d, i = np.array(pairs).T
-    plan = dataset.manipulation[d[:, None], i[:, None] + np.arange(length)]
-    return dataset.vertices[d, i], plan, dataset.vertices[d, i + length]
+    states = i[:, None] + np.arange(length + 1)
+    return dataset.vertices[d[:, None], states], dataset.manipulation[d[:, None], states[:, :-1]]
 
 
 @partial(jax.jit, static_argnames="forward")
-def _outcomes(forward: Forward, net: Any, start: Array, plan: Array) -> ProbabilisticMesh:
+def _scores(
+    forward: Forward, nets: tuple[Any, Any], start: Array, goal: Array, plan: Array
+) -> tuple[Array, Array, Array]:
+    """The accuracy terms of both nets' outcomes, and how far these differ."""
+    a, b = (_outcomes(forward, net, start, plan) for net in nets)
+    wanted = forward.target(goal)
+    return forward.accuracy(wanted, a), forward.accuracy(wanted, b), forward.diff(a, b)
+
+
+def _outcomes(forward: Forward, net: Any, start: Array, plan: Array) -> Any:
     latent = forward.encode(net, start)
     return forward.decode(net, unroll(forward, net, latent, jnp.zeros_like(latent), plan).latents[-1], 1)
-
-
-@jax.jit
-def _scores(goal: Array, outcome: ProbabilisticMesh) -> Array:
-    return accuracy(whiten(goal), outcome)
-
-
-def _median(goal: np.ndarray, outcome: ProbabilisticMesh) -> float:
-    return float(np.median(_scores(goal, outcome)))
 
 
 def save(path: Path, normalisation: Normalisation, attributes: dict[str, Any]) -> None:

@@ -6,20 +6,19 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, Shaped
 
-from clothkit.cloth.equivalents import equivalents, equivalents_of_manipulation, relabel, relabel_manipulation
-from clothkit.cloth.mesh import ProbabilisticMesh
+from clothkit.cloth.equivalents import equivalents_of_manipulation, relabel_manipulation
 from clothkit.planning.forward import Forward, unroll
 from clothkit.planning.search import INVERSE
 
 
 class Expected(NamedTuple):
-    """What one net predicts for a plan, in the labels of the estimate."""
+    """What one net predicts for a plan, in the labels of the state."""
 
-    states: ProbabilisticMesh
-    """[n u v 3]: after each manipulation."""
-    traces: Float[Array, "8 latent"]
+    states: Any
+    """Predictions [n ..]: after each manipulation."""
+    traces: Float[Array, "labels latent"]
     """The memory trace that the first manipulation leaves in each common equivalent."""
 
 
@@ -27,24 +26,23 @@ class Expected(NamedTuple):
 def expect(
     forward: Forward,
     nets: tuple[Any, ...],
-    mesh: Float[Array | np.ndarray, "tasks u v 3"],
-    traces: tuple[Float[Array | np.ndarray, "tasks 8 latent"], ...],
+    state: Shaped[Array | np.ndarray, "tasks *state"],
+    traces: tuple[Float[Array | np.ndarray, "tasks labels latent"], ...],
     plan: Float[Array | np.ndarray, "tasks n 6"],
     common: Int[Array | np.ndarray, " tasks"],
 ) -> tuple[Expected, ...]:
     """Each net's expectation of each task's plan, predicted in the common equivalent in which the plan was found."""
 
-    def one(net: Any, mesh: Array, traces: Array, plan: Array, common: Array) -> Expected:
-        latents = forward.encode(net, equivalents(mesh))
+    def one(net: Any, state: Array, traces: Array, plan: Array, common: Array) -> Expected:
+        latents = forward.encode(net, forward.equivalents(state))
         rollout = unroll(forward, net, latents[common], traces[common], relabel_manipulation(plan, common))
-        states = forward.decode(net, rollout.latents, 1)
-        back = jnp.asarray(INVERSE)[common]
-        states = ProbabilisticMesh(*(relabel(part, back) for part in states))
-        _, left, _ = forward.step(net, latents, traces, equivalents_of_manipulation(plan[0]))
+        states = forward.relabelled(forward.decode(net, rollout.latents, 1), jnp.asarray(INVERSE)[common])
+        manipulations = equivalents_of_manipulation(plan[0])[: forward.labels]
+        _, left, _ = forward.step(net, latents, traces, manipulations)
         return Expected(states, left)
 
-    mesh, plan, common = jnp.asarray(mesh), jnp.asarray(plan), jnp.asarray(common)
+    state, plan, common = jnp.asarray(state), jnp.asarray(plan), jnp.asarray(common)
     return tuple(
-        jax.vmap(partial(one, net))(mesh, jnp.asarray(trace), plan, common)
+        jax.vmap(partial(one, net))(state, jnp.asarray(trace), plan, common)
         for net, trace in zip(nets, traces, strict=True)
     )

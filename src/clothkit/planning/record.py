@@ -13,7 +13,17 @@ from clothkit.dataset.store import STATES, STEPS, Dataset
 from clothkit.dataset.tasks import Task
 
 MESH = ("u", "v", "xyz")
+SEEN = ("seen_0", "seen_1", "seen_2")
+SURE = ("std_0", "std_1", "std_2")
 _VERTICES = dict(zip(MESH, (SIDE, SIDE, 3), strict=True))
+
+
+class Stretch(NamedTuple):
+    """A recorded way to a goal."""
+
+    states: Float[np.ndarray, "state u v 3"]
+    """True states from start to goal, centred."""
+    manipulations: Float[np.ndarray, "n 6"]
 
 
 class Tasks(NamedTuple):
@@ -27,13 +37,20 @@ class Tasks(NamedTuple):
     """Its centre."""
     goal: Float[np.ndarray, "task u v 3"]
     """True goal, centred."""
+    recorded: list[Stretch] | None = None
+    """How the goals were reached when they were recorded, to hold what is found against: no planner sees it."""
 
 
 def tasks_of_dataset(dataset: Dataset, tasks: list[Task], split: str) -> Tasks:
     """The given tasks of a dataset, all of one split; `sequence` indexes the dataset."""
     sequence, start, length = np.array(tasks).T
+    recorded = [
+        Stretch(dataset.vertices[s, i : i + n + 1], dataset.manipulation[s, i : i + n])
+        for s, i, n in zip(sequence, start, length, strict=True)
+    ]
+    states = dataset.vertices[sequence, start]
     goal = dataset.vertices[sequence, start + length]
-    return Tasks(tasks, [split] * len(tasks), dataset.vertices[sequence, start], dataset.centre[sequence, start], goal)
+    return Tasks(tasks, [split] * len(tasks), states, dataset.centre[sequence, start], goal, recorded)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,7 +58,9 @@ class Sessions:
     """Sessions of one system, a row per task; normalised units. Past a session's end floats are NaN, labels -1.
 
     A session of length n has states 0..n and, for each step before its end, one plan for the steps that are left. Plans
-    and predictions are in the labels of that step's estimate; states and goal are in the dataset's.
+    and predictions are in the labels of that step's estimate; states and goal are in the dataset's. A system that
+    plans in voxels estimates and predicts voxels (occupancy 0..1, without standard deviations), and its grasp points
+    are Cartesian.
     """
 
     split: np.ndarray
@@ -52,10 +71,10 @@ class Sessions:
     state: Float[np.ndarray, "task state u v 3"]
     """True states, centred; the last one is the outcome."""
     centre: Float[np.ndarray, "task state 2"]
-    estimate: Float[np.ndarray, "task step u v 3"]
+    estimate: Float[np.ndarray, "task step *seen"]
     """What was planned from."""
     candidates: Float[np.ndarray, "task step candidate 2"]
-    """Geodesic grasp points on the estimate."""
+    """Grasp points on the estimate."""
     plan: Float[np.ndarray, "task step planned 6"]
     loss: Float[np.ndarray, "task step"]
     terms: Float[np.ndarray, "task step term"]
@@ -66,9 +85,19 @@ class Sessions:
     """The relabelling that brings the goal under the estimate's labels."""
     null: Bool[np.ndarray, "task step"]
     """Whether the plan's first manipulation was not executed."""
-    prediction_mean: Float16[np.ndarray, "task step planned net u v 3"]
-    prediction_std: Float16[np.ndarray, "task step planned net u v 3"]
-    refined: Float16[np.ndarray, "task step u v 3"]
+    cancelled: Bool[np.ndarray, "task step"]
+    """Whether that was the null check's doing, and not because the manipulation was too short to be one."""
+    error_otherwise: Float[np.ndarray, "task step"]
+    """Where it was: the error to the goal had the manipulation been executed [cloth length, aligned]."""
+    expected: Float[np.ndarray, "task step"]
+    """How far from the goal the nets expect the plan to end, in the measure of the null check."""
+    loss_recorded: Float[np.ndarray, " task"]
+    """The planning loss of the recorded manipulations, from the first estimate."""
+    offered: Bool[np.ndarray, " task"]
+    """Whether the recorded first grasp points were among the first candidates, nearly."""
+    prediction_mean: Float16[np.ndarray, "task step planned net *seen"]
+    prediction_std: Float16[np.ndarray, "task step planned net *sure"]
+    refined: Float16[np.ndarray, "task step *mesh"]
     """The better net's prediction of the plan's outcome, refined."""
     progress: Float[np.ndarray, "task step iteration"]
     """Lowest loss of any strain so far."""
@@ -80,8 +109,12 @@ class Sessions:
 
 
 class Sizes(NamedTuple):
-    """Lengths of the dimensions that settings decide."""
+    """Lengths of the dimensions that settings and system decide."""
 
+    state: tuple[int, ...]
+    """*state: of what is seen."""
+    probabilistic: bool
+    """Whether predictions have standard deviations, and refined meshes."""
     candidate: int
     net: int
     iteration: int
@@ -92,7 +125,10 @@ class Sizes(NamedTuple):
 def blank(tasks: Tasks, sizes: Sizes) -> Sessions:
     """Sessions that have not begun: state 0 is the start."""
     lengths = {"task": len(tasks.task), "state": STATES, "step": STEPS, "planned": STEPS, "term": 3, **_VERTICES}
-    lengths |= sizes._asdict() | {"xy": 2, "component": 6}
+    lengths |= {name: getattr(sizes, name) for name in ("candidate", "net", "iteration", "strain", "restart")}
+    lengths |= {"xy": 2, "component": 6, **dict(zip(SEEN, sizes.state, strict=True))}
+    # What voxels do not have is empty.
+    lengths |= {name: length * sizes.probabilistic for name, length in zip(SURE, sizes.state, strict=True)}
     kinds = {"f4": np.nan, "f2": np.nan, "i1": -1, "?": False}
     empty: dict[str, np.ndarray] = {
         name: np.full([lengths[d] for d in dimensions], kinds[dtype], dtype)
@@ -117,7 +153,7 @@ _FIELDS: dict[str, tuple[str, tuple[str, ...]]] = {
     "goal": ("f4", ("task", *MESH)),
     "state": ("f4", ("task", "state", *MESH)),
     "centre": ("f4", ("task", "state", "xy")),
-    "estimate": ("f4", ("task", "step", *MESH)),
+    "estimate": ("f4", ("task", "step", *SEEN)),
     "candidates": ("f4", ("task", "step", "candidate", "xy")),
     "plan": ("f4", ("task", "step", "planned", "component")),
     "loss": ("f4", ("task", "step")),
@@ -125,9 +161,14 @@ _FIELDS: dict[str, tuple[str, tuple[str, ...]]] = {
     "common": ("i1", ("task", "step")),
     "relative": ("i1", ("task", "step")),
     "null": ("?", ("task", "step")),
-    "prediction_mean": ("f2", ("task", "step", "planned", "net", *MESH)),
-    "prediction_std": ("f2", ("task", "step", "planned", "net", *MESH)),
-    "refined": ("f2", ("task", "step", *MESH)),
+    "cancelled": ("?", ("task", "step")),
+    "error_otherwise": ("f4", ("task", "step")),
+    "expected": ("f4", ("task", "step")),
+    "loss_recorded": ("f4", ("task",)),
+    "offered": ("?", ("task",)),
+    "prediction_mean": ("f2", ("task", "step", "planned", "net", *SEEN)),
+    "prediction_std": ("f2", ("task", "step", "planned", "net", *SURE)),
+    "refined": ("f2", ("task", "step", *SURE)),
     "progress": ("f4", ("task", "step", "iteration")),
     "restarts": ("f4", ("task", "step", "strain", "restart")),
 }
@@ -161,9 +202,8 @@ def save(path: Path, sessions: Sessions, attributes: dict[str, Any]) -> None:
             names = sorted(set(values.tolist()))
             group.attrs["splits"] = names
             values = np.array([names.index(value) for value in values], np.int8)
-        group.create_array(
-            name, data=values, chunks=(1, *values.shape[1:]), shards=values.shape, dimension_names=dimensions
-        )
+        shape = tuple(max(1, length) for length in values.shape)
+        group.create_array(name, data=values, chunks=(1, *shape[1:]), shards=shape, dimension_names=dimensions)
 
 
 def load(path: Path) -> Sessions:

@@ -1,7 +1,7 @@
 """The search for a plan: gradient descent through the forward models, many strains at once (section 5.1).
 
 One program per plan length: `search` is compiled once and serves every batch of tasks of that length. A strain plans in
-the labels of its own common equivalent; whatever leaves this module is back in the labels of the estimate.
+the labels of its own common equivalent; whatever leaves this module is back in the labels of the state.
 """
 
 from functools import partial
@@ -13,23 +13,15 @@ import numpy as np
 from annotated_types import Ge, Gt, MultipleOf, Predicate
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
-from clothkit.cloth.equivalents import (
-    COUNT,
-    compose,
-    equivalents,
-    inverse,
-    relabel_manipulation,
-    relabel_manipulation_batch,
-)
+from clothkit.cloth.equivalents import COUNT, compose, inverse, relabel_manipulation, relabel_manipulation_batch
 from clothkit.cloth.grid import SIDE
-from clothkit.cloth.mesh import whiten
 from clothkit.config import config
-from clothkit.manipulation.geometry import release_points, to_cartesian
+from clothkit.manipulation.geometry import release_points
 from clothkit.manipulation.vector import is_single
 from clothkit.planning.draw import Candidates, random_plans, snap
 from clothkit.planning.forward import Forward, unroll
 from clothkit.planning.irprop import IRpropConfig, irprop_minus
-from clothkit.planning.loss import Range, Spread, Weights, accuracy, accuracy_of_each, diff, uncertainty
+from clothkit.planning.loss import Range, Spread, Weights, uncertainty
 
 UNKNOWN = -1
 """A relative labelling that is not known yet: each evaluation takes the one that fits best."""
@@ -64,15 +56,15 @@ class Reference(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """What one search is asked: all labels are those of `mesh`, the estimate of the current state."""
+    """What one search is asked: all labels are those of `state`, what the current state is taken for."""
 
-    mesh: Float[Array | np.ndarray, "u v 3"]
-    goal: Float[Array | np.ndarray, "u v 3"]
+    state: Shaped[Array | np.ndarray, "*state"]
+    goal: Shaped[Array | np.ndarray, "*state"]
     candidates: Candidates
-    traces: tuple[Float[Array | np.ndarray, "8 latent"], ...]
+    traces: tuple[Float[Array | np.ndarray, "labels latent"], ...]
     """For each net, the memory trace of each common equivalent."""
     relative: Int[Array | np.ndarray, ""]
-    """The relabelling of the goal that fits the estimate's labels, or `UNKNOWN`."""
+    """The relabelling of the goal that fits the state's labels, or `UNKNOWN`."""
     later: Bool[Array | np.ndarray, ""]
     """Whether `carried` holds what is left of a session's last plan; if so each common equivalent gets an eighth of the
     strains, of which one starts from it."""
@@ -80,7 +72,7 @@ class Problem(NamedTuple):
 
 
 class Found(NamedTuple):
-    """The plan of lowest loss over all strains and iterations, in the labels of the estimate."""
+    """The plan of lowest loss over all strains and iterations, in the labels of the state."""
 
     plan: Float[Array, "n 6"]
     loss: Float[Array, ""]
@@ -101,7 +93,7 @@ class _Strains(NamedTuple):
     plan: Float[Array, "strains n 6"]
     single: Bool[Array, "strains n"]
     grasps: Float[Array, "strains 2 2"]
-    """Where the first grasp points lie, xy in the estimate."""
+    """Where the first grasp points lie, xy."""
     common: Int[Array, " strains"]
     relative: Int[Array, " strains"]
     rate: Float[Array, "strains n 6"]
@@ -125,11 +117,11 @@ class _State(NamedTuple):
 
 
 class Fixed(NamedTuple):
-    """What does not change during a search: for each net, latents of the eight equivalents; whitened goals."""
+    """What does not change during a search: for each net, latents of the equivalents; goals as the losses take them."""
 
-    latents: tuple[Float[Array, "8 latent"], ...]
-    traces: tuple[Float[Array, "8 latent"], ...]
-    goals: Float[Array, "8 u v 3"]
+    latents: tuple[Float[Array, "labels latent"], ...]
+    traces: tuple[Float[Array, "labels latent"], ...]
+    goals: Float[Array, "labels *state"]
 
 
 @partial(jax.jit, static_argnames=("forward", "settings", "length", "explicit"))
@@ -165,12 +157,7 @@ def _search_one(
     problem: Problem,
     key: PRNGKeyArray,
 ) -> Found:
-    meshes = equivalents(problem.mesh)
-    fixed = Fixed(
-        tuple(forward.encode(net, meshes) for net in nets),
-        tuple(jnp.asarray(trace) for trace in problem.traces),
-        whiten(equivalents(problem.goal)),
-    )
+    fixed = fix(forward, nets, problem)
     losses_of = partial(planning_loss, forward, nets, fixed, reference, weights, explicit=explicit)
 
     def total(plan: Array, common: Array, relative: Array) -> tuple[Array, tuple[Array, Array]]:
@@ -178,7 +165,7 @@ def _search_one(
         return jnp.sum(loss), (loss, relative)
 
     def iterate(state: _State, key: PRNGKeyArray) -> tuple[_State, tuple[Array, Array]]:
-        strains = _choose(state.restart, _start(problem, length, settings, key=key), state.strains)
+        strains = _choose(state.restart, _start(forward, problem, length, settings, key=key), state.strains)
         gradient, (loss, relative) = jax.grad(total, has_aux=True)(strains.plan, strains.common, strains.relative)
         # No recorded manipulation has its hands on different sides of m, so the nets' word on such a plan is worthless.
         apart = ~jnp.asarray(release_points(strains.grasps, strains.plan[:, 0, 4:]).same_side)
@@ -192,13 +179,23 @@ def _search_one(
         return _State(strains, best, restart), (loss, restart)
 
     keys = jax.random.split(key, settings.iterations(length))
-    (_, best, _), (losses, restarts) = jax.lax.scan(iterate, _first_state(problem, length, settings), keys)
+    (_, best, _), (losses, restarts) = jax.lax.scan(iterate, _first_state(forward, problem, length, settings), keys)
     # Among the strains' best plans the whole mesh decides.
     loss, terms, _ = losses_of(best.plan, best.common, best.relative)
     winner = jnp.argmin(jnp.where(jnp.isinf(best.loss), jnp.inf, loss))
     plan, common, relative = best.plan[winner], best.common[winner], best.relative[winner]
     plan = relabel_manipulation(plan, jnp.asarray(INVERSE)[common])
     return Found(plan, loss[winner], terms[winner], common, relative, losses, restarts)
+
+
+def fix(forward: Forward, nets: tuple[Any, ...], problem: Problem) -> Fixed:
+    """What a search for a problem computes once."""
+    states = forward.equivalents(problem.state)
+    return Fixed(
+        tuple(forward.encode(net, states) for net in nets),
+        tuple(jnp.asarray(trace) for trace in problem.traces),
+        forward.target(forward.equivalents(problem.goal)),
+    )
 
 
 def planning_loss(
@@ -227,56 +224,58 @@ def planning_loss(
     ]
     outcomes = [jax.tree.map(lambda part: part[-1], predicted) for predicted in states]
     spans = reference.spans if len(nets) > 1 else (None,)
-    goals = fixed.goals[:, ::every, ::every]
-    each = [accuracy_of_each(goals, outcome, span) for outcome, span in zip(outcomes, spans, strict=True)]
+    goals = forward.thinned(fixed.goals, every)
+    each = [forward.accuracy_of_each(goals, outcome, span) for outcome, span in zip(outcomes, spans, strict=True)]
     nearest = jnp.argmin(jax.lax.stop_gradient(sum(each)), axis=1)
     found = jnp.asarray(COMPOSED)[nearest, jnp.asarray(INVERSE)[common]]
     relative = jnp.where(relative == UNKNOWN, found, relative)
     goal = goals[jnp.asarray(COMPOSED)[relative, common]]
-    accuracies = [accuracy(goal, outcome, span) for outcome, span in zip(outcomes, spans, strict=True)]
+    accuracies = [forward.accuracy(goal, outcome, span) for outcome, span in zip(outcomes, spans, strict=True)]
     u = jnp.zeros(len(plan))
     if len(nets) == 1:
         return accuracies[0], jnp.stack([accuracies[0], u], axis=-1), relative
     if explicit:
-        u = uncertainty(diff(*states), reference.spread, beta=weights.beta, gamma=weights.gamma)
+        u = uncertainty(forward.diff(*states), reference.spread, beta=weights.beta, gamma=weights.gamma)
     return sum(accuracies) + weights.alpha * u, jnp.stack([*accuracies, u], axis=-1), relative
 
 
-def _start(problem: Problem, length: int, settings: SearchConfig, *, key: PRNGKeyArray) -> _Strains:
+def _start(forward: Forward, problem: Problem, length: int, settings: SearchConfig, *, key: PRNGKeyArray) -> _Strains:
     """Strains at random plans, in random common equivalents (design 6.10)."""
     key_plan, key_common = jax.random.split(key)
     count = settings.strains
-    drawn = jax.random.randint(key_common, (count,), 0, COUNT)
-    common = jnp.where(problem.later, jnp.arange(count) % COUNT, drawn)
-    plan = random_plans(count, length, jnp.asarray(problem.mesh), problem.candidates, key=key_plan)
-    return _fresh(plan, common, problem, settings)
+    drawn = jax.random.randint(key_common, (count,), 0, forward.labels)
+    common = jnp.where(problem.later, jnp.arange(count) % forward.labels, drawn)
+    xy = forward.points(problem.state, jnp.asarray(problem.candidates.grasps))
+    return _fresh(forward, random_plans(count, length, problem.candidates, xy, key=key_plan), common, problem, settings)
 
 
-def _first_state(problem: Problem, length: int, settings: SearchConfig) -> _State:
+def _first_state(forward: Forward, problem: Problem, length: int, settings: SearchConfig) -> _State:
     """Every strain about to start, but for the first of each common equivalent in a later search: these have the
     carried plan, its first grasp points snapped to candidates."""
     count = settings.strains
     carried = jnp.asarray(problem.carried)
-    first = snap(carried[0], jnp.asarray(problem.mesh), problem.candidates)
+    wanted = forward.points(problem.state, carried[0, :4].reshape(2, 2))
+    xy = forward.points(problem.state, jnp.asarray(problem.candidates.grasps))
+    first = snap(carried[0], wanted, problem.candidates, xy)
     plan = jnp.broadcast_to(jnp.concatenate([first[None], carried[1:]]), (count, length, 6))
-    strains = _fresh(plan, jnp.arange(count) % COUNT, problem, settings)
+    strains = _fresh(forward, plan, jnp.arange(count) % forward.labels, problem, settings)
     best = _Best(strains.plan, strains.common, strains.relative, jnp.full(count, jnp.inf))
-    return _State(strains, best, restart=~(jnp.asarray(problem.later) & (jnp.arange(count) < COUNT)))
+    return _State(strains, best, restart=~(jnp.asarray(problem.later) & (jnp.arange(count) < forward.labels)))
 
 
 def _fresh(
+    forward: Forward,
     plan: Float[Array, "strains n 6"],
     common: Int[Array, " strains"],
     problem: Problem,
     settings: SearchConfig,
 ) -> _Strains:
-    """Strains at the beginning of their search, for plans in the labels of the estimate."""
+    """Strains at the beginning of their search, for plans in the labels of the state."""
     count = len(plan)
-    mesh = jnp.broadcast_to(problem.mesh, (count, 2, SIDE, SIDE, 3))
     return _Strains(
         plan=relabel_manipulation_batch(plan, common),
         single=is_single(plan),
-        grasps=to_cartesian(mesh, plan[:, 0, :4].reshape(count, 2, 2))[..., :2],
+        grasps=forward.points(problem.state, plan[:, 0, :4].reshape(count, 2, 2)),
         common=common,
         relative=jnp.full(count, problem.relative),
         rate=jnp.full(plan.shape, settings.irprop.initial),

@@ -16,6 +16,10 @@ class System:
     name: str
     true_meshes: bool = False
     """Whether the true mesh takes the place of the estimate; then the goal's labels are known too."""
+    voxels: bool = False
+    """Whether states are voxels, for the voxel EM*D."""
+    refine: bool = True
+    """Whether estimates are refined; the paper remarks that planning hardly suffers without (section 4.7)."""
     nets: int = 2
     """Two: eq. (13). One: the NLL of the net with the better validation score."""
     alpha: float | None = None
@@ -29,6 +33,9 @@ SYSTEMS = {
         System("b1", true_meshes=True),
         System("b2", nets=1),
         System("b3", alpha=0.0),
+        System("b4", voxels=True),
+        System("b5", voxels=True, nets=1),
+        System("unrefined", refine=False),
     )
 }
 

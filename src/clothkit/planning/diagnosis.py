@@ -1,0 +1,104 @@
+"""What a search could have found: the recorded manipulations beside the plan, for failure rates (section 6.4)."""
+
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Shaped
+
+from clothkit.cloth.equivalents import equivalents_of_manipulation, relabel_manipulation_batch
+from clothkit.cloth.grid import CLOTH_SIDE
+from clothkit.planning.batches import in_batches
+from clothkit.planning.draw import Candidates
+from clothkit.planning.forward import Forward
+from clothkit.planning.loss import Weights
+from clothkit.planning.planner import Planner
+from clothkit.planning.record import Sessions, Stretch
+from clothkit.planning.search import UNKNOWN, Problem, Reference, fix, planning_loss
+from clothkit.planning.sight import Sight
+
+NEAR = 0.05 * CLOTH_SIDE
+"""A recorded grasp point was offered if a candidate lies this near [normalised]."""
+
+
+def note_recorded(sessions: Sessions, goals: np.ndarray, recorded: list[Stretch], planner: Planner) -> None:
+    """Write into new sessions what became possible: `loss_recorded` and `offered`.
+
+    Recorded manipulations are brought under the labels of the first estimates by the truth, which no planner has.
+    """
+    sight = planner.sight
+    labels = sight.labels(sessions.estimate[:, 0], sessions.state[:, 0])
+    for length in np.unique(sessions.length).tolist():
+        chosen = np.flatnonzero(sessions.length == length)
+        states, manipulations = (np.stack(parts) for parts in zip(*(recorded[task] for task in chosen), strict=True))
+        plan = sight.recorded(states, manipulations).plan
+        plan = np.asarray(relabel_manipulation_batch(plan, labels[chosen]))
+        sessions.loss_recorded[chosen] = in_batches(
+            partial(
+                losses,
+                sight.forward,
+                planner.nets,
+                planner.normalisation.reference(length),
+                planner.weights,
+                float(planner.weights.alpha) > 0,
+            ),
+            planner.settings.batch,
+            sessions.estimate[chosen, 0],
+            goals[chosen],
+            plan,
+        )
+        seen = sessions.estimate[chosen, 0]
+        wanted = sight.places(seen, plan[:, 0, :4].reshape(-1, 2, 2))
+        sessions.offered[chosen] = [
+            offered(wanted[i], _places(sight, seen[i], sessions.candidates[task, 0])) for i, task in enumerate(chosen)
+        ]
+
+
+def _places(sight: Sight, seen: np.ndarray, candidates: Float[np.ndarray, "c 2"]) -> Float[np.ndarray, "present 2"]:
+    present = candidates[np.isfinite(candidates[:, 0])]
+    pairs = np.repeat(present[:, None], 2, axis=1)
+    return sight.places(np.repeat(seen[None], len(present), axis=0), pairs)[:, 0]
+
+
+def offered(wanted: Float[np.ndarray, "2 2"], offers: Float[np.ndarray, "c 2"]) -> Bool[np.ndarray, ""]:
+    """Whether each wanted grasp point has an offered one within NEAR; xy [normalised]."""
+    distance = np.linalg.norm(wanted[:, None] - offers, axis=-1)
+    return np.asarray((distance.min(axis=1) <= NEAR).all())
+
+
+@partial(jax.jit, static_argnums=(0, 4))
+def losses(
+    forward: Forward,
+    nets: tuple[Any, ...],
+    reference: Reference,
+    weights: Weights,
+    explicit: bool,
+    states: Shaped[Array, "task *state"],
+    goals: Shaped[Array, "task *state"],
+    plans: Float[Array, "task n 6"],
+) -> Float[Array, " task"]:
+    """The planning loss of a given plan for each state and goal, the least over common equivalents and labellings."""
+    count = forward.labels
+
+    def one(state: Array, goal: Array, plan: Array) -> Array:
+        blank = [jax.eval_shape(forward.encode, net, state) for net in nets]
+        traces = tuple(jnp.zeros((count, *latent.shape)) for latent in blank)
+        none = Candidates(jnp.zeros((1, 2)), jnp.int32(0))
+        problem = Problem(state, goal, none, traces, jnp.int32(UNKNOWN), jnp.asarray(False), plan)
+        every = jax.vmap(equivalents_of_manipulation, out_axes=1)(plan)[:count]
+        loss, _, _ = planning_loss(
+            forward,
+            nets,
+            fix(forward, nets, problem),
+            reference,
+            weights,
+            every,
+            jnp.arange(count),
+            jnp.full(count, UNKNOWN),
+            explicit=explicit,
+        )
+        return jnp.min(loss)
+
+    return jax.vmap(one)(states, goals, plans)

@@ -1,0 +1,28 @@
+"""Recorded manipulations as the nets take them: geodesic over meshes, Cartesian over voxels."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Shaped
+
+from clothkit.cloth import voxels
+from clothkit.networks.emd_voxel import cartesian
+
+
+class Recorded(NamedTuple):
+    """Recorded manipulations as a net takes them, and the states before the first and after the last of them."""
+
+    start: Shaped[np.ndarray, "task *state"]
+    plan: Float[np.ndarray, "task n 6"]
+    goal: Shaped[np.ndarray, "task *state"]
+
+
+def in_meshes(states: Float[np.ndarray, "task state u v 3"], plan: Float[np.ndarray, "task n 6"]) -> Recorded:
+    """Recorded stretches for nets that see meshes."""
+    return Recorded(states[:, 0], plan, states[:, -1])
+
+
+def in_voxels(states: Float[np.ndarray, "task state u v 3"], plan: Float[np.ndarray, "task n 6"]) -> Recorded:
+    """Recorded stretches for nets that see voxels: as a camera above sees them, without noise."""
+    seen = [np.asarray(voxels.observe(states[:, i])) for i in (0, -1)]
+    return Recorded(seen[0], np.asarray(cartesian(states[:, :-1], plan)), seen[1])

@@ -1,0 +1,81 @@
+"""Planning in voxels, for baselines B4 and B5: the voxel EM*D and its losses (section 6.3, design 6.15).
+
+Grasp points are Cartesian and relative to the centre of the state that they are about, there are no labels, and nothing
+is whitened. A prediction is the logits of occupancy.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, Shaped
+
+from clothkit.networks import emd_voxel
+from clothkit.networks.emd_voxel_training import cross_entropy
+from clothkit.networks.net import Net
+from clothkit.planning.forward import Forward
+from clothkit.planning.loss import Range
+
+Logits = Float[Array, "*batch x y z"]
+
+
+def decode(net: Net, latent: Float[Array, "*batch latent"], every: int) -> Logits:
+    """Logits of all voxels, whatever `every` is: convolutions leave none out."""
+    return emd_voxel.logits(net, latent)
+
+
+def alone(state: Shaped[Array, "*state"]) -> Shaped[Array, "1 *state"]:
+    """The one description that voxels have."""
+    return jnp.asarray(state)[None]
+
+
+def as_it_is(prediction: Logits, k: Int[Array, ""]) -> Logits:
+    """Voxels have no labels."""
+    return prediction
+
+
+def points(state: Shaped[Array, "x y z"], grasps: Float[Array, "*points 2"]) -> Float[Array, "*points 2"]:
+    """Grasp points are where they are [normalised]."""
+    return grasps
+
+
+def target(goals: Shaped[Array, "*goals x y z"]) -> Float[Array, "*goals x y z"]:
+    """Occupancy as numbers."""
+    return jnp.asarray(goals, jnp.float32)
+
+
+def whole(goals: Float[Array, "*goals x y z"], every: int) -> Float[Array, "*goals x y z"]:
+    """All voxels."""
+    return goals
+
+
+def accuracy(goal: Float[Array, "*#batch x y z"], outcome: Logits, span: Range | None = None) -> Float[Array, "*batch"]:
+    """An accuracy term of eq. (13) with the binary cross-entropy in place of the NLL."""
+    loss = cross_entropy(outcome, goal)
+    return loss if span is None else (loss - span.low) / (span.high - span.low)
+
+
+def accuracy_of_each(
+    goals: Float[Array, "goals x y z"], outcome: Logits, span: Range | None = None
+) -> Float[Array, "strains goals"]:
+    """`accuracy` of a batch of outcomes for each of several goals."""
+    return jnp.stack([accuracy(goal, outcome, span) for goal in goals], axis=-1)
+
+
+def diff(a: Logits, b: Logits) -> Float[Array, "*batch"]:
+    """How far two predictions differ as plain arrays: the mean squared error of their occupancies."""
+    return jnp.mean((jax.nn.sigmoid(a) - jax.nn.sigmoid(b)) ** 2, axis=(-3, -2, -1))
+
+
+VOXEL = Forward(
+    emd_voxel.encode,
+    emd_voxel.step,
+    decode,
+    labels=1,
+    equivalents=alone,
+    relabelled=as_it_is,
+    points=points,
+    target=target,
+    thinned=whole,
+    accuracy=accuracy,
+    accuracy_of_each=accuracy_of_each,
+    diff=diff,
+)

@@ -1,0 +1,144 @@
+"""Planning in voxels: its losses by hand, and a session from voxels to a simulated outcome."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from clothkit.cloth import voxels
+from clothkit.cloth.grid import flat
+from clothkit.dataset.tasks import Task
+from clothkit.manipulation.candidates import CandidateConfig, candidates, voxel_candidates
+from clothkit.networks.emd_voxel import EMDVoxelConfig, initial
+from clothkit.networks.net import Net
+from clothkit.planning.loss import Range, Weights
+from clothkit.planning.normalisation import normalise
+from clothkit.planning.planner import Planner
+from clothkit.planning.recorded import in_voxels
+from clothkit.planning.rows import rows
+from clothkit.planning.search import SearchConfig
+from clothkit.planning.session import run_sessions
+from clothkit.planning.settings import NormaliseConfig, PlanConfig
+from clothkit.planning.sight import VoxelSight
+from clothkit.planning.systems import system
+from clothkit.planning.voxel_forward import VOXEL, accuracy, accuracy_of_each, diff
+from tests.planning import toy
+from tests.planning.test_session import MANIPULATIONS, dataset, tasks
+
+RANDOM = np.random.default_rng(0)
+
+
+def nets() -> tuple[Net, Net]:
+    config = EMDVoxelConfig(latent=8, manipulation=8, width=0.05)
+    a, b = (Net(config, initial(config, key=jax.random.key(seed))) for seed in (0, 1))
+    return a, b
+
+
+def test_losses_by_hand() -> None:
+    logits = RANDOM.normal(size=(3, 4, 4, 2)).astype(np.float32)
+    goals = (RANDOM.uniform(size=(2, 4, 4, 2)) > 0.5).astype(np.float32)
+    p = 1 / (1 + np.exp(-logits.astype(np.float64)))
+    expected = -np.stack([(g * np.log(p) + (1 - g) * np.log(1 - p)).mean((1, 2, 3)) for g in goals], axis=-1)
+    logits, goals = jnp.asarray(logits), jnp.asarray(goals)
+    np.testing.assert_allclose(accuracy_of_each(goals, logits), expected, rtol=1e-5)
+    np.testing.assert_allclose(accuracy(goals[1], logits, Range(0.2, 0.7)), (expected[:, 1] - 0.2) / 0.5, rtol=1e-4)
+    np.testing.assert_allclose(diff(logits, -logits), ((2 * p - 1) ** 2).mean((1, 2, 3)), rtol=1e-5)
+
+
+def test_candidates_are_near_those_of_the_mesh() -> None:
+    found = voxel_candidates(np.asarray(voxels.observe(flat())))
+    wanted = candidates(flat())
+    assert len(found) == len(wanted) == 4
+    distance = np.linalg.norm(found[:, None] - wanted, axis=-1)
+    # Half a voxel is 0.03.
+    assert distance.min(0).max() < 0.06
+    assert sorted(distance.argmin(0).tolist()) == [0, 1, 2, 3]
+
+
+def test_voxels_without_a_corner_are_grasped_in_their_middle() -> None:
+    grid = np.zeros(voxels.RESOLUTION, bool)
+    grid[20, 9, 3] = True
+    np.testing.assert_allclose(voxel_candidates(grid), [[20.5 / 16 - 1, 9.5 / 16 - 1]], atol=1e-6)
+    np.testing.assert_allclose(voxel_candidates(np.zeros_like(grid)), [[0, 0]], atol=1e-6)
+
+
+def test_recorded_manipulations_are_cartesian() -> None:
+    data = dataset(1)
+    recorded = in_voxels(data.vertices[:, :2], data.manipulation[:, :1])
+    corner = data.vertices[0, 0, 0, 0, :2]
+    np.testing.assert_allclose(recorded.plan[0, 0], [*corner, *corner, *MANIPULATIONS[0, 4:]], atol=1e-5)
+    np.testing.assert_array_equal(recorded.start[0], voxels.observe(data.vertices[0, 0]))
+
+
+@pytest.mark.parametrize("name", ["b4", "b5"])
+def test_a_session_in_voxels(name: str) -> None:
+    chosen = system(name)
+    both = nets()
+    data = dataset()
+    data.length[:] = 2
+    reference = normalise(VOXEL, both, data, NormaliseConfig(draws=1), recorded=in_voxels)
+    search = SearchConfig(strains=8, base_iterations=4, iterations_per_step=2)
+    settings = PlanConfig(test=2, train=0, search=SearchConfig(), voxel_search=search, together=1).of(chosen)
+    planner = Planner(
+        chosen,
+        VoxelSight(),
+        both[: chosen.nets],
+        0,
+        reference,
+        Weights(1.0, 5.0, 1.25),
+        settings,
+        CandidateConfig(),
+    )
+    grasped = []
+
+    def execute(meshes: np.ndarray, grasps: np.ndarray, *rest: np.ndarray) -> np.ndarray:
+        grasped.append((meshes, grasps))
+        return toy.execute(meshes, grasps, *rest)
+
+    # Untrained nets hold everything for useless: the check is out of the way.
+    def hopeful(self: VoxelSight, states: np.ndarray, goals: np.ndarray) -> np.ndarray:
+        return np.full(len(states), float(states.dtype == bool or bool(np.isin(states, (0, 1)).all())))
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(VoxelSight, "misses", hopeful)
+        sessions, clock = run_sessions(tasks(Task(0, 0, 1), Task(1, 1, 2)), planner, execute)
+    assert sessions.estimate.shape[2:] == voxels.RESOLUTION
+    np.testing.assert_array_equal(sessions.estimate[0, 0], voxels.observe(sessions.state[0, 0]))
+    assert sessions.prediction_std.size == sessions.refined.size == 0
+    predicted = sessions.prediction_mean[1, 0, :2, : chosen.nets]
+    assert ((predicted >= 0) & (predicted <= 1)).all()
+    # Grasp points are relative to the centre, and candidates.
+    for task in range(2):
+        offers = sessions.candidates[task, 0]
+        for grasp in sessions.plan[task, 0, 0, :4].reshape(2, 2):
+            assert np.nanmin(np.abs(offers - grasp).sum(-1)) < 1e-6
+    moved = np.flatnonzero(~sessions.null[:, 0])
+    if len(moved):
+        grasps = grasped[0][1]
+        wanted = sessions.plan[moved, 0, 0, :4].reshape(-1, 2, 2) + sessions.centre[moved, 0][:, None]
+        np.testing.assert_allclose(grasps, wanted, atol=1e-6)
+    tidy = rows(sessions, name)
+    assert np.isfinite(tidy[["error", "voxel_error", "loss", "loss_recorded"]]).all(axis=None)
+    assert tidy[["expected", "estimate_error"]].isna().all(axis=None)
+    assert tidy.grasp_offered.all()
+    assert sum(count for count, _ in clock["2"]) == 1
+    assert dataclasses.asdict(settings)["batch"] == 1
+
+
+def test_settings_for_voxels_are_those_of_voxel_systems_alone() -> None:
+    settings = PlanConfig(voxel_search=SearchConfig(strains=8), voxel_batch=2)
+    assert settings.of(system("main")) is settings
+    assert (settings.of(system("b4")).search.strains, settings.of(system("b4")).batch) == (8, 2)
+
+
+def test_a_null_check_counts_what_it_cancelled() -> None:
+    """Cancelled where the goal is reached already; the manipulation, tried on the side, leads away from it."""
+    given = tasks(Task(0, 0, 1))
+    given = given._replace(goal=given.start, recorded=None)
+    sessions, _ = run_sessions(given, toy.planner("b1"), toy.execute)
+    if sessions.cancelled[0, 0]:
+        assert sessions.error_otherwise[0, 0] > 0.01
+    assert np.isnan(sessions.loss_recorded).all()
+    np.testing.assert_array_equal(jnp.asarray(sessions.state[0, 1]), sessions.state[0, 0])
