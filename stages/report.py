@@ -5,13 +5,14 @@ from pathlib import Path
 
 from ruamel.yaml import YAML
 
+from clothkit.report import page
 from clothkit.report.build import build
 from clothkit.report.inputs import paths, read
-from clothkit.report.timings import timings
+from clothkit.report.timings import table_8, timings
 from clothkit.stage import stage
 
 DATA, TIMINGS = Path("data"), Path(".work/timings")
-OUTS = ("tables", "figures", "metrics.json", "README.md", "params.yaml", "timings.csv")
+OUTS = ("tables", "figures", "metrics.json", "README.md", "params.yaml", "timings.csv", "table_8.csv", "table_8.md")
 
 
 def main() -> None:
@@ -24,6 +25,9 @@ def main() -> None:
         made_with["scales"] = {s.shared.scale: made_with["scales"][s.shared.scale]}
         YAML().dump(made_with, report / "params.yaml")
         timings(TIMINGS).to_csv(report / "timings.csv", index=False, lineterminator="\n")
+        speed = table_8(TIMINGS, s.params.planners)
+        speed.to_csv(report / "table_8.csv", index=False, float_format="%.5g", lineterminator="\n")
+        (report / "table_8.md").write_text(page.table_8(speed))
         for out in OUTS:
             s.publish(report / out, f"reports/{s.shared.scale}/{out}")
 

@@ -11,7 +11,7 @@ from ruamel.yaml import YAML, YAMLError
 from clothkit.dataset.augment import AugmentConfig
 from clothkit.dataset.regularise import RegulariseConfig
 from clothkit.errors import InputError
-from clothkit.evaluation.settings import EvaluateEstimationConfig, EvaluatePredictionConfig
+from clothkit.evaluation.settings import EvaluateEstimationConfig, EvaluatePlanningConfig, EvaluatePredictionConfig
 from clothkit.networks.settings import TrainEMDVoxelConfig, TrainPEMDConfig, TrainVtMConfig
 from clothkit.planning.settings import NormaliseConfig, PlanConfig
 from clothkit.report.card.settings import CardConfig
@@ -35,6 +35,7 @@ class StageParams(pydantic.BaseModel, frozen=True, extra="forbid"):
     evaluate_estimation: EvaluateEstimationConfig
     evaluate_prediction: EvaluatePredictionConfig
     plan: PlanConfig
+    evaluate_planning: EvaluatePlanningConfig
     report: ReportConfig
 
 

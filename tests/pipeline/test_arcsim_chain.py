@@ -10,7 +10,7 @@ from clothkit.dataset import store
 from clothkit.dataset.augment import AugmentConfig, augment
 from clothkit.dataset.regularise import RegulariseConfig, assign_splits, regularise
 from clothkit.estimation.refine import RefineConfig
-from clothkit.evaluation import arrays, calibration, estimation, prediction, voxel_prediction
+from clothkit.evaluation import arrays, calibration, estimation, planning, prediction, voxel_prediction
 from clothkit.evaluation.comparisons import of_predictions
 from clothkit.evaluation.settings import EvaluateEstimationConfig, EvaluatePredictionConfig
 from clothkit.manipulation.candidates import CandidateConfig
@@ -118,6 +118,7 @@ def test_the_chain_runs_on_from_arcsims_runs(tmp_path: Path) -> None:
     of_meshes = prediction.rows(dataset, given, nets, "a", settings)
     of_voxels = voxel_prediction.rows(dataset, given.sequence, {"a": voxel_net}, "a", settings)
     predicted = pd.concat([of_meshes, of_voxels], ignore_index=True)
+    planned = rows(sessions, "main")
     inputs = Inputs(
         dataset=dataset,
         attempts=pd.read_parquet(tmp_path / "raw/attempts.parquet"),
@@ -126,7 +127,10 @@ def test_the_chain_runs_on_from_arcsims_runs(tmp_path: Path) -> None:
         prediction=predicted,
         calibration=calibration.rows(dataset, given, nets["a"], estimates, settings),
         comparisons=of_predictions(predicted),
-        planning=rows(sessions, "main"),
+        planning=planned,
+        planning_comparisons=planning.comparisons(planned),
+        intervals=planning.intervals(planned),
+        failures=planning.failures(planned),
         estimates=estimates,
         predictions=arrays.load(tmp_path / "predictions.zarr", ("sequence", "start", "mean", "std", "shift")),
         sessions=sessions,

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pandas as pd
 import pytest
@@ -9,15 +10,17 @@ import pytest
 from clothkit.cloth import grid
 from clothkit.dataset.store import Dataset
 from clothkit.dataset.tasks import TASKS, Task
-from clothkit.evaluation import calibration
+from clothkit.evaluation import calibration, planning
 from clothkit.evaluation.comparisons import of_predictions
 from clothkit.planning.record import Sessions, Sizes, blank, tasks_of_dataset
-from clothkit.report.build import build, picked
+from clothkit.report.build import TABLES, build, picked
+from clothkit.report.figures.largest import Failure, largest
 from clothkit.report.figures.sessions import of_record, sessions
 from clothkit.report.inputs import Inputs
 from clothkit.report.settings import ReportConfig
+from tests.evaluation.planning_rows import planning_rows
 
-SETTINGS = ReportConfig(sequences=1, estimates=1, predictions=1, sessions=1)
+SETTINGS = ReportConfig(sequences=1, estimates=1, predictions=1, sessions=1, largest=3)
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +63,7 @@ def inputs(dataset: Dataset) -> Inputs:
     shift = {"position_error": 0.02, "position_no_action": 0.2}
     in_voxels = {"voxel_error": 0.01, "voxel_error_no_action": 0.05}
     tasks = [{"sequence": q, "start": start, "length": length} for q in (0, 1) for start, length in TASKS]
-    planning = pd.DataFrame([{**common, **task, "system": system} for system in ("main", "b1") for task in tasks])
+    planned = planning_rows(sequences=2, splits=("test",))
     prediction = pd.DataFrame(
         [
             {**common, **shift, **in_voxels, **task, "system": system, "net": net, "better": net == "b"}
@@ -96,7 +99,10 @@ def inputs(dataset: Dataset) -> Inputs:
         ),
         prediction=prediction.assign(error=prediction["error"].where(prediction["system"] != "a2")),
         comparisons=of_predictions(prediction),
-        planning=planning,
+        planning=planned,
+        planning_comparisons=planning.comparisons(planned),
+        intervals=planning.intervals(planned),
+        failures=planning.failures(planned),
         estimates={
             "sequence": np.arange(2),
             "mean": dataset.vertices,
@@ -122,11 +128,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 def test_a_report_is_complete(inputs: Inputs, tmp_path: Path) -> None:
     build(tmp_path / "report", inputs, SETTINGS, scale="smoke")
     found = contents(tmp_path / "report")
-    tables = {
-        f"tables/{name}.{kind}"
-        for name in ("table_2", "table_3", "table_4", "comparisons", "table_5", "table_6")
-        for kind in ("csv", "md")
-    }
+    tables = {f"tables/{name}.{kind}" for name in TABLES for kind in ("csv", "md")}
     pictures = {
         f"figures/{name}.png"
         for name in (
@@ -135,6 +137,7 @@ def test_a_report_is_complete(inputs: Inputs, tmp_path: Path) -> None:
             "predictions",
             "calibration",
             "scatter",
+            "largest",
             "curves",
             *(f"sessions_{n}" for n in (1, 2, 3)),
         )
@@ -142,6 +145,8 @@ def test_a_report_is_complete(inputs: Inputs, tmp_path: Path) -> None:
     assert {"README.md", "metrics.json"} | tables | pictures <= found.keys()
     page = found["README.md"].decode()
     assert all(picture in page for picture in pictures)
+    assert all(f"(tables/{name}.csv)" in page for name in TABLES if name not in ("sigma_ratio", "attempts"))
+    assert len(found["tables/largest.csv"].splitlines()) == 1 + SETTINGS.largest
     assert "every task of 2 test sequences" in page
 
 
@@ -156,6 +161,22 @@ def test_a_session_is_drawn_from_its_record(inputs: Inputs, dataset: Dataset, tm
     for name in ("one.png", "two.png"):
         sessions([session], tmp_path / name, abreast=1)
     assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
+
+
+def test_the_largest_errors_are_drawn_two_a_row(inputs: Inputs, dataset: Dataset, tmp_path: Path) -> None:
+    rows = inputs.planning[inputs.planning["system"] == "main"]
+    session = of_record(inputs.sessions, dataset, rows, Task(1, 1, 2), net=1)
+    assert session is not None
+    failure = Failure(session, 0.02, np.nan, "open")
+    for count in (1, 2, 3):
+        largest([failure] * count, tmp_path / f"{count}.png")
+    sizes = [cv2.imread(str(tmp_path / f"{count}.png")).shape for count in (1, 2, 3)]
+    # Two are twice as wide as one and as high, three are as wide as two and twice as high; but for the margins.
+    (one, one_wide, _), (two, two_wide, _), (three, three_wide, _) = sizes
+    assert one == two < three
+    assert one_wide < two_wide == three_wide
+    assert three / one == pytest.approx(2, rel=0.3)
+    assert two_wide / one_wide == pytest.approx(2, rel=0.1)
 
 
 def test_pictures_take_the_starts_in_turn() -> None:

@@ -9,12 +9,14 @@ import pytest
 
 from clothkit.dataset.tasks import TASKS
 from clothkit.errors import InputError
+from clothkit.evaluation import planning
 from clothkit.evaluation.comparisons import of_predictions
-from clothkit.report import markdown, metrics, page, paper, rows, tables, timings
+from clothkit.report import markdown, metrics, page, paper, planning_tables, rows, tables, timings
+from tests.evaluation.planning_rows import SYSTEMS, planning_rows
 
 
 def tidy_tasks(systems: tuple[str, ...], *, sequences: int = 4, seed: int = 0) -> pd.DataFrame:
-    """Rows that serve as planning and as prediction rows; net a is the better one."""
+    """Rows of prediction; net a is the better one."""
     rng = np.random.default_rng(seed)
     return pd.DataFrame(
         [
@@ -68,46 +70,6 @@ def cell(table: pd.DataFrame, column: str, **keys: str) -> float:
         chosen = chosen[chosen[name] == value]
     assert len(chosen) == 1
     return float(chosen[column].iloc[0])
-
-
-@pytest.mark.parametrize("statistic", ["mean", "std", "median"])
-@pytest.mark.parametrize("column", tables.TASKS)
-def test_planning_table_against_numpy(column: str, statistic: str) -> None:
-    tidy = tidy_tasks(("main", "b1")).query("net == 'a'")
-    length, start = column.split("/")
-    errors = [
-        float(row.error)  # type: ignore[arg-type]
-        for row in tidy.itertuples()
-        if (row.split, row.system, row.length) == ("test", "b1", int(length)) and start in ("all", str(row.start))
-    ]
-    by_hand = {"mean": np.mean(errors), "std": np.std(errors, ddof=1), "median": np.median(errors)}[statistic]
-    found = tables.planning(tidy, ("main", "b1"))
-    assert cell(found, column, source="clothkit", split="test", system="b1", statistic=statistic) == pytest.approx(
-        by_hand
-    )
-
-
-def test_layout_of_table_6() -> None:
-    found = tables.planning(tidy_tasks(("main",)), ("main",))
-    assert list(found.columns) == ["source", "split", "system", "statistic", *tables.TASKS]
-    own = found[found["source"] == "clothkit"]
-    assert list(own["split"].unique()) == ["test", "train"]
-    assert list(zip(own["system"], own["statistic"], strict=True))[:7] == [
-        *(("main", statistic) for statistic in ("mean", "std", "median", "mean / no action")),
-        *(("no action", statistic) for statistic in ("mean", "std", "median")),
-    ]
-    assert set(found.loc[found["source"] == "paper", "system"]) == {"main"}
-    assert not found.isna().any(axis=None)
-
-
-def test_no_action_rows_and_ratio() -> None:
-    tidy = tidy_tasks(("main", "b1")).query("net == 'a'")
-    found = tables.planning(tidy, ("main", "b1"))
-    none = cell(found, "2/all", source="clothkit", split="train", system="no action", statistic="mean")
-    assert none == pytest.approx(0.2 + 0.015 + 0.2)
-    mean = cell(found, "2/all", source="clothkit", split="train", system="b1", statistic="mean")
-    ratio = cell(found, "2/all", source="clothkit", split="train", system="b1", statistic="mean / no action")
-    assert ratio == pytest.approx(mean / none)
 
 
 def test_prediction_table_takes_the_better_net() -> None:
@@ -171,15 +133,15 @@ def test_position_table() -> None:
 
 
 def test_a_missing_system_is_named() -> None:
-    with pytest.raises(InputError, match="b1"):
-        tables.planning(tidy_tasks(("main",)), ("main", "b1"))
+    with pytest.raises(InputError, match="a1"):
+        tables.prediction(tidy_tasks(("main",)), ("main", "a1"))
 
 
 def test_bad_rows_are_named(tmp_path: Path) -> None:
     path = tmp_path / "main.parquet"
     with pytest.raises(InputError, match=r"main\.parquet"):
         rows.read(path, rows.PLANNING)
-    tidy = tidy_tasks(("main",))
+    tidy = planning_rows(("main",))
     tidy.drop(columns="start").to_parquet(path)
     with pytest.raises(InputError, match="start"):
         rows.read(path, rows.PLANNING)
@@ -235,9 +197,9 @@ def test_sigma_ratios_are_medians() -> None:
 
 
 def test_markdown_puts_the_papers_row_below_ours() -> None:
-    lines = markdown.table(
-        tables.planning(tidy_tasks(("main",)), ("main",)), ["split", "system", "statistic"]
-    ).splitlines()
+    tidy = planning_rows(("main",))
+    table = planning_tables.planning(tidy, planning.intervals(tidy), ("main",))
+    lines = markdown.table(table, ["split", "system", "statistic"]).splitlines()
     assert lines[0] == "| split | system | statistic | source | 1/0 | 1/1 | 1/2 | 1/all | 2/0 | 2/1 | 2/all | 3/all |"
     assert lines[2].startswith("| test | main | mean | clothkit | **")
     assert (
@@ -252,7 +214,19 @@ def test_metrics_are_nested_means() -> None:
     prediction = tables.prediction(tidy, ("main", "a1"))
     position = tables.position(tidy, ("main", "a1"))
     ratios = tables.sigma_ratio(tidy_estimates(), tidy)
-    found = metrics.headline(estimation, prediction, prediction, position, prediction, ratios)
+    planned = planning_rows(("main", "b4"))
+    outcomes = planning_tables.planning_voxels(planned, planning.intervals(planned), ("main", "b4"))
+    found = metrics.headline(
+        estimation=estimation,
+        prediction=prediction,
+        prediction_voxels=prediction,
+        position=position,
+        planning=prediction,
+        planning_voxels=outcomes,
+        sigma_ratio=ratios,
+    )
+    voxels = planned.query("split == 'train' and system == 'b4' and length == 3")["voxel_error"]
+    assert found["planning_voxels"]["train"]["b4"]["3/all"] == pytest.approx(voxels.mean(), abs=1e-6)
     assert found["estimation"]["test"]["pmr"]["1"] == pytest.approx(0.011)
     assert found["prediction"]["test"]["no action"]["3/all"] == pytest.approx(0.515)
     assert found["position"]["test"]["main"]["2"] == pytest.approx(0.035)
@@ -280,25 +254,46 @@ def test_timings(tmp_path: Path) -> None:
         timings.timings(tmp_path)
 
 
-def test_the_page_shows_tables_and_figures() -> None:
-    tidy = tidy_tasks(("main", "a1"))
-    contents = page.Contents(
-        scale="smoke",
-        table_2=tables.estimation(tidy_estimates()),
-        table_3=tables.prediction(tidy, ("main", "a1")),
-        table_5=tables.position(tidy, ("main", "a1")),
-        table_4=tables.prediction_voxels(tidy_tasks(("main", "a2")), ("main", "a2")),
-        comparisons=tables.comparisons(of_predictions(tidy_tasks(("main", "a2")))),
-        table_6=tables.planning(tidy_tasks(("main",)), ("main",)),
-        sigma_ratio=tables.sigma_ratio(tidy_estimates(), tidy),
-        attempts=tables.attempts(pd.DataFrame({"accepted": [True], "reason": [""]})),
-        tasks={"test": 4, "train": 4},
-        figures=["sessions_2", "curves"],
+def page_of(planners: tuple[str, ...], figures: list[str]) -> str:
+    tidy, planned = tidy_tasks(("main", "a1")), planning_rows(planners)
+    intervals = planning.intervals(planned)
+    return page.page(
+        page.Contents(
+            scale="smoke",
+            table_2=tables.estimation(tidy_estimates()),
+            table_3=tables.prediction(tidy, ("main", "a1")),
+            table_5=tables.position(tidy, ("main", "a1")),
+            table_4=tables.prediction_voxels(tidy_tasks(("main", "a2")), ("main", "a2")),
+            comparisons=tables.comparisons(of_predictions(tidy_tasks(("main", "a2")))),
+            table_6=planning_tables.planning(planned, intervals, planners),
+            table_7=planning_tables.planning_voxels(planned, intervals, planners),
+            planning_comparisons=planning_tables.comparisons(planning.comparisons(planned), planners),
+            failures=planning_tables.failures(planning.failures(planned), planners),
+            largest=planning_tables.largest(planned, planners[0], 3),
+            sigma_ratio=tables.sigma_ratio(tidy_estimates(), tidy),
+            attempts=tables.attempts(pd.DataFrame({"accepted": [True], "reason": [""]})),
+            tasks={"test": 4, "train": 4},
+            figures=figures,
+        )
     )
-    text = page.page(contents)
+
+
+def test_the_page_shows_tables_and_figures() -> None:
+    text = page_of(SYSTEMS, ["sessions_2", "curves"])
     assert "figures/sessions_2.png" in text
     assert "figures/scatter.png" not in text
     assert "| planning | main | paper | 0.0291 |" in text
     assert "| planning | no action | clothkit | 0.315 |" in text
     assert "| test | a1 | mean | paper | 0.0269 | 0.0379 | 0.0506 |" in text
     assert "| test | main | paper | 0.770 | 0.750 | 0.785 | 0.861 |" in text
+    assert "| test | b4 | mean | paper | 0.00768 | 0.0182 |" in text
+    assert "| error | main | b5 | 3/all | 4 |" in text
+    assert "| test | b4 | all | 24 |" in text
+    assert "](table_8.md)" in text
+
+
+def test_a_page_of_one_planner_compares_nothing() -> None:
+    text = page_of(("main",), [])
+    assert "planning_comparisons" not in text
+    assert "| test | main | mean 95 % low | clothkit |" in text
+    assert "| b4 |" not in text

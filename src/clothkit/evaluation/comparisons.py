@@ -3,9 +3,11 @@
 Tasks of one sequence share its states, so sequences are what is resampled and what is independent, not tasks.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from clothkit.dataset.store import STEPS
 
@@ -15,6 +17,9 @@ DRAWS = 10_000
 CONFIDENCE = 0.95
 
 KEYS = ["sequence", "start", "length"]
+
+COLUMNS = ("split", "measure", "system", "against", "column", "sequences", "difference", "low", "high", "p")
+"""Of a paired comparison."""
 
 
 def interval(
@@ -43,6 +48,37 @@ def sign_flip(total: Float[np.ndarray, " n"], *, seed: int = 0, draws: int = DRA
     return float((1 + as_far.sum()) / (draws + 1))
 
 
+class Totals(NamedTuple):
+    """What a column of the tables sums up of one split, sequence by sequence."""
+
+    split: str
+    column: str
+    """length/start, `all` for every start."""
+    total: Float[np.ndarray, " n"]
+    """Each sequence's sum of a measure over its tasks."""
+    tasks: Int[np.ndarray, " n"]
+    """How many it has."""
+
+    @property
+    def mean(self) -> float:
+        """The mean over tasks."""
+        return float(self.total.sum() / self.tasks.sum())
+
+
+def totals(tidy: pd.DataFrame, measure: str) -> list[Totals]:
+    """`measure` of tidy rows, per split and column of the tables."""
+    length = tidy["length"].astype(str)
+    # Three manipulations have one start only: the tables call it all.
+    labels = ((length + "/" + tidy["start"].astype(str)).where(tidy["length"] < STEPS), length + "/all")
+    found = []
+    for label in labels:
+        for (split, column), rows in tidy.groupby(["split", label]):
+            by_sequence = rows.groupby("sequence")[measure].agg(["sum", "count"])
+            total, tasks = by_sequence["sum"].to_numpy(np.float64), by_sequence["count"].to_numpy()
+            found.append(Totals(str(split), str(column), total, tasks))
+    return sorted(found, key=lambda part: (part.split, part.column))
+
+
 def compare(tidy: pd.DataFrame, measure: str, system: str, against: str, *, seed: int = 0) -> pd.DataFrame:
     """Paired comparisons of two systems by a column of tidy rows, a row per split and column of the tables.
 
@@ -55,30 +91,13 @@ def compare(tidy: pd.DataFrame, measure: str, system: str, against: str, *, seed
         for name in (system, against)
     )
     pairs = (one - other).dropna().rename("difference").reset_index()
-    length = pairs["length"].astype(str)
-    # Three manipulations have one start only: the tables call it all.
-    labels = ((length + "/" + pairs["start"].astype(str)).where(pairs["length"] < STEPS), length + "/all")
     found = []
-    for label in labels:
-        for (split, column), rows in pairs.groupby(["split", label]):
-            by_sequence = rows.groupby("sequence")["difference"].agg(["sum", "count"])
-            total, count = by_sequence["sum"].to_numpy(np.float64), by_sequence["count"].to_numpy()
-            low, high = interval(total, count, seed=seed)
-            found.append(
-                {
-                    "split": split,
-                    "measure": measure,
-                    "system": system,
-                    "against": against,
-                    "column": column,
-                    "sequences": len(total),
-                    "difference": float(total.sum() / count.sum()),
-                    "low": low,
-                    "high": high,
-                    "p": sign_flip(total, seed=seed),
-                }
-            )
-    return pd.DataFrame(found).sort_values(["split", "column"], ignore_index=True)
+    for part in totals(pairs, "difference"):
+        low, high = interval(part.total, part.tasks, seed=seed)
+        p = sign_flip(part.total, seed=seed)
+        row = (part.split, measure, system, against, part.column, len(part.total), part.mean, low, high, p)
+        found.append(row)
+    return pd.DataFrame(found, columns=list(COLUMNS))
 
 
 def of_predictions(tidy: pd.DataFrame) -> pd.DataFrame:

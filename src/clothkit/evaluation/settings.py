@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from annotated_types import Ge, Gt
+from annotated_types import Ge, Gt, MinLen
 
 from clothkit.config import config
 from clothkit.estimation.refine import RefineConfig
@@ -25,3 +25,11 @@ class EvaluatePredictionConfig:
     """Tasks predicted at a time."""
     stored: Annotated[int, Ge(1)] = 16
     """Sequences of each split whose three-step predictions are kept for pictures."""
+
+
+@config
+class EvaluatePlanningConfig:
+    """Settings of the evaluation of planning."""
+
+    systems: Annotated[tuple[str, ...], MinLen(1)] = ("main", "b1", "b2", "b3", "b4", "b5")
+    """Planners whose outcomes are evaluated, and held against one another."""

@@ -4,12 +4,14 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from clothkit.dataset.tasks import Task, tasks_of
-from clothkit.report import metrics, page, tables
+from clothkit.report import metrics, page, planning_tables, tables
 from clothkit.report.figures.calibration import calibration
 from clothkit.report.figures.curves import curves
 from clothkit.report.figures.estimates import estimates
+from clothkit.report.figures.largest import Failure, largest
 from clothkit.report.figures.predictions import predictions
 from clothkit.report.figures.scatter import scatter
 from clothkit.report.figures.sequences import sequences
@@ -20,6 +22,21 @@ from clothkit.report.settings import ReportConfig
 PREDICTOR_OF = {"main": "main", "b1": "a1"}
 """Which predictions start from what a planner starts from."""
 
+TABLES = (
+    "table_2",
+    "table_3",
+    "table_4",
+    "comparisons",
+    "table_5",
+    "table_6",
+    "table_7",
+    "planning_comparisons",
+    "failures",
+    "largest",
+    "sigma_ratio",
+    "attempts",
+)
+
 ABREAST = {1: 2, 2: 2, 3: 1}
 """Sessions side by side in a picture, by length."""
 
@@ -28,6 +45,7 @@ def build(folder: Path, inputs: Inputs, settings: ReportConfig, *, scale: str) -
     """Write `tables/`, `figures/`, `metrics.json` and `README.md` into a new folder; equal inputs give equal bytes."""
     (folder / "tables").mkdir(parents=True)
     (folder / "figures").mkdir()
+    errors = planning_tables.largest(inputs.planning, settings.planners[0], settings.largest)
     contents = page.Contents(
         scale=scale,
         table_2=tables.estimation(inputs.estimation),
@@ -35,41 +53,60 @@ def build(folder: Path, inputs: Inputs, settings: ReportConfig, *, scale: str) -
         table_4=tables.prediction_voxels(inputs.prediction, settings.voxel_predictors),
         comparisons=tables.comparisons(inputs.comparisons),
         table_5=tables.position(inputs.prediction, settings.predictors),
-        table_6=tables.planning(inputs.planning, settings.planners),
+        table_6=planning_tables.planning(inputs.planning, inputs.intervals, settings.planners),
+        table_7=planning_tables.planning_voxels(inputs.planning, inputs.intervals, settings.planners),
+        planning_comparisons=planning_tables.comparisons(inputs.planning_comparisons, settings.planners),
+        failures=planning_tables.failures(inputs.failures, settings.planners),
+        largest=errors,
         sigma_ratio=tables.sigma_ratio(inputs.estimation, inputs.prediction),
         attempts=tables.attempts(inputs.attempts),
         tasks={str(split): rows["sequence"].nunique() for split, rows in inputs.planning.groupby("split")},
-        figures=draw_figures(folder / "figures", inputs, settings),
+        figures=draw_figures(folder / "figures", inputs, errors, settings),
     )
-    for name in ("table_2", "table_3", "table_4", "comparisons", "table_5", "table_6", "sigma_ratio", "attempts"):
+    for name in TABLES:
         table = getattr(contents, name)
         table.to_csv(folder / "tables" / f"{name}.csv", index=False, float_format="%.5g", lineterminator="\n")
         (folder / "tables" / f"{name}.md").write_text(page.table(name, table))
     headline = metrics.headline(
-        contents.table_2,
-        contents.table_3,
-        contents.table_4,
-        contents.table_5,
-        contents.table_6,
-        contents.sigma_ratio,
+        estimation=contents.table_2,
+        prediction=contents.table_3,
+        prediction_voxels=contents.table_4,
+        position=contents.table_5,
+        planning=contents.table_6,
+        planning_voxels=contents.table_7,
+        sigma_ratio=contents.sigma_ratio,
     )
     (folder / "metrics.json").write_text(json.dumps(headline, indent=1) + "\n")
     (folder / "README.md").write_text(page.page(contents))
 
 
-def draw_figures(folder: Path, inputs: Inputs, settings: ReportConfig) -> list[str]:
-    """Draw every figure as `<name>.png`; the names. A length that no test session has is left out."""
+def draw_figures(folder: Path, inputs: Inputs, errors: pd.DataFrame, settings: ReportConfig) -> list[str]:
+    """Draw every figure as `<name>.png`; the names. What no session is about is left out.
+
+    `errors`: the table of the largest ones.
+    """
     dataset, planner = inputs.dataset, settings.planners[0]
     sequences(dataset, folder / "sequences.png", count=settings.sequences)
     estimates(dataset, inputs.estimates, inputs.estimation, folder / "estimates.png", count=settings.estimates)
     predictions(dataset, inputs.predictions, inputs.prediction, folder / "predictions.png", count=settings.predictions)
     calibration(inputs.calibration, folder / "calibration.png")
-    scatter(inputs.planning, inputs.prediction, PREDICTOR_OF, settings.planners, folder / "scatter.png")
     curves({net: inputs.histories[net] for net in NETS}, inputs.histories["vtm"], folder / "curves.png")
-    names = ["sequences", "estimates", "predictions", "calibration", "scatter", "curves"]
+    names = ["sequences", "estimates", "predictions", "calibration", "curves"]
+    if not PREDICTOR_OF.keys().isdisjoint(settings.planners):
+        scatter(inputs.planning, inputs.prediction, PREDICTOR_OF, settings.planners, folder / "scatter.png")
+        names.append("scatter")
     rows = inputs.planning[inputs.planning["system"] == planner]
     of_main = inputs.prediction[inputs.prediction["better"] & (inputs.prediction["system"] == "main")]
     better = NETS.index(str(of_main["net"].iloc[0]))
+    failed = []
+    for row in errors.to_dict("records"):
+        task = Task(row["sequence"], row["start"], row["length"])
+        session = of_record(inputs.sessions, dataset, rows, task, net=better)
+        if session is not None:
+            failed.append(Failure(session, row["estimate_error"], row["expected"], row["diagnosis"]))
+    if failed:
+        largest(failed, folder / "largest.png")
+        names.append("largest")
     test = np.unique(rows.loc[rows["split"] == "test", "sequence"]).tolist()
     for length, abreast in ABREAST.items():
         chosen: list[Session] = []

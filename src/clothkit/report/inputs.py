@@ -32,6 +32,10 @@ class Inputs:
     comparisons: pd.DataFrame
     planning: pd.DataFrame
     """Of all planners."""
+    planning_comparisons: pd.DataFrame
+    intervals: pd.DataFrame
+    """Of mean errors of planning."""
+    failures: pd.DataFrame
     estimates: Mapping[str, np.ndarray]
     predictions: Mapping[str, np.ndarray]
     sessions: Sessions
@@ -53,6 +57,7 @@ def paths(data: Path, settings: ReportConfig) -> list[Path]:
         evaluation / "comparisons.parquet",
         evaluation / "predictions.zarr",
         *(evaluation / f"planning/{system}.parquet" for system in settings.planners),
+        *(evaluation / f"planning/{name}.parquet" for name in ("comparisons", "intervals", "failures")),
         evaluation / f"planning/sessions_{settings.planners[0]}.zarr",
     ]
 
@@ -70,6 +75,9 @@ def read(data: Path, settings: ReportConfig) -> Inputs:
         calibration=rows.read(evaluation / "calibration.parquet", rows.CALIBRATION),
         comparisons=rows.read(evaluation / "comparisons.parquet", rows.COMPARISONS),
         planning=rows.read_planning(evaluation / "planning", settings.planners),
+        planning_comparisons=rows.read_comparisons(evaluation / "planning/comparisons.parquet"),
+        intervals=rows.read(evaluation / "planning/intervals.parquet", rows.INTERVALS),
+        failures=rows.read(evaluation / "planning/failures.parquet", rows.FAILURES),
         estimates=arrays.load(evaluation / "estimates.zarr", ("sequence", "mean", "std", "mesh", "label")),
         predictions=arrays.load(evaluation / "predictions.zarr", ("sequence", "start", "mean", "std", "shift")),
         sessions=record.load(evaluation / f"planning/sessions_{settings.planners[0]}.zarr"),

@@ -8,11 +8,13 @@ DIGITS = 6
 
 
 def headline(
+    *,
     estimation: pd.DataFrame,
     prediction: pd.DataFrame,
     prediction_voxels: pd.DataFrame,
     position: pd.DataFrame,
     planning: pd.DataFrame,
+    planning_voxels: pd.DataFrame,
     sigma_ratio: pd.DataFrame,
 ) -> dict[str, Any]:
     """Means by split, kind or system, and column, no action included: errors [cloth length], voxel differences.
@@ -26,6 +28,7 @@ def headline(
         "position": _means(position, "system"),
         "prediction_voxels": _means(prediction_voxels, "system"),
         "planning": _means(planning, "system"),
+        "planning_voxels": _means(planning_voxels, "system"),
         "sigma_ratio": {row.pop("split"): _rounded(row) for row in ratios.to_dict("records")},
     }
 

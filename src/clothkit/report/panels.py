@@ -8,6 +8,7 @@ from jaxtyping import Float, UInt8
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 
 from clothkit.manipulation.geometry import release_points, to_cartesian
 from clothkit.manipulation.vector import displacement, grasp_points, is_null, is_single
@@ -35,14 +36,15 @@ INK = "#333333"
 
 
 def sheet(
-    heights: Sequence[float], widths: Sequence[float], *, title: str = "", left: float = 0.1
+    heights: Sequence[float], widths: Sequence[float], *, title: str = "", left: float = 0.1, above: float = 0.0
 ) -> tuple[Figure, np.ndarray]:
     """A figure and its axes [rows columns]: rows and columns of so many panels' height and width, hidden until shown.
 
-    A narrow row or column separates blocks. `left` [inch] is the room for row labels.
+    A narrow row or column separates blocks. `left` [inch] is the room for row labels, `above`
+    [inch] that for headings.
     """
     width, height = (PANEL * (sum(shares) + SPACE * (len(shares) - 1)) for shares in (widths, heights))
-    top = 0.35 if title else 0.1
+    top = (0.35 if title else 0.1) + above
     # A title needs its room even above a single column.
     total_width, total_height = max(left + width + 0.1, 4.5 if title else 0), top + height + 0.1
     figure = Figure(figsize=(total_width, total_height))
@@ -110,10 +112,16 @@ def show(axis: Axes, picture: UInt8[np.ndarray, "row column 3"], *, mark: str = 
     axis.set(xlim=(-EXTENT, EXTENT), ylim=(-EXTENT, EXTENT), xticks=[], yticks=[])
     for spine in axis.spines.values():
         spine.set(color="#cccccc", linewidth=0.6)
+    # Outlined, so that paths of hands do not make them illegible.
+    style: dict = {
+        "transform": axis.transAxes,
+        "color": INK,
+        "path_effects": [withStroke(linewidth=2.2, foreground="w")],
+    }
     if mark:
-        axis.text(0.035, 0.035, mark, transform=axis.transAxes, fontsize=7, fontweight="bold", color=INK)
+        axis.text(0.035, 0.035, mark, fontsize=7, fontweight="bold", **style)
     if note:
-        axis.text(0.965, 0.035, note, transform=axis.transAxes, fontsize=6.5, color=INK, ha="right")
+        axis.text(0.965, 0.035, note, fontsize=6.5, ha="right", **style)
 
 
 def row_label(axis: Axes, text: str) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 import pandas as pd
 
 from clothkit.errors import InputError
+from clothkit.evaluation import tidy
 
 ESTIMATION = ("split", "sequence", "state", "kind", "error", "error_no_action", "sigma_ratio")
 PREDICTION = (
@@ -25,9 +26,39 @@ PREDICTION = (
     "voxel_error_no_action",
 )
 CALIBRATION = ("split", "system", "length", "axis", "z", "expected", "coverage")
-PLANNING = ("split", "system", "sequence", "start", "length", "error", "error_no_action")
-
+PLANNING = (
+    "split",
+    "system",
+    "sequence",
+    "start",
+    "length",
+    "error",
+    "error_no_action",
+    "voxel_error",
+    "voxel_error_no_action",
+    "estimate_error",
+    "expected",
+    "loss",
+    "loss_recorded",
+    "grasp_offered",
+)
 COMPARISONS = ("split", "measure", "system", "against", "column", "sequences", "difference", "low", "high", "p")
+INTERVALS = ("split", "system", "measure", "column", "sequences", "mean", "low", "high")
+FAILURES = (
+    "split",
+    "system",
+    "length",
+    "tasks",
+    "search_failure",
+    "model_failure",
+    "grasp_offered",
+    "nulls_fired",
+    "nulls_helped",
+    "expected",
+    "error",
+    "error_estimate_good",
+    "error_estimate_bad",
+)
 
 VOXEL_SYSTEMS = ("a2",)
 """Systems that predict voxels: they have no error in cloth lengths."""
@@ -44,15 +75,7 @@ def read(path: Path, columns: Sequence[str]) -> pd.DataFrame:
     Raises InputError if the file can't be read, is empty, lacks one of `columns`, or holds an error that is no number;
     `error` may be missing in the rows of VOXEL_SYSTEMS alone.
     """
-    try:
-        rows = pd.read_parquet(path)
-    except (OSError, ValueError) as reason:
-        raise InputError(f"{path}: expected a parquet file of tidy rows, could not read it ({reason})") from reason
-    missing = [column for column in columns if column not in rows]
-    if missing:
-        raise InputError(f"{path}: expected the columns {', '.join(columns)}; {', '.join(missing)} not found")
-    if rows.empty:
-        raise InputError(f"{path}: expected at least one row, found none")
+    rows = tidy.read(path, columns)
     meshless = rows["system"].isin(VOXEL_SYSTEMS) if "system" in rows else pd.Series(False, rows.index)
     for column in _NUMBERS:
         expected = ~meshless if column == "error" else meshless | True
@@ -64,6 +87,11 @@ def read(path: Path, columns: Sequence[str]) -> pd.DataFrame:
 def read_planning(folder: Path, systems: Sequence[str]) -> pd.DataFrame:
     """The planning rows of the given systems, `<folder>/<system>.parquet` each, one below the other."""
     return pd.concat([read(folder / f"{system}.parquet", PLANNING) for system in systems], ignore_index=True)
+
+
+def read_comparisons(path: Path) -> pd.DataFrame:
+    """Paired comparisons; none where there was only one system to compare."""
+    return tidy.read(path, COMPARISONS, may_be_empty=True)
 
 
 def require(rows: pd.DataFrame, systems: Sequence[str]) -> None:

@@ -1,4 +1,4 @@
-"""Tables 2 to 6 in the paper's layout: group-bys of tidy rows, with the paper's figures below ours.
+"""Tables 2 to 5 in the paper's layout: group-bys of tidy rows, with the paper's figures below ours.
 
 Every table has the columns source (clothkit, paper), split, kind or system, statistic (mean, std, median), then the
 paper's columns. The system *no action* is the error between start and goal; the statistic *mean / no action* puts a
@@ -12,7 +12,7 @@ import pandas as pd
 from clothkit.report import paper, rows
 
 TASKS = ("1/0", "1/1", "1/2", "1/all", "2/0", "2/1", "2/all", "3/all")
-"""Columns of tables 3, 4 and 6: length / start."""
+"""Columns of tables 3, 4, 6 and 7: length / start."""
 
 STATES = ("1", "2", "3", "all")
 """Columns of table 2: how many manipulations lie behind the state."""
@@ -36,7 +36,7 @@ def estimation(tidy: pd.DataFrame) -> pd.DataFrame:
 def prediction(tidy: pd.DataFrame, systems: Sequence[str]) -> pd.DataFrame:
     """Table 3: the net with the better validation score, from rows of both."""
     rows.require(tidy, systems)
-    table = _task_table(tidy[tidy["better"]], systems)
+    table = task_table(tidy[tidy["better"]], systems)
     return pd.concat([table, paper.table_of(3, systems)], ignore_index=True)
 
 
@@ -56,7 +56,7 @@ def prediction_voxels(tidy: pd.DataFrame, systems: Sequence[str]) -> pd.DataFram
     """
     rows.require(tidy, systems)
     names = {system: NO_ACTION_OCCLUDED for system in systems if system in rows.VOXEL_SYSTEMS}
-    table = _task_table(tidy[tidy["better"]], systems, measure="voxel_error", no_action=names)
+    table = task_table(tidy[tidy["better"]], systems, measure="voxel_error", no_action=names)
     return pd.concat([table, paper.table_of(4, systems)], ignore_index=True)
 
 
@@ -66,10 +66,16 @@ def comparisons(tidy: pd.DataFrame) -> pd.DataFrame:
     return order.sort_values("split", kind="stable", ignore_index=True)
 
 
-def planning(tidy: pd.DataFrame, systems: Sequence[str]) -> pd.DataFrame:
-    """Table 6. Outcomes are aligned with their goals (section 6.3)."""
-    rows.require(tidy, systems)
-    return pd.concat([_task_table(tidy, systems), paper.table_of(6, systems)], ignore_index=True)
+def task_table(
+    tidy: pd.DataFrame, systems: Sequence[str], *, measure: str = "error", no_action: Mapping[str, str] | None = None
+) -> pd.DataFrame:
+    """Our rows of tables 3, 4, 6 and 7: statistics of a measure by length and start, with *no action*.
+
+    `no_action` gives another name to the no action of systems whose starts and goals are not in the others' format.
+    """
+    length = tidy["length"].astype(str)
+    labels = [length + "/" + tidy["start"].astype(str), length + "/all"]
+    return _table(tidy, labels, TASKS, by="system", groups=systems, measure=measure, no_action=no_action or {})
 
 
 def sigma_ratio(estimates: pd.DataFrame, predictions: pd.DataFrame) -> pd.DataFrame:
@@ -81,14 +87,6 @@ def sigma_ratio(estimates: pd.DataFrame, predictions: pd.DataFrame) -> pd.DataFr
     table = predicted.assign(estimate=estimated)[["estimate", *predicted.columns]].reset_index()
     table = table.assign(source="clothkit", system="main")
     return pd.concat([table, paper.sigma_ratios()], ignore_index=True)[paper.sigma_ratios().columns]
-
-
-def _task_table(
-    tidy: pd.DataFrame, systems: Sequence[str], *, measure: str = "error", no_action: Mapping[str, str] | None = None
-) -> pd.DataFrame:
-    length = tidy["length"].astype(str)
-    labels = [length + "/" + tidy["start"].astype(str), length + "/all"]
-    return _table(tidy, labels, TASKS, by="system", groups=systems, measure=measure, no_action=no_action or {})
 
 
 def _table(

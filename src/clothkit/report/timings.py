@@ -1,13 +1,21 @@
-"""Time and memory of every stage, from the notes that the stages leave in `.work/timings`."""
+"""What stages and plans cost, from the notes that the stages leave in `.work/timings`."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
 from clothkit.errors import InputError
+from clothkit.report import paper
 
 COLUMNS = ["stage", "seconds", "cpu_seconds", "peak_memory_mib", "machine"]
+
+PLAN_STAGES = ("plan", "plan_fixed")
+"""Stages of which each system has one."""
+
+LENGTHS = ("1", "2", "3")
 
 
 def timings(folder: Path) -> pd.DataFrame:
@@ -17,9 +25,56 @@ def timings(folder: Path) -> pd.DataFrame:
     """
     notes = []
     for path in sorted(folder.glob("*.json")):
+        note = _note(path)
         try:
-            note = json.loads(path.read_text())
             notes.append({column: note[column] for column in COLUMNS})
-        except (ValueError, KeyError, TypeError) as reason:
+        except KeyError as reason:
             raise InputError(f"{path}: expected a JSON object with {', '.join(COLUMNS)}; {reason!r}") from reason
     return pd.DataFrame(notes, columns=COLUMNS)
+
+
+def table_8(folder: Path, systems: Sequence[str]) -> pd.DataFrame:
+    """Table 8: seconds of search per plan, by system and plan length, with the paper's rows below ours.
+
+    source, system, machine, 1, 2, 3 [s], estimate (seconds per estimate [s], which the paper does not tell). Empty
+    where a stage has left no note, or has planned or estimated nothing. Raises InputError for a note whose `plans` or
+    `estimates` are no [count, seconds].
+    """
+    own = []
+    for system in systems:
+        row: dict[str, Any] = {"source": "clothkit", "system": system, "machine": ""}
+        for path in (folder / f"{stage}@{system}.json" for stage in PLAN_STAGES):
+            if path.exists():
+                note = _note(path)
+                plans = note.get("plans", {})
+                if not isinstance(plans, dict):
+                    raise InputError(f"{path}: plans: expected an object by plan length, found {plans!r}")
+                row |= {"machine": note.get("machine", "")}
+                row |= {length: _each(path, f"plans.{length}", plans.get(length)) for length in LENGTHS}
+                row |= {"estimate": _each(path, "estimates", note.get("estimates"))}
+        own.append(row)
+    table = pd.DataFrame(own, columns=["source", "system", "machine", *LENGTHS, "estimate"])
+    return pd.concat(
+        [table.astype(dict.fromkeys((*LENGTHS, "estimate"), float)), paper.table_of(8, systems)], ignore_index=True
+    )
+
+
+def _note(path: Path) -> dict[str, Any]:
+    try:
+        note = json.loads(path.read_text())
+    except ValueError as reason:
+        raise InputError(f"{path}: expected a JSON object with {', '.join(COLUMNS)}; {reason!r}") from reason
+    if not isinstance(note, dict):
+        raise InputError(f"{path}: expected a JSON object with {', '.join(COLUMNS)}, found {type(note).__name__}")
+    return note
+
+
+def _each(path: Path, field: str, cost: Any) -> float:
+    """Seconds of one of several [s]; NaN of none."""
+    if cost is None:
+        return float("nan")
+    try:
+        count, seconds = map(float, cost)
+    except (TypeError, ValueError) as reason:
+        raise InputError(f"{path}: {field}: expected [count, seconds], found {cost!r}") from reason
+    return seconds / count if count else float("nan")

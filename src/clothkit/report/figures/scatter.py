@@ -46,7 +46,7 @@ def scatter(
                 label=f"{length} step{'s' if length > 1 else ''}",
             )
         axis.plot([0, limit], [0, limit], color="#bbbbbb", linewidth=0.8, zorder=0)
-        axis.set(xlim=(0, limit), ylim=(0, limit))
+        axis.set(xlim=(0, limit), ylim=(0, limit), aspect="equal")
         axis.set_title(system, fontsize=9)
         axis.set_xlabel("prediction error [cloth length]", fontsize=8)
     axes[0].set_ylabel("planning error [cloth length]", fontsize=8)

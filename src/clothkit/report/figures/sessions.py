@@ -110,19 +110,19 @@ def _session(session: Session, axes: np.ndarray) -> None:
     _caption(session, axes[0, 0])
     for state, mesh in enumerate(session.recorded):
         axis = axes[0, 1 + state]
-        panels.show(axis, _drawn(mesh, goal=state == n), mark="R", note="goal" if state == n else "recorded")
+        panels.show(axis, drawn(mesh, goal=state == n), mark="R", note="goal" if state == n else "recorded")
         if state < n:
             panels.manipulate(axis, mesh, session.manipulations[state])
     for row, (step, real) in enumerate(zip(session.steps, session.states, strict=False), start=1):
         panels.show(axes[row, 0], draw(real), mark="R")
-        shown = _labelled(step, real)
+        shown = labelled(step, real)
         _plan(shown, axes[row, row:])
         panels.show(axes[row, -1], draw(shown.refined), mark="P", note="refined")
         axes[row, row].text(
             0.03, 0.97, f"plan #{row}", transform=axes[row, row].transAxes, fontsize=6.5, va="top", color=panels.INK
         )
     outcome = session.states[-1]
-    panels.show(axes[n + 1, 0], _drawn(outcome, goal=True), mark="R", note=f"{session.error:.3f}")
+    panels.show(axes[n + 1, 0], drawn(outcome, goal=True), mark="R", note=f"{session.error:.3f}")
 
 
 def _plan(step: Step, axes: np.ndarray) -> None:
@@ -144,7 +144,8 @@ def _caption(session: Session, axis: Axes) -> None:
     axis.text(0.5, 0.02, text, transform=axis.transAxes, fontsize=7, ha="center", va="bottom", color=panels.INK)
 
 
-def _drawn(mesh: np.ndarray, *, goal: bool) -> np.ndarray:
+def drawn(mesh: Float[np.ndarray, "u v 3"], *, goal: bool) -> np.ndarray:
+    """The cloth from above; goals and final outcomes on light blue."""
     return draw(mesh, table=panels.GOAL) if goal else draw(mesh)
 
 
@@ -154,7 +155,8 @@ def _like(mesh: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, int]:
     return np.asarray(relabel(mesh, k)), k
 
 
-def _labelled(step: Step, truth: np.ndarray) -> Step:
+def labelled(step: Step, truth: Float[np.ndarray, "u v 3"]) -> Step:
+    """A plan under the labels that make the sides of its estimate match the truth's in colour."""
     estimate, k = _like(step.estimate, truth)
     mean, std, refined = (np.asarray(relabel(a, k)) for a in (step.mean, step.std, step.refined))
     plan = np.asarray(relabel_manipulation(step.plan, k))

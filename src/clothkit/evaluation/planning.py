@@ -1,0 +1,123 @@
+"""Which planner comes nearer to its goals, how sure that is, and why plans fail: tables 6 and 7, section 6.4."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from clothkit.errors import InputError
+from clothkit.evaluation import tidy as files
+from clothkit.evaluation.comparisons import COLUMNS, compare, interval, totals
+from clothkit.evaluation.settings import EvaluatePlanningConfig
+
+ROWS = (
+    "split",
+    "system",
+    "sequence",
+    "start",
+    "length",
+    "error",
+    "voxel_error",
+    "nulls_fired",
+    "nulls_helped",
+    "loss",
+    "loss_recorded",
+    "expected",
+    "grasp_offered",
+    "estimate_error",
+)
+"""Columns of tidy rows of planning that are needed here."""
+
+MEASURES = ("error", "voxel_error")
+
+PAIRS = (("main", "b1"), ("main", "b2"), ("main", "b3"), ("main", "b4"), ("main", "b5"), ("b4", "b5"))
+"""Systems that the paper holds against one another (section 6.3)."""
+
+LARGE = 0.05
+"""An outcome or an estimate that is farther off is called wrong [cloth length]."""
+
+
+def read(folder: Path, settings: EvaluatePlanningConfig) -> pd.DataFrame:
+    """The rows of every system, `<folder>/<system>.parquet` each, one below the other.
+
+    Raises InputError for a file that can't be read, lacks one of ROWS, or holds rows of another system.
+    """
+    found = []
+    for system in settings.systems:
+        path = folder / f"{system}.parquet"
+        rows = files.read(path, ROWS)
+        others = rows.loc[rows["system"] != system, "system"]
+        if len(others):
+            raise InputError(f"{path}: column system: expected {system} only, found {others.iloc[0]}")
+        found.append(rows[list(ROWS)])
+    return pd.concat(found, ignore_index=True)
+
+
+def comparisons(tidy: pd.DataFrame) -> pd.DataFrame:
+    """`compare` of all PAIRS by all MEASURES; pairs of which the rows hold one system only are left out."""
+    present = set(tidy["system"])
+    found = [compare(tidy, measure, *pair) for measure in MEASURES for pair in PAIRS if present.issuperset(pair)]
+    return pd.concat(found, ignore_index=True) if found else pd.DataFrame(columns=list(COLUMNS))
+
+
+def intervals(tidy: pd.DataFrame) -> pd.DataFrame:
+    """Means over tasks, and their 95 % bootstrap intervals over sequences, by split, system and column of the tables.
+
+    split, system, measure (error [cloth length], voxel_error [mean voxel difference]), column (length/start, `all` for
+    every start), sequences, mean, low, high.
+    """
+    found = []
+    for system, rows in tidy.groupby("system", sort=False):
+        for measure in MEASURES:
+            for part in totals(rows, measure):
+                low, high = interval(part.total, part.tasks)
+                found.append((part.split, system, measure, part.column, len(part.total), part.mean, low, high))
+    return pd.DataFrame(
+        found, columns=["split", "system", "measure", "column", "sequences", "mean", "low", "high"]
+    ).sort_values(["split", "system", "measure", "column"], ignore_index=True)
+
+
+def failures(tidy: pd.DataFrame) -> pd.DataFrame:
+    """Why outcomes are off, a row per split, system and length (1, 2, 3, all); of every session's first plan.
+
+    tasks; search_failure (share of plans that the nets themselves rate below the recorded manipulations: the search
+    missed those); model_failure (share of plans that they rate at least as high, but whose outcome is LARGE off);
+    grasp_offered (share of starts with a candidate at every recorded grasp point); nulls_fired (manipulations that the
+    null check cancelled, per session); nulls_helped (share of these that would have led away from the goal); expected,
+    error (means of what the nets expect and of what came [cloth length]); error_estimate_good, error_estimate_bad (mean
+    errors of tasks whose first estimate is within LARGE, and beyond). NaN where a system has no such thing.
+    """
+    missed = tidy["loss_recorded"] < tidy["loss"]
+    rated = tidy["loss"].notna() & tidy["loss_recorded"].notna()
+    judged = tidy.assign(
+        search_failure=missed.astype(float).where(rated),
+        model_failure=(~missed & (tidy["error"] > LARGE)).astype(float).where(rated),
+        grasp_offered=tidy["grasp_offered"].astype(float),
+        error_estimate_good=tidy["error"].where(tidy["estimate_error"] <= LARGE),
+        error_estimate_bad=tidy["error"].where(tidy["estimate_error"] > LARGE),
+    )
+    counted = pd.concat([judged.assign(length=judged["length"].astype(str)), judged.assign(length="all")])
+    groups = counted.groupby(["split", "system", "length"])
+    means = ("grasp_offered", "nulls_fired", "expected", "error", "error_estimate_good", "error_estimate_bad")
+    found = groups[["search_failure", "model_failure", *means]].mean()
+    fired = groups["nulls_fired"].sum()
+    found.insert(0, "tasks", groups.size())
+    found.insert(5, "nulls_helped", groups["nulls_helped"].sum() / fired.where(fired > 0))
+    return found.reset_index()
+
+
+def diagnosis(tidy: pd.DataFrame) -> pd.Series:
+    """Why a task failed, in the words of section 6.4: the first that is true of its first plan.
+
+    grasp point not offered (no candidate near a recorded one); estimate wrong (LARGE off); search failure (the nets
+    rate the recorded manipulations better than what was found); model failure (they expected to come within LARGE of
+    the goal, and did not); open.
+    """
+    causes = {
+        "grasp point not offered": ~tidy["grasp_offered"].astype(bool),
+        "estimate wrong": tidy["estimate_error"] > LARGE,
+        "search failure": tidy["loss_recorded"] < tidy["loss"],
+        "model failure": (tidy["expected"] <= LARGE) & (tidy["error"] > LARGE),
+    }
+    found = np.select([cause.to_numpy() for cause in causes.values()], list(causes), default="open")
+    return pd.Series(found, tidy.index, dtype=object, name="diagnosis")

@@ -1,0 +1,88 @@
+"""Tables 6 and 7 with their intervals, and what goes wrong in planning: the other tables' layout, see `tables`."""
+
+from collections.abc import Sequence
+
+import pandas as pd
+
+from clothkit.evaluation.planning import diagnosis
+from clothkit.report import paper, rows, tables
+
+LOW, HIGH = "mean 95 % low", "mean 95 % high"
+"""Statistics: the ends of the bootstrap interval of a mean."""
+
+STATISTICS = (*tables.STATISTICS, LOW, HIGH, tables.RATIO)
+
+LARGEST = (
+    "sequence",
+    "start",
+    "length",
+    "error",
+    "estimate_error",
+    "expected",
+    "loss",
+    "loss_recorded",
+    "grasp_offered",
+)
+"""Columns of the table of the largest errors, before the diagnosis."""
+
+
+def planning(tidy: pd.DataFrame, intervals: pd.DataFrame, systems: Sequence[str]) -> pd.DataFrame:
+    """Table 6 [cloth length]. Outcomes are aligned with their goals (section 6.3)."""
+    return _outcomes(tidy, intervals, systems, measure="error", number=6)
+
+
+def planning_voxels(tidy: pd.DataFrame, intervals: pd.DataFrame, systems: Sequence[str]) -> pd.DataFrame:
+    """Table 7: the same outcomes and goals in voxels [mean voxel difference]."""
+    return _outcomes(tidy, intervals, systems, measure="voxel_error", number=7)
+
+
+def _outcomes(
+    tidy: pd.DataFrame, intervals: pd.DataFrame, systems: Sequence[str], *, measure: str, number: int
+) -> pd.DataFrame:
+    rows.require(tidy, systems)
+    table = tables.task_table(tidy, systems, measure=measure)
+    bounds = _bounds(intervals[intervals["measure"] == measure])
+    blocks = []
+    for (split, system), block in table.groupby(["split", "system"], sort=False):
+        own = bounds[(bounds["split"] == split) & (bounds["system"] == system)]
+        whole = pd.concat([block, own]) if len(own) else block
+        blocks.append(_ordered(whole, "statistic", STATISTICS))
+    return pd.concat([*blocks, paper.table_of(number, systems)], ignore_index=True)
+
+
+def _bounds(intervals: pd.DataFrame) -> pd.DataFrame:
+    """Intervals as rows of a table."""
+    named = intervals.rename(columns={"low": LOW, "high": HIGH})
+    long = named.melt(["split", "system", "column"], [LOW, HIGH], var_name="statistic")
+    wide = long.pivot(index=["split", "system", "statistic"], columns="column", values="value")
+    return wide.reindex(columns=list(tables.TASKS)).reset_index().rename_axis(columns=None).assign(source="clothkit")
+
+
+def comparisons(tidy: pd.DataFrame, systems: Sequence[str]) -> pd.DataFrame:
+    """Paired comparisons among the given systems, in their order and that of the other tables' columns."""
+    chosen = tidy[tidy["system"].isin(list(systems)) & tidy["against"].isin(list(systems))]
+    for name, order in (("column", tables.TASKS), ("against", systems), ("system", systems)):
+        chosen = _ordered(chosen, name, order)
+    return chosen.sort_values(["split", "measure"], kind="stable", ignore_index=True)
+
+
+def failures(tidy: pd.DataFrame, systems: Sequence[str]) -> pd.DataFrame:
+    """Rows of `evaluation.planning.failures` of the given systems, in their order."""
+    chosen = _ordered(tidy[tidy["system"].isin(list(systems))], "system", systems)
+    return chosen.sort_values("split", kind="stable", ignore_index=True)
+
+
+def _ordered(table: pd.DataFrame, column: str, order: Sequence[str]) -> pd.DataFrame:
+    return table.sort_values(column, key=lambda values: values.map(order.index), kind="stable")
+
+
+def largest(tidy: pd.DataFrame, system: str, count: int) -> pd.DataFrame:
+    """The test tasks of a system with the largest errors, the largest first, and why they failed.
+
+    LARGEST (errors, estimate_error and expected [cloth length]; of the first plan), diagnosis.
+    """
+    own = tidy[(tidy["system"] == system) & (tidy["split"] == "test")]
+    own = own.assign(diagnosis=diagnosis(own))
+    order = ["error", "sequence", "start", "length"]
+    chosen = own.sort_values(order, ascending=[False, True, True, True], ignore_index=True)[:count]
+    return chosen[[*LARGEST, "diagnosis"]]
