@@ -118,6 +118,7 @@ def test_the_chain_ends_with_tables_pictures_and_metrics(finished: Checkout) -> 
         "b3",
         "b4",
         "b5",
+        "unrefined",
         "no action",
     }
     ours = table[(table["source"] == "clothkit") & (table["system"] == "main") & (table["statistic"] == "mean")]
@@ -136,7 +137,7 @@ def test_a_second_repro_runs_nothing(finished: Checkout) -> None:
 def test_alpha_reruns_planning_and_the_report_only(finished: Checkout) -> None:
     finished.commit()
     output = finished.run("dvc", "exp", "run", "-S", "alpha=0")
-    assert ran(output) == {"plan@main", "plan@b1", "plan@b4", "evaluate_planning", "report"}
+    assert ran(output) == {"plan@main", "plan@b1", "plan@b4", "plan@unrefined", "evaluate_planning", "report"}
     finished.run("git", "checkout", "-q", "params.yaml", "dvc.lock")
     finished.run("dvc", "checkout", "-q")
 

@@ -179,7 +179,7 @@ def test_an_interrupted_run_goes_on_to_the_same_rows(tmp_path: Path) -> None:
     resumed, _ = evaluate(data, planner, toy.execute, work=tmp_path / "broken")
     pd.testing.assert_frame_equal(rows(whole, "b1"), rows(resumed, "b1"))
     # Two pieces of one task; the first search, which compiles, is not counted.
-    assert cost(clock)["1"] == (toy.BATCH, pytest.approx(clock["1"][1][1], abs=1e-3))
+    assert cost(clock)["plans"] == {"1": (toy.BATCH, pytest.approx(clock["1"][1][1], abs=1e-3))}
     save(tmp_path / "a.zarr", whole, {"system": "b1"})
     save(tmp_path / "b.zarr", resumed, {"system": "b1"})
     files = [sorted(p for p in (tmp_path / f"{n}.zarr").rglob("*") if p.is_file()) for n in "ab"]

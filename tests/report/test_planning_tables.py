@@ -152,7 +152,7 @@ def write_note(folder: Path, stage: str, **extra: object) -> None:
 
 def test_seconds_per_plan(tmp_path: Path) -> None:
     write_note(tmp_path, "plan@main", plans={"1": [10, 25.0], "2": [4, 18.0], "3": [0, 0.0]}, estimates=[5, 1.0])
-    write_note(tmp_path, "plan_fixed@b2", plans={"1": [2, 1.0], "2": [2, 3.0], "3": [1, 4.0]})
+    write_note(tmp_path, "plan@b2", plans={"1": [2, 1.0], "2": [2, 3.0], "3": [1, 4.0]})
     write_note(tmp_path, "plan@b1")
     found = timings.table_8(tmp_path, ("main", "b1", "b2", "b4"))
     assert list(found.columns) == ["source", "system", "machine", "1", "2", "3", "estimate"]

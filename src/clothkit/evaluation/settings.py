@@ -31,5 +31,5 @@ class EvaluatePredictionConfig:
 class EvaluatePlanningConfig:
     """Settings of the evaluation of planning."""
 
-    systems: Annotated[tuple[str, ...], MinLen(1)] = ("main", "b1", "b2", "b3", "b4", "b5")
+    systems: Annotated[tuple[str, ...], MinLen(1)] = ("main", "b1", "b2", "b3", "b4", "b5", "unrefined")
     """Planners whose outcomes are evaluated, and held against one another."""

@@ -50,8 +50,8 @@ def evaluate(dataset: Dataset, planner: Planner, execute: Execute, *, work: Path
     return join(done), dict(clock)
 
 
-def cost(clock: Clock) -> dict[str, tuple[int, float]]:
-    """Searches by plan length and estimates: how many, and their seconds.
+def cost(clock: Clock) -> dict[str, dict[str, tuple[int, float]] | tuple[int, float]]:
+    """`plans` by length and `estimates`: how many, and their seconds.
 
     The first call of a kind, which compiles, is left out where there are others.
     """
@@ -59,4 +59,4 @@ def cost(clock: Clock) -> dict[str, tuple[int, float]]:
     for what, calls in clock.items():
         kept = calls[1:] or calls
         counted[what] = (sum(count for count, _ in kept), round(sum(seconds for _, seconds in kept), 3))
-    return counted
+    return {"estimates": counted.pop("estimates", (0, 0.0)), "plans": counted}

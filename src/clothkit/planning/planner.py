@@ -3,19 +3,22 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import jax
 
 from clothkit.dataset.store import STEPS
 from clothkit.manipulation.candidates import CandidateConfig
+from clothkit.networks import store
+from clothkit.planning import normalisation
 from clothkit.planning.loss import Weights
 from clothkit.planning.normalisation import Normalisation
 from clothkit.planning.record import Sizes
 from clothkit.planning.search import Found, Problem, search
 from clothkit.planning.settings import PlanConfig
-from clothkit.planning.sight import Sight
-from clothkit.planning.systems import System
+from clothkit.planning.sight import MeshSight, Sight, VoxelSight
+from clothkit.planning.systems import System, better_net
 
 
 @dataclass(frozen=True)
@@ -57,3 +60,32 @@ class Planner:
         )
         reference = self.normalisation.reference(length)
         return lambda problems, keys: find(self.nets, problems, reference, self.weights, keys=keys)
+
+
+def artifacts(system: System, data: Path) -> dict[str, Path]:
+    """What a system plans with, under `data`: nets a and b, reference values, and vtm where it estimates."""
+    kind, net = ("voxel", "emd_voxel") if system.voxels else ("mesh", "pemd")
+    found = {name: data / f"nets/{net}_{name}" for name in ("a", "b")}
+    found["reference"] = data / f"normalisation/{kind}.json"
+    return found if system.voxels or system.true_meshes else {**found, "vtm": data / "nets/vtm"}
+
+
+def assemble(system: System, data: Path, weights: Weights, settings: PlanConfig, grasping: CandidateConfig) -> Planner:
+    """A system's planner from the artifacts under `data`. Raises InputError for what is missing or malformed."""
+    found = artifacts(system, data)
+    settings = settings.of(system)
+    vtm = store.load(found["vtm"]) if "vtm" in found else None
+    sight = VoxelSight() if system.voxels else MeshSight(vtm, settings.refine, refine=system.refine)
+    folders = {net: found[net] for net in ("a", "b")}
+    better = better_net(folders)
+    names = sorted(folders) if system.nets == 2 else [better]
+    return Planner(
+        system,
+        sight,
+        nets=tuple(store.load(folders[net]) for net in names),
+        better=names.index(better),
+        normalisation=normalisation.load(found["reference"]),
+        weights=weights if system.alpha is None else weights._replace(alpha=system.alpha),
+        settings=settings,
+        grasping=grasping,
+    )

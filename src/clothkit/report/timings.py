@@ -12,9 +12,6 @@ from clothkit.report import paper
 
 COLUMNS = ["stage", "seconds", "cpu_seconds", "peak_memory_mib", "machine"]
 
-PLAN_STAGES = ("plan", "plan_fixed")
-"""Stages of which each system has one."""
-
 LENGTHS = ("1", "2", "3")
 
 
@@ -43,15 +40,15 @@ def table_8(folder: Path, systems: Sequence[str]) -> pd.DataFrame:
     own = []
     for system in systems:
         row: dict[str, Any] = {"source": "clothkit", "system": system, "machine": ""}
-        for path in (folder / f"{stage}@{system}.json" for stage in PLAN_STAGES):
-            if path.exists():
-                note = _note(path)
-                plans = note.get("plans", {})
-                if not isinstance(plans, dict):
-                    raise InputError(f"{path}: plans: expected an object by plan length, found {plans!r}")
-                row |= {"machine": note.get("machine", "")}
-                row |= {length: _each(path, f"plans.{length}", plans.get(length)) for length in LENGTHS}
-                row |= {"estimate": _each(path, "estimates", note.get("estimates"))}
+        path = folder / f"plan@{system}.json"
+        if path.exists():
+            note = _note(path)
+            plans = note.get("plans", {})
+            if not isinstance(plans, dict):
+                raise InputError(f"{path}: plans: expected an object by plan length, found {plans!r}")
+            row |= {"machine": note.get("machine", "")}
+            row |= {length: _each(path, f"plans.{length}", plans.get(length)) for length in LENGTHS}
+            row |= {"estimate": _each(path, "estimates", note.get("estimates"))}
         own.append(row)
     table = pd.DataFrame(own, columns=["source", "system", "machine", *LENGTHS, "estimate"])
     return pd.concat(
