@@ -16,6 +16,7 @@ from clothkit.observation.plane import Plane
 from clothkit.observation.states import PointCloud
 from clothkit.observation.zbuffer import topmost
 
+_ROUNDING = 1e-9
 _NEAREST = 0.01  # m before the camera, nothing nearer is seen
 
 
@@ -92,7 +93,8 @@ def render(
         pixels = corners[..., :2] / corners[..., 2:] * camera.focal + [camera.columns / 2, camera.rows / 2]
         inverse, owner = topmost(pixels, 1 / corners[..., 2], inverse.shape)
     table = _inverse_depth_of_table(camera)
-    cloth = (owner >= 0) & (inverse >= table)
+    # What lies in the table's plane is on the table, whichever way rounding goes.
+    cloth = (owner >= 0) & (inverse >= table * (1 - _ROUNDING))
     nearest = np.where(cloth, inverse, table)
     depth = np.where(nearest > 0, 1 / np.where(nearest > 0, nearest, 1), 0)
     return DepthImage(depth, cloth, camera)

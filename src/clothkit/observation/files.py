@@ -63,8 +63,10 @@ def read(source: str | Path, *, cloth_side: float = DEFAULT_SIDE) -> State:
 
 def _read_numpy(path: Path, cloth_side: float) -> State:
     try:
-        loaded = np.load(path, allow_pickle=False)
-        arrays = {"array": loaded} if isinstance(loaded, np.ndarray) else {name: loaded[name] for name in loaded.files}
+        # Opened here, because numpy leaves a file that it cannot read open.
+        with path.open("rb") as file:
+            loaded = np.load(file, allow_pickle=False)
+            arrays = {"array": loaded} if isinstance(loaded, np.ndarray) else dict(loaded)
     except Exception as error:  # zipfile, zlib, struct, header parsing: whatever is broken in the file
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"{path}: can't be read as {path.suffix[1:].upper()} ({reason})") from error

@@ -1,6 +1,7 @@
 """The table's plane: found in a point cloud by RANSAC, and the frame that it gives."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
@@ -39,7 +40,7 @@ class Plane:
 
     def heights(self, points: Float[np.ndarray, "*points 3"]) -> Float[np.ndarray, "*points"]:
         """How far above the table points are [m]."""
-        return points @ self.normal - self.offset
+        return np.asarray(points @ self.normal - self.offset)
 
     def frame(self) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
         """The table's axes as rows, and its origin [m], both in the plane's own frame.
@@ -57,14 +58,14 @@ LEVEL = Plane(np.array([0.0, 0.0, 1.0]), 0.0)
 """The table of a cloud that is in the table's own frame."""
 
 
-def plane_of(coefficients: tuple[float, float, float, float]) -> Plane:
+def plane_of(coefficients: Sequence[float]) -> Plane:
     """The plane a x + b y + c z = d [m] of calibration, (a, b, c) pointing up, of any length but 0.
 
     Raises InputError when there is no such plane.
     """
     values = np.asarray(coefficients, float)
     length = np.linalg.norm(values[:3])
-    if not np.isfinite(values).all() or length == 0:
+    if values.shape != (4,) or not np.isfinite(values).all() or length == 0:
         raise InputError(f"table {tuple(coefficients)}: expected a, b, c, d of a plane a x + b y + c z = d")
     return Plane(values[:3] / length, float(values[3] / length))
 

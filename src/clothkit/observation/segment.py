@@ -23,6 +23,8 @@ _UNITS = {"millimetres": 1000.0, "centimetres": 100.0, "inches": 39.37}
 _NARROWEST, _WIDEST = 0.15, 1.6
 # Of the flat cloth's area, with the noise of its border.
 _MOST_COVERED = 1.25
+# Times the usual distance: at the corner of an even grid it is one and a half.
+_LEAST_OUTLYING = 2.0
 _VOXELS_A_SIDE = 22.4  # that the flat cloth has
 
 
@@ -99,7 +101,7 @@ def _mask(cloud: PointCloud, settings: CloudConfig, name: str) -> Bool[np.ndarra
     if cloud.colours is None:
         raise InputError(f"{name}: has no colours, but table_colour is to tell the table by them")
     low, high = settings.table_colour
-    return ~((cloud.colours >= np.array(low)) & (cloud.colours <= np.array(high))).all(axis=1)
+    return np.any((cloud.colours < np.array(low)) | (cloud.colours > np.array(high)), axis=1)
 
 
 def _check_units(cloth: np.ndarray, cloth_side: float, *, masked: bool, name: str) -> None:
@@ -138,7 +140,8 @@ def without_outliers(points: Float[np.ndarray, "points 3"], settings: CloudConfi
     if not settings.neighbours or len(points) <= settings.neighbours:
         return points
     distance = cKDTree(points).query(points, k=settings.neighbours + 1)[0][:, 1:].mean(1)
-    return points[distance <= distance.mean() + settings.deviations * distance.std()]
+    usual = distance.mean()
+    return points[distance <= max(usual + settings.deviations * distance.std(), _LEAST_OUTLYING * usual)]
 
 
 def _one_piece(cloth: np.ndarray, cloth_side: float, settings: CloudConfig, name: str) -> np.ndarray:

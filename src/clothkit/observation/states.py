@@ -39,10 +39,10 @@ class PointCloud:
 
     points: Float[np.ndarray, "points 3"]
     """Metres. Points that are not finite, or exactly (0, 0, 0), are how cameras mark what they did not see."""
-    cloth: Bool[np.ndarray, " points"] | None = None
-    """Which points are the cloth's; the others are the table's or anything's."""
-    colours: UInt8[np.ndarray, "points 3"] | None = None
-    """Red, green and blue, from which a range can tell the table."""
+    cloth: Bool[np.ndarray, " _"] | None = None
+    """[points]; which points are the cloth's; the others are the table's or anything's."""
+    colours: UInt8[np.ndarray, "_ 3"] | None = None
+    """[points, 3]; red, green and blue, from which a range can tell the table."""
     viewpoint: Float[np.ndarray, "3"] | None = None
     """Where the camera was [m], in the frame of the points; it tells which side of the table is up."""
     table: Plane | None = None
