@@ -88,6 +88,14 @@ def test_axes_are_those_of_opencv_and_the_aim_is_in_the_middle() -> None:
         np.testing.assert_allclose(towards / np.linalg.norm(towards), axes[2], atol=1e-12)
 
 
+def test_a_principal_point_beside_the_middle_shifts_the_image() -> None:
+    plain = image_of(folded(), SMALL)
+    beside = CameraConfig(columns=160, rows=120, focal=147.5, principal=(90.0, 55.0))
+    shifted = image_of(folded(), beside)
+    np.testing.assert_allclose(shifted.depth[:-5, 10:], plain.depth[5:, :-10])
+    np.testing.assert_allclose(shifted.points()[:-5, 10:], plain.points()[5:, :-10], atol=1e-12)
+
+
 def test_the_mask_is_the_cloth_and_the_fold_hides_what_is_below() -> None:
     image = image_of(flat(), SMALL)
     assert image.cloth.sum() == pytest.approx((0.4 * 147.5 / 0.8) ** 2, rel=0.03)

@@ -27,7 +27,9 @@ class CameraConfig:
     columns: Annotated[int, Gt(0)] = 320
     rows: Annotated[int, Gt(0)] = 240
     focal: Annotated[float, Gt(0)] = 295.0
-    """Focal length [pixels]; the principal point is the image's middle."""
+    """Focal length [pixels]."""
+    principal: tuple[float, float] | None = None
+    """Column and row of the principal point [pixels], (0, 0) the image's upper left corner; None: the middle."""
     height: Annotated[float, Gt(0)] = 0.8
     """Of the camera above the table [m]."""
     tilt: Annotated[float, Ge(0), Lt(1.5)] = 0.0
@@ -35,9 +37,13 @@ class CameraConfig:
     azimuth: float = 0.0
     """By which the camera is turned about the table's z [rad]; at 0, the image's right is the table's x."""
     aim: tuple[float, float] = (0.0, 0.0)
-    """The point of the table in the middle of the image, xy [m]."""
+    """The point of the table that the principal point shows, xy [m]."""
     table_side: Annotated[float, Gt(0)] = 1.5
     """Side of the square table around `aim` [m]; beyond it nothing is seen."""
+
+    def middle(self) -> tuple[float, float]:
+        """Column and row of the principal point [pixels]; pixel (i, j) is centred at row i + 0.5, column j + 0.5."""
+        return self.principal or (self.columns / 2, self.rows / 2)
 
     def axes(self) -> Float[np.ndarray, "3 3"]:
         """The camera's axes x, y, z as rows, in the table's frame."""
@@ -57,8 +63,9 @@ class CameraConfig:
 
     def rays(self) -> Float[np.ndarray, "rows columns 3"]:
         """What each pixel's centre sees at depth 1, in the camera's frame [m]."""
-        x = (np.arange(self.columns) + 0.5 - self.columns / 2) / self.focal
-        y = (np.arange(self.rows) + 0.5 - self.rows / 2) / self.focal
+        column, row = self.middle()
+        x = (np.arange(self.columns) + 0.5 - column) / self.focal
+        y = (np.arange(self.rows) + 0.5 - row) / self.focal
         return np.stack([*np.meshgrid(x, y), np.ones((self.rows, self.columns))], axis=-1)
 
 
@@ -90,7 +97,7 @@ def render(
     corners = seen[triangles]
     corners = corners[(corners[..., 2] > _NEAREST).all(1)]
     if len(corners):
-        pixels = corners[..., :2] / corners[..., 2:] * camera.focal + [camera.columns / 2, camera.rows / 2]
+        pixels = corners[..., :2] / corners[..., 2:] * camera.focal + np.array(camera.middle())
         inverse, owner = topmost(pixels, 1 / corners[..., 2], inverse.shape)
     table = _inverse_depth_of_table(camera)
     # What lies in the table's plane is on the table, whichever way rounding goes.

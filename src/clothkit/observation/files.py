@@ -67,9 +67,8 @@ def _read_numpy(path: Path, cloth_side: float) -> State:
         with path.open("rb") as file:
             loaded = np.load(file, allow_pickle=False)
             arrays = {"array": loaded} if isinstance(loaded, np.ndarray) else dict(loaded)
-    except Exception as error:  # zipfile, zlib, struct, header parsing: whatever is broken in the file
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise InputError(f"{path}: can't be read as {path.suffix[1:].upper()} ({reason})") from error
+    except Exception as error:  # of zipfile, zlib, struct, header parsing; numpy's advice to unpickle is none
+        raise InputError(f"{path}: can't be read as {path.suffix[1:].upper()}, it is none or is broken") from error
     extras = {name: arrays.pop(name) for name in _EXTRAS if name in arrays}
     if len(arrays) > 1:
         known = [name for name in ("mesh", "vertices", "voxels", "points") if name in arrays]

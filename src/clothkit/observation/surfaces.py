@@ -54,15 +54,19 @@ def read_surface(path: Path, *, cloth_side: float) -> MeshState | PointCloud:
     faces = np.asarray(faces)
     if not np.isfinite(vertices).all():
         raise InputError(f"{path}: has vertices that are not finite")
+    grid = is_grid(len(vertices), faces)
+    _check_size(path, vertices, cloth_side, grid=grid)
     lowest = vertices[:, 2].min()
     if not abs(lowest) <= _OFF_TABLE * cloth_side:
         raise InputError(
             f"{path}: its lowest vertex is at height {lowest:.3g} m, expected the table at 0 (z up in OBJ and PLY, "
             "y up in GLB) and metres"
         )
-    if is_grid(len(vertices), faces):
-        return mesh_state(path, vertices.reshape(SIDE, SIDE, 3), cloth_side=cloth_side)
-    return from_above(path, vertices, faces, cloth_side=cloth_side)
+    if not grid:
+        return from_above(vertices, faces, pitch=_PITCH * cloth_side)
+    scale = cloth_side / CLOTH_SIDE
+    mesh, centre = centred((vertices / scale).astype(np.float32).reshape(SIDE, SIDE, 3))
+    return MeshState(mesh, centre, scale)
 
 
 def is_grid(vertices: int, faces: Int[np.ndarray, "faces 3"]) -> bool:
@@ -75,16 +79,19 @@ def is_grid(vertices: int, faces: Int[np.ndarray, "faces 3"]) -> bool:
     return bool(within.all() and (quads <= 2).all() and quads.sum() == len(grid_triangles()))
 
 
-def mesh_state(path: Path, vertices: Float[np.ndarray, "32 32 3"], *, cloth_side: float) -> MeshState:
-    """The state of a grid in metres. Raises InputError when it is not as wide as the cloth."""
-    found = side_of(vertices)
-    if not 0.8 <= found / cloth_side <= 1.2:
+def _check_size(path: Path, vertices: np.ndarray, cloth_side: float, *, grid: bool) -> None:
+    """That a grid is as wide as the cloth along its edges, and any other surface not far wider."""
+    if grid:
+        found = side_of(vertices.reshape(SIDE, SIDE, 3))
+        if not 0.8 <= found / cloth_side <= 1.2:
+            raise InputError(
+                f"{path}: the grid's side is {found:.3g} m along its edges, expected the cloth's side, {cloth_side:g} m"
+            )
+    span = np.ptp(vertices[:, :2], axis=0).max()
+    if span > _MOST_SPAN * cloth_side:
         raise InputError(
-            f"{path}: the grid's side is {found:.3g} m along its edges, expected the cloth's side, {cloth_side:g} m"
+            f"{path}: spans {span:.3g} m, expected a cloth of side {cloth_side:g} m; check that it is in metres"
         )
-    scale = cloth_side / CLOTH_SIDE
-    mesh, centre = centred((vertices / scale).astype(np.float32))
-    return MeshState(mesh, centre, scale)
 
 
 def side_of(mesh: Float[np.ndarray, "u v 3"]) -> float:
@@ -94,16 +101,10 @@ def side_of(mesh: Float[np.ndarray, "u v 3"]) -> float:
 
 
 def from_above(
-    path: Path, vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"], *, cloth_side: float
+    vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"], *, pitch: float
 ) -> PointCloud:
-    """The points of a surface that are seen from straight above, a raster of them; the table is z = 0.
-
-    Raises InputError when it is far larger than the cloth.
-    """
+    """The points of a surface that are seen from straight above, `pitch` [m] apart; the table is z = 0."""
     low, span = vertices[:, :2].min(0), np.ptp(vertices[:, :2], axis=0)
-    if span.max() > _MOST_SPAN * cloth_side:
-        raise InputError(f"{path}: spans {span.max():.3g} m, more than a cloth of side {cloth_side:g} m; is it metres?")
-    pitch = _PITCH * cloth_side
     rows, columns = (int(n) for n in np.ceil(span / pitch) + 1)
     # Rows run along x here.
     places = (vertices[:, 1::-1] - low[::-1]) / pitch
