@@ -102,6 +102,12 @@ def test_invalid_points_strays_and_distant_things_change_little() -> None:
     assert difference(seen.voxels, TRUTH) < 0.07
 
 
+def test_half_of_the_points_give_nearly_the_same() -> None:
+    thinned = observe_cloud(CLOUD, cloth_side=CLOTH, settings=CloudConfig(most=8000))
+    assert 7000 < len(thinned.points) <= 8000
+    assert difference(thinned.voxels, TRUTH) < 0.05
+
+
 def test_outliers_are_those_far_from_their_neighbours() -> None:
     grid = np.stack(np.meshgrid(np.arange(20.0), np.arange(20.0), [0.0]), -1).reshape(-1, 3)
     far = np.array([[10.0, 10.0, 9.0], [40.0, 0.0, 0.0]])

@@ -24,7 +24,8 @@ def test_meshes_voxels_and_clouds_of_one_cloth_agree() -> None:
     cloud = observe(back_project(image_of(MESH, CameraConfig())), cloth_side=CLOTH)
     assert (cloud.voxels != TRUTH).sum() < 0.05 * TRUTH.sum()
     for seen in (mesh, known, cloud):
-        assert goal_iou(MESH, seen.points) > 0.9
+        # A voxel is 0.06 wide, and one that is touched counts whole.
+        assert goal_iou(MESH, seen.points) > (0.85 if seen is known else 0.95)
         assert seen.points[:, 2].max() == pytest.approx(MESH[..., 2].max(), abs=0.005)
 
 

@@ -12,6 +12,8 @@ from jaxtyping import Bool, Float
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from clothkit.cloth.grid import CLOTH_SIDE
+from clothkit.cloth.voxels import RESOLUTION
 from clothkit.errors import InputError
 from clothkit.observation.plane import Plane, find
 from clothkit.observation.settings import CloudConfig
@@ -25,7 +27,7 @@ _NARROWEST, _WIDEST = 0.15, 1.6
 _MOST_COVERED = 1.25
 # Times the usual distance: at the corner of an even grid it is one and a half.
 _LEAST_OUTLYING = 2.0
-_VOXELS_A_SIDE = 22.4  # that the flat cloth has
+_VOXELS_A_SIDE = CLOTH_SIDE / 2 * RESOLUTION[0]  # that the flat cloth has
 
 
 class Segmented(NamedTuple):
@@ -65,6 +67,8 @@ def segment(
         table = find(others, settings.plane, viewpoint=viewpoint, name=name)
     rotation, origin = table.frame()
     cloth, others = ((part - origin) @ rotation.T for part in (cloth, others))
+    # Every n-th, so that what a camera saw in rows and columns stays even.
+    cloth = cloth[:: -(-len(cloth) // settings.most)]
     cloth = _above_table(cloth, settings, name)
     cloth = without_outliers(cloth, settings)
     cloth = _one_piece(cloth, cloth_side, settings, name)

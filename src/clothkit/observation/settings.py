@@ -25,6 +25,8 @@ class CloudConfig:
     plane: PlaneConfig = PlaneConfig()
     highest: Annotated[float, Gt(0)] = 0.1
     """What is further above the table is not the cloth [m]."""
+    most: Annotated[int, Ge(1000)] = 60_000
+    """Points of the cloth that are looked at; of more, every second, third, ...: they cost time and add nothing."""
     neighbours: Annotated[int, Ge(0)] = 8
     """Nearest neighbours by whose distance outliers are told; 0: none are dropped."""
     deviations: Annotated[float, Gt(0)] = 4.0
