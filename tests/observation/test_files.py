@@ -227,6 +227,7 @@ def named(name: str) -> Callable[[Path], str]:
     return lambda folder: str(folder / name)
 
 
+WILD = np.where(np.arange(3072).reshape(32, 32, 3) == 5, np.float32(3e38), MESH)
 NAN = np.where(np.arange(3072).reshape(32, 32, 3) == 5, np.nan, MESH)
 
 
@@ -239,25 +240,27 @@ NAN = np.where(np.arange(3072).reshape(32, 32, 3) == 5, np.nan, MESH)
         (written("bad.glb", b"no GLB at all, but long enough to look at"), "can't be read as GLB"),
         (written("bad.ply", b"ply\nformat ascii 1.0\nelement vertex 3\n"), "can't be read as PLY"),
         (written("bad.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"), "holds no triangles"),
-        (meshed(PLACED * 1000), "the grid's side is 400 m along its edges"),
+        (meshed(PLACED * 1000), "the mesh's side is 400 along its edges, expected the cloth's, 0.4 m"),
         (meshed(PLACED + np.float32([0, 0, 0.5])), "its lowest vertex is at height 0.501 m, expected the table at 0"),
         (meshed(PLACED[..., [0, 2, 1]]), "its lowest vertex is at height"),
         (
             meshed(PLACED * np.float32(0.5)),
-            "the grid's side is 0.2 m along its edges, expected the cloth's side, 0.4 m",
+            "the mesh's side is 0.2 along its edges, expected the cloth's, 0.4 m",
         ),
         (
             meshed(CORNERS * np.float32([9, 9, 1])),
-            "spans 3.6 m, expected a cloth of side 0.4 m; check that it is in metres",
+            "spans 3.6, expected a cloth of side 0.4 m; check its unit",
         ),
         (meshed(np.where(PLACED[3, 3, 0] == PLACED, np.nan, PLACED)), "not finite"),
+        (written("bad.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n"), "can't be read as OBJ"),
         (written("bad.npy", b"\x93NUMPY, but cut off"), "can't be read as NPY, it is none or is broken"),
         (written("bad.npz", b"PK, but not a zip"), "can't be read as NPZ, it is none or is broken"),
         (saved(a=np.zeros((31, 32, 3))), r"has shape \[31, 32, 3\], expected \[32, 32, 3\] \(mesh\)"),
         (saved(a=np.zeros((4, 3)), b=np.zeros(3)), "holds a, b, expected one of mesh, voxels, points"),
         (saved(cloth=np.zeros(3)), "holds no array"),
+        (saved(a=WILD), r"spans 3e\+38, expected a cloth of side 1.4 normalised"),
         (saved(a=NAN), "has vertices that are not finite"),
-        (saved(mesh=PLACED), "the mesh's side is 0.4 along its edges, expected normalised coordinates, 1.4"),
+        (saved(mesh=PLACED), "the mesh's side is 0.4 along its edges, expected the cloth's, 1.4 normalised"),
         (saved(voxels=np.full((32, 32, 16), 0.5)), "has voxels other than 0 and 1"),
         (saved(voxels=np.zeros((32, 32, 16))), "has no occupied voxel"),
         (saved(points=np.array([["a", "b", "c"]])), "holds <U1, expected numbers"),
@@ -270,6 +273,7 @@ NAN = np.where(np.arange(3072).reshape(32, 32, 3) == 5, np.nan, MESH)
         (clouded(COUNT="1 1"), "FIELDS, SIZE, TYPE and COUNT of its header differ in length"),
         (clouded(TYPE="F F Q U F"), "field z has type Q, size 4, count 1: unknown"),
         (clouded(POINTS="many"), "POINTS is 'many' in its header, expected a whole number"),
+        (clouded(POINTS="-3"), "POINTS is '-3' in its header, expected a whole number"),
         (clouded(POINTS="9"), "ends after 3 points, its header says 9"),
         (clouded("binary", POINTS="9"), "ends after 3 points, its header says 9"),
         (clouded("binary_compressed"), "DATA is binary_compressed, expected ascii or binary; save it uncompressed"),
@@ -284,6 +288,27 @@ def test_a_bad_file_is_named_with_what_was_expected(tmp_path: Path, make: Callab
     message = str(raised.value)
     assert message.startswith(f"{path}: ")
     assert "\n" not in message
+
+
+def test_files_that_end_too_early_are_told_or_read_but_never_break(tmp_path: Path) -> None:
+    random = np.random.default_rng(0)
+    points = random.uniform(-0.2, 0.2, (60, 3)).astype(np.float32)
+    np.savez(tmp_path / "a.npz", points=points)
+    np.save(tmp_path / "b.npy", MESH)
+    whole = [exported(tmp_path / f"c.{ending}", PLACED, triangles()) for ending in ("obj", "ply", "glb")]
+    whole += [pcd(tmp_path / "d.pcd", points, "ascii"), pcd(tmp_path / "e.pcd", points, "binary")]
+    for file in [*whole, tmp_path / "a.npz", tmp_path / "b.npy"]:
+        content = file.read_bytes()
+        cut = tmp_path / f"cut{file.suffix}"
+        told = []
+        for end in random.integers(1, len(content), 8):
+            cut.write_bytes(content[:end])
+            try:
+                read(cut)
+            except InputError as error:
+                told.append(str(error))
+        assert told, file.name
+        assert all(sentence.startswith(f"{cut}: ") and "\n" not in sentence for sentence in told)
 
 
 def test_a_bad_zarr_is_named_with_what_was_expected(meshes: Path, tmp_path: Path) -> None:

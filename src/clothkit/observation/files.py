@@ -21,7 +21,7 @@ from clothkit.cloth.voxels import RESOLUTION
 from clothkit.errors import InputError
 from clothkit.observation.pcd import read_pcd
 from clothkit.observation.states import MeshState, PointCloud, VoxelState
-from clothkit.observation.surfaces import ENDINGS, read_surface, side_of
+from clothkit.observation.surfaces import ENDINGS, check_grid, read_surface
 from clothkit.simulation.settings import SimulationConfig
 
 DEFAULT_SIDE = SimulationConfig().cloth_side
@@ -106,6 +106,8 @@ def from_array(
     if array.ndim != 2 or array.shape[1] != 3:
         raise InputError(f"{name}: has shape {list(array.shape)}, expected {_SHAPES}")
     count = len(array)
+    with np.errstate(invalid="ignore"):
+        points = array.astype(float)
     for field, value, shape in (
         ("cloth", cloth, (count,)),
         ("colours", colours, (count, 3)),
@@ -118,7 +120,7 @@ def from_array(
     if colours is not None and (colours.dtype.kind not in "iu" or colours.min() < 0 or colours.max() > 255):
         raise InputError(f"{name}: colours are not whole numbers 0 to 255")
     return PointCloud(
-        array.astype(float),
+        points,
         cloth=None if cloth is None else cloth.astype(bool),
         colours=None if colours is None else colours.astype(np.uint8),
         viewpoint=None if viewpoint is None else viewpoint.astype(float),
@@ -128,11 +130,7 @@ def from_array(
 def _mesh(name: str, vertices: np.ndarray, cloth_side: float) -> MeshState:
     if not np.isfinite(vertices).all():
         raise InputError(f"{name}: has vertices that are not finite")
-    found = side_of(vertices)
-    if not 0.8 <= found / CLOTH_SIDE <= 1.2:
-        raise InputError(
-            f"{name}: the mesh's side is {found:.3g} along its edges, expected normalised coordinates, {CLOTH_SIDE:g}"
-        )
+    check_grid(name, vertices, side=CLOTH_SIDE, unit="normalised")
     return MeshState(*centred(vertices), cloth_side / CLOTH_SIDE)
 
 

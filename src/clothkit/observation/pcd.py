@@ -31,7 +31,9 @@ def read_pcd(path: Path) -> PointCloud:
         table = np.frombuffer(content, dtype, count=points, offset=begin)
     else:
         raise InputError(f"{path}: DATA is {encoding}, expected ascii or binary; save it uncompressed")
-    xyz = np.stack([table[axis] for axis in "xyz"], axis=-1).astype(float)
+    # Cameras write all kinds of NaN.
+    with np.errstate(invalid="ignore"):
+        xyz = np.stack([table[axis].astype(float) for axis in "xyz"], axis=-1)
     return PointCloud(xyz, colours=_colours(table), viewpoint=_viewpoint(path, header))
 
 
@@ -55,7 +57,10 @@ def _header(path: Path, content: bytes) -> tuple[dict[str, list[str]], int]:
 
 def _number(path: Path, header: dict[str, list[str]], name: str) -> int:
     try:
-        return int(header[name][0])
+        number = int(header[name][0])
+        if number < 0:
+            raise ValueError
+        return number
     except ValueError as error:
         raise InputError(f"{path}: {name} is {header[name][0]!r} in its header, expected a whole number") from error
 

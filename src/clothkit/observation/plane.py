@@ -99,7 +99,8 @@ def find(
             f"at least {settings.share:.0%}; crop with box or give the table's plane"
         )
     side = float(plane.heights(viewpoint))
-    if abs(side) < 2 * settings.tolerance:
+    # So written, a viewpoint that is not a number is refused too.
+    if not abs(side) >= 2 * settings.tolerance:
         raise InputError(f"{name}: the viewpoint lies in the table, so no side is up; give it or the table's plane")
     return plane if side > 0 else Plane(-plane.normal, -plane.offset)
 

@@ -24,8 +24,10 @@ _PITCH = 0.005
 """Distance of the points that a surface is sampled at, as a share of the cloth's side."""
 _OFF_TABLE = 0.1
 """How far from height 0 the lowest vertex may be, as a share of the cloth's side."""
-_MOST_SPAN = 3.0
-"""What a surface may span, in cloth sides: more is not a cloth, and would be costly to sample."""
+_NARROWEST, _WIDEST = 0.8, 1.2
+"""How wide a grid may be along its edges, in cloth sides: cloths stretch, and files may round."""
+_MOST_SPAN = 1.6
+"""What a cloth may span along one axis, in cloth sides: its diagonal, and some slack."""
 
 
 def read_surface(path: Path, *, cloth_side: float) -> MeshState | PointCloud:
@@ -54,8 +56,13 @@ def read_surface(path: Path, *, cloth_side: float) -> MeshState | PointCloud:
     faces = np.asarray(faces)
     if not np.isfinite(vertices).all():
         raise InputError(f"{path}: has vertices that are not finite")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise InputError(f"{path}: has triangles between vertices that it doesn't hold, there are {len(vertices)}")
     grid = is_grid(len(vertices), faces)
-    _check_size(path, vertices, cloth_side, grid=grid)
+    if grid:
+        check_grid(str(path), vertices.reshape(SIDE, SIDE, 3), side=cloth_side, unit="m")
+    else:
+        check_span(str(path), vertices, side=cloth_side, unit="m")
     lowest = vertices[:, 2].min()
     if not abs(lowest) <= _OFF_TABLE * cloth_side:
         raise InputError(
@@ -79,25 +86,22 @@ def is_grid(vertices: int, faces: Int[np.ndarray, "faces 3"]) -> bool:
     return bool(within.all() and (quads <= 2).all() and quads.sum() == len(grid_triangles()))
 
 
-def _check_size(path: Path, vertices: np.ndarray, cloth_side: float, *, grid: bool) -> None:
-    """That a grid is as wide as the cloth along its edges, and any other surface not far wider."""
-    if grid:
-        found = side_of(vertices.reshape(SIDE, SIDE, 3))
-        if not 0.8 <= found / cloth_side <= 1.2:
-            raise InputError(
-                f"{path}: the grid's side is {found:.3g} m along its edges, expected the cloth's side, {cloth_side:g} m"
-            )
-    span = np.ptp(vertices[:, :2], axis=0).max()
-    if span > _MOST_SPAN * cloth_side:
+def check_grid(name: str, mesh: Float[np.ndarray, "u v 3"], *, side: float, unit: str) -> None:
+    """That a grid is as wide as the cloth along its edges, folded or not, in a named unit. Raises InputError."""
+    edges = [np.median(np.linalg.norm(np.diff(mesh.astype(float), axis=axis), axis=-1)) for axis in (0, 1)]
+    found = float(np.mean(edges)) * (mesh.shape[0] - 1)
+    if not _NARROWEST <= found / side <= _WIDEST:
         raise InputError(
-            f"{path}: spans {span:.3g} m, expected a cloth of side {cloth_side:g} m; check that it is in metres"
+            f"{name}: the mesh's side is {found:.3g} along its edges, expected the cloth's, {side:g} {unit}"
         )
+    check_span(name, mesh.reshape(-1, 3), side=side, unit=unit)
 
 
-def side_of(mesh: Float[np.ndarray, "u v 3"]) -> float:
-    """How wide the flat cloth is, from the usual length of its edges, in the mesh's unit."""
-    along = [np.median(np.linalg.norm(np.diff(mesh, axis=axis), axis=-1)) for axis in (0, 1)]
-    return float(np.mean(along)) * (mesh.shape[0] - 1)
+def check_span(name: str, vertices: Float[np.ndarray, "vertices 3"], *, side: float, unit: str) -> None:
+    """That nothing spans more than the cloth's diagonal. Raises InputError."""
+    span = float(np.ptp(vertices.astype(float), axis=0).max())
+    if span > _MOST_SPAN * side:
+        raise InputError(f"{name}: spans {span:.3g}, expected a cloth of side {side:g} {unit}; check its unit")
 
 
 def from_above(
