@@ -14,7 +14,18 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 import hypothesis
 import jaxtyping
 
-FLOORS = ("cloth", "manipulation", "dataset", "networks", "estimation", "planning", "evaluation", "report", "app")
+FLOORS = (
+    "cloth",
+    "manipulation",
+    "dataset",
+    "networks",
+    "observation",
+    "estimation",
+    "planning",
+    "evaluation",
+    "report",
+    "app",
+)
 
 # Not in simulation, where the annotations of Warp's kernels are Warp's own.
 HOOK = jaxtyping.install_import_hook([f"clothkit.{floor}" for floor in FLOORS], "beartype.beartype")

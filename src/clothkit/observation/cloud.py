@@ -1,0 +1,117 @@
+"""From a point cloud to the voxels that nets are trained on, and the pose that brings plans back (section 6.5).
+
+The cloud is cropped to the table, cleared of outliers, scaled by the cloth's known side, centred, voxelised and
+occluded as in training. A camera's points are noisier than a mesh's and uneven in density, so three things are done
+besides: heights are smoothed, columns that hardly any point falls into stay empty, and gaps of few columns are closed.
+"""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from clothkit.cloth.grid import CLOTH_SIDE
+from clothkit.cloth.voxels import HEIGHT, RESOLUTION, occlude, voxelise
+from clothkit.errors import InputError
+from clothkit.observation.coverage import centre, spacing
+from clothkit.observation.plane import Plane
+from clothkit.observation.pose import Pose
+from clothkit.observation.segment import segment
+from clothkit.observation.settings import CloudConfig
+from clothkit.observation.states import PointCloud
+
+_DIAGONAL = 0.75  # of the cloth's side: half of its diagonal, and some slack
+_SMOOTHED_OVER = (9, 64)  # points: fewer help little, more take long
+_NOWHERE = 9.0  # normalised, outside the viewport
+
+
+@dataclasses.dataclass(frozen=True)
+class Observation:
+    """What is known of a cloth that a camera saw."""
+
+    voxels: Bool[np.ndarray, "32 32 16"]
+    """Occluded and centred: what `estimation.estimate` takes."""
+    pose: Pose
+    """Where the cloth is on the table, and the table before the camera."""
+    points: Float[np.ndarray, "points 3"]
+    """The cloth's points, normalised and centred, heights smoothed."""
+
+
+def observe_cloud(
+    cloud: PointCloud,
+    *,
+    cloth_side: float,
+    settings: CloudConfig = CloudConfig(),  # noqa: B008
+    table: Plane | None = None,
+    name: str = "cloud",
+) -> Observation:
+    """The voxels of the cloth in a point cloud, and its pose.
+
+    `cloth_side` [m] is that of the flat cloth. The table is `table`, else the cloud's own, else it is found among the
+    points that are not the cloth's. `name` is what messages call the cloud. Raises InputError, one sentence, when the
+    cloud is not one of a single cloth on a table.
+    """
+    if not (np.isfinite(cloth_side) and cloth_side > 0):
+        raise InputError(f"cloth side {cloth_side:g}: expected metres above 0")
+    found = segment(cloud, cloth_side=cloth_side, settings=settings, table=table, name=name)
+    middle = centre(found.cloth[:, :2], extent=_DIAGONAL * 2 * cloth_side)
+    pose = Pose(found.rotation, found.origin, middle, cloth_side / CLOTH_SIDE)
+    points = found.cloth - [0, 0, settings.surface]
+    points = pose.table_to_normalised(smoothed(points, radius=settings.smoothing))
+    empty = columns_of(pose.table_to_normalised(found.table)) > 0
+    occupied = voxels_of_points(points, covered=settings.covered, height=settings.height)
+    return Observation(closed(occupied, ~empty, most=settings.closed), pose, points.astype(np.float32))
+
+
+def smoothed(points: Float[np.ndarray, "points 3"], *, radius: float) -> Float[np.ndarray, "points 3"]:
+    """The points, each at the median height of its nearest in xy: as many as a disc of the radius usually holds.
+
+    Any one length unit; radius 0 changes nothing. A median keeps the steps between layers that a mean would blur.
+    """
+    if radius == 0:
+        return points
+    tree = cKDTree(points[:, :2])
+    neighbours = int(np.clip(np.pi * (radius / spacing(points[:, :2])) ** 2, *_SMOOTHED_OVER))
+    nearest = tree.query(points[:, :2], k=min(neighbours, len(points)))[1]
+    return np.column_stack([points[:, :2], np.median(points[:, 2][nearest].reshape(len(points), -1), axis=1)])
+
+
+def columns_of(points: Float[np.ndarray, "points 3"]) -> np.ndarray:
+    """How many of the points [normalised] fall above each voxel's xy, int [32, 32]."""
+    edges = [np.linspace(-1, 1, n + 1) for n in RESOLUTION[:2]]
+    return np.histogram2d(points[:, 0], points[:, 1], bins=edges)[0].astype(int)
+
+
+def voxels_of_points(
+    points: Float[np.ndarray, "points 3"], *, covered: float = 0.0, height: float = HEIGHT
+) -> Bool[np.ndarray, "32 32 16"]:
+    """The occluded voxels of points [normalised], but for columns with fewer than a share of the usual count."""
+    counts = columns_of(points)
+    least = covered * np.median(counts[counts > 0]) if counts.any() else 0
+    # Filled up to a power of two, for which the program may be compiled already.
+    padded = np.full((1 << max(len(points) - 1, 1).bit_length(), 3), _NOWHERE, np.float32)
+    padded[: len(points)] = points
+    voxels = np.asarray(occlude(voxelise(padded, height=height)))
+    return voxels & (counts >= least)[..., None]
+
+
+def closed(
+    voxels: Bool[np.ndarray, "32 32 16"], unseen: Bool[np.ndarray, "32 32"], *, most: int
+) -> Bool[np.ndarray, "32 32 16"]:
+    """The voxels with gaps of at most so many columns filled, up to the median height of the columns around them.
+
+    A gap is empty, surrounded by cloth, and not a place where the table is seen (`unseen` everywhere else).
+    """
+    empty = ~voxels[..., 0]
+    gaps, count = ndimage.label(empty)
+    filled = voxels.copy()
+    border = np.unique(np.concatenate([gaps[0], gaps[-1], gaps[:, 0], gaps[:, -1]]))
+    for gap in range(1, count + 1):
+        inside = gaps == gap
+        if gap in border or inside.sum() > most or not unseen[inside].all():
+            continue
+        around = ndimage.binary_dilation(inside, structure=np.ones((3, 3))) & ~empty
+        filled[inside, : int(np.median(voxels[around].sum(-1)))] = True
+    return filled

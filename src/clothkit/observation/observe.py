@@ -1,0 +1,62 @@
+"""Voxels and pose of a cloth, whatever it is known by: a mesh, voxels or a point cloud."""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from clothkit.cloth.grid import CLOTH_SIDE
+from clothkit.cloth.voxels import HEIGHT, RESOLUTION, double, occlude
+from clothkit.cloth.voxels import observe as observe_mesh
+from clothkit.errors import InputError
+from clothkit.observation.cloud import Observation, observe_cloud
+from clothkit.observation.plane import Plane
+from clothkit.observation.pose import Pose
+from clothkit.observation.settings import CloudConfig
+from clothkit.observation.states import MeshState, PointCloud, VoxelState
+
+
+def observe(
+    state: MeshState | VoxelState | PointCloud,
+    *,
+    cloth_side: float,
+    settings: CloudConfig = CloudConfig(),  # noqa: B008
+    table: Plane | None = None,
+    name: str = "cloud",
+) -> Observation:
+    """What a camera above sees of the state: occluded, centred voxels, and the pose that brings plans back.
+
+    A mesh is doubled as in training. Voxels are moved by whole voxels to have their centre in the middle; their frame
+    is the table's, its origin the middle of the viewport. Raises InputError when a cloud is not one of a single cloth
+    on a table (`observe_cloud`), or voxels don't fit into the viewport once they are centred.
+    """
+    if isinstance(state, PointCloud):
+        return observe_cloud(state, cloth_side=cloth_side, settings=settings, table=table, name=name)
+    if isinstance(state, MeshState):
+        points = np.asarray(double(state.mesh)).reshape(-1, 3)
+        return Observation(np.asarray(observe_mesh(state.mesh, height=settings.height)), state.pose, points)
+    voxels, shift = _centred(np.asarray(occlude(jnp.asarray(state.voxels))), name)
+    scale = cloth_side / CLOTH_SIDE
+    return Observation(voxels, Pose(np.eye(3), np.zeros(3), shift * scale, scale), _tops(voxels, settings.height))
+
+
+def _centred(voxels: Bool[np.ndarray, "32 32 16"], name: str) -> tuple[np.ndarray, np.ndarray]:
+    """The voxels moved by whole ones, and where their centre was [normalised]."""
+    columns = voxels.any(-1)
+    if not columns.any():
+        raise InputError(f"{name}: has no occupied voxel")
+    size = np.array(columns.shape)
+    steps = np.rint((size - 1) / 2 - np.argwhere(columns).mean(0)).astype(int)
+    moved = np.argwhere(voxels) + np.append(steps, 0)
+    if (moved < 0).any() or (moved >= voxels.shape).any():
+        raise InputError(f"{name}: the cloth does not fit into the viewport once it is centred")
+    centred = np.zeros_like(voxels)
+    centred[tuple(moved.T)] = True
+    return centred, -steps * (2 / size)
+
+
+def _tops(voxels: Bool[np.ndarray, "32 32 16"], height: float = HEIGHT) -> Float[np.ndarray, "columns 3"]:
+    """The middle of the highest voxel of every column that has one [normalised]."""
+    x, y = np.nonzero(voxels.any(-1))
+    top = voxels[x, y].sum(-1) - 1
+    place = (np.stack([x, y, top], axis=-1) + 0.5) / RESOLUTION
+    return (place * [2, 2, height] - [1, 1, 0]).astype(np.float32)

@@ -1,0 +1,123 @@
+"""The table's plane: found in a point cloud by RANSAC, and the frame that it gives."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge, Gt, Le
+from jaxtyping import Float
+
+from clothkit.config import config
+from clothkit.errors import InputError
+
+_CANDIDATE_POINTS = 4000
+_REFINEMENTS = 3
+_LEAST_POINTS = 50
+
+
+@config
+class PlaneConfig:
+    """How the table is looked for."""
+
+    tolerance: Annotated[float, Gt(0)] = 0.008
+    """How far from the plane a point of the table may be measured [m]."""
+    tries: Annotated[int, Gt(0)] = 200
+    """Planes through three random points."""
+    share: Annotated[float, Gt(0), Le(1)] = 0.4
+    """Least share of the points outside the cloth that must lie on the table."""
+    seed: Annotated[int, Ge(0)] = 0
+
+
+@dataclasses.dataclass(frozen=True)
+class Plane:
+    """The points p with normal . p = offset; the cloth lies on the side to which the normal points."""
+
+    normal: Float[np.ndarray, "3"]
+    """Of length 1."""
+    offset: float
+    """Metres."""
+
+    def heights(self, points: Float[np.ndarray, "*points 3"]) -> Float[np.ndarray, "*points"]:
+        """How far above the table points are [m]."""
+        return np.asarray(points @ self.normal - self.offset)
+
+    def frame(self) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
+        """The table's axes as rows, and its origin [m], both in the plane's own frame.
+
+        z is the normal, x the plane's nearest to the frame's x, the origin the frame's moved along z into the table:
+        seen from a camera that looks down, x is to the right and y up. For the plane z = 0 nothing changes.
+        """
+        reference = np.eye(3)[0] if abs(self.normal[0]) < 0.9 else np.eye(3)[1]
+        x = reference - (reference @ self.normal) * self.normal
+        x /= np.linalg.norm(x)
+        return np.stack([x, np.cross(self.normal, x), self.normal]), self.offset * self.normal
+
+
+LEVEL = Plane(np.array([0.0, 0.0, 1.0]), 0.0)
+"""The table of a cloud that is in the table's own frame."""
+
+
+def plane_of(coefficients: Sequence[float]) -> Plane:
+    """The plane a x + b y + c z = d [m] of calibration, (a, b, c) pointing up, of any length but 0.
+
+    Raises InputError when there is no such plane.
+    """
+    values = np.asarray(coefficients, float)
+    length = np.linalg.norm(values[:3])
+    if values.shape != (4,) or not np.isfinite(values).all() or length == 0:
+        raise InputError(f"table {tuple(coefficients)}: expected a, b, c, d of a plane a x + b y + c z = d")
+    return Plane(values[:3] / length, float(values[3] / length))
+
+
+def find(
+    points: Float[np.ndarray, "points 3"],
+    settings: PlaneConfig,
+    *,
+    viewpoint: Float[np.ndarray, "3"],
+    name: str = "cloud",
+) -> Plane:
+    """The plane that most of the points outside the cloth lie on, the viewpoint above it. Same seed, same plane.
+
+    Raises InputError when too few points lie on any one plane, or the viewpoint lies in it and no side is up.
+    """
+    if len(points) < _LEAST_POINTS:
+        raise InputError(
+            f"{name}: table not found, there are {len(points)} points outside the cloth, expected at least "
+            f"{_LEAST_POINTS}; give the table's plane"
+        )
+    random = np.random.default_rng(settings.seed)
+    some = points[random.choice(len(points), min(len(points), _CANDIDATE_POINTS), replace=False)]
+    plane = _ransac(some, settings, random)
+    on_it = np.abs(plane.heights(points)) < settings.tolerance
+    for _ in range(_REFINEMENTS):
+        plane = _fit(points[on_it]) if on_it.sum() >= 3 else plane
+        on_it = np.abs(plane.heights(points)) < settings.tolerance
+    if on_it.mean() < settings.share:
+        raise InputError(
+            f"{name}: table not found, of the points outside the cloth {on_it.mean():.0%} lie on one plane, expected "
+            f"at least {settings.share:.0%}; crop with box or give the table's plane"
+        )
+    side = float(plane.heights(viewpoint))
+    # So written, a viewpoint that is not a number is refused too.
+    if not abs(side) >= 2 * settings.tolerance:
+        raise InputError(f"{name}: the viewpoint lies in the table, so no side is up; give it or the table's plane")
+    return plane if side > 0 else Plane(-plane.normal, -plane.offset)
+
+
+def _ransac(points: np.ndarray, settings: PlaneConfig, random: np.random.Generator) -> Plane:
+    a, b, c = np.moveaxis(points[random.integers(len(points), size=(settings.tries, 3))], 1, 0)
+    normals = np.cross(b - a, c - a)
+    lengths = np.linalg.norm(normals, axis=-1, keepdims=True)
+    normals = np.where(lengths > 0, normals / np.where(lengths > 0, lengths, 1), [0.0, 0.0, 1.0])
+    offsets = (normals * a).sum(-1)
+    best = np.argmax((np.abs(points @ normals.T - offsets) < settings.tolerance).sum(0))
+    return Plane(normals[best], float(offsets[best]))
+
+
+def _fit(points: np.ndarray) -> Plane:
+    """The plane of least squares."""
+    middle = points.mean(0)
+    moved = points - middle
+    normal = np.linalg.eigh(moved.T @ moved)[1][:, 0]
+    return Plane(normal, float(normal @ middle))

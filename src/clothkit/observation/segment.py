@@ -1,0 +1,175 @@
+"""Which points of a cloud are the cloth's, and where the table is: what is wrong with a cloud is told here.
+
+A cloth is thinner than a depth camera's noise, so heights don't tell a single layer from the table. What does: a mask
+that comes with the cloud; colours, with the range of those that are the table's; or that the cloud holds nothing but
+the cloth, and the table's plane is given. With a mask or colours the plane can be found in the other points.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from clothkit.cloth.grid import CLOTH_SIDE
+from clothkit.cloth.voxels import RESOLUTION
+from clothkit.errors import InputError
+from clothkit.observation.plane import Plane, find
+from clothkit.observation.settings import CloudConfig
+from clothkit.observation.states import PointCloud
+
+_LEAST_POINTS = 100
+_UNITS = {"millimetres": 1000.0, "centimetres": 100.0, "inches": 39.37}
+# Of the cloth's side: what a cloth can span along one axis, folded small and as a flat diagonal, with some slack.
+_NARROWEST, _WIDEST = 0.15, 1.6
+# Of the flat cloth's area, with the noise of its border.
+_MOST_COVERED = 1.25
+# Times the usual distance: at the corner of an even grid it is one and a half.
+_LEAST_OUTLYING = 2.0
+_VOXELS_A_SIDE = CLOTH_SIDE / 2 * RESOLUTION[0]  # that the flat cloth has
+
+
+class Segmented(NamedTuple):
+    """The points of a cloud in the table's frame [m], sorted."""
+
+    cloth: Float[np.ndarray, "cloth 3"]
+    """Without outliers and strays."""
+    table: Float[np.ndarray, "table 3"]
+    """The others that lie on the table, none if only the cloth's were given."""
+    rotation: Float[np.ndarray, "3 3"]
+    origin: Float[np.ndarray, "3"]
+
+
+def segment(
+    cloud: PointCloud, *, cloth_side: float, settings: CloudConfig, table: Plane | None = None, name: str = "cloud"
+) -> Segmented:
+    """The cloth's points of a cloud, checked and cleared of outliers, in the table's frame.
+
+    `cloth_side` [m] is that of the flat cloth. Raises InputError, one sentence, when there are too few points, their
+    units are wrong, the table isn't found, or there is more than the cloth.
+    """
+    kept = _measured(cloud, settings, name)
+    points = cloud.points[kept].astype(float)
+    mask = _mask(cloud, settings, name)[kept]
+    cloth, others = points[mask], points[~mask]
+    if len(cloth) < _LEAST_POINTS:
+        raise InputError(f"{name}: {len(cloth)} points are the cloth's, expected at least {_LEAST_POINTS}")
+    _check_units(cloth, cloth_side, masked=len(others) > 0, name=name)
+    table = table or cloud.table
+    if table is None:
+        if not len(others):
+            raise InputError(
+                f"{name}: table not found, nothing tells cloth and table apart; give a mask, the table's colour, or "
+                "the table's plane with a cloud of the cloth alone"
+            )
+        viewpoint = np.zeros(3) if cloud.viewpoint is None else cloud.viewpoint.astype(float)
+        table = find(others, settings.plane, viewpoint=viewpoint, name=name)
+    rotation, origin = table.frame()
+    cloth, others = ((part - origin) @ rotation.T for part in (cloth, others))
+    # Every n-th, so that what a camera saw in rows and columns stays even.
+    cloth = cloth[:: -(-len(cloth) // settings.most)]
+    cloth = _above_table(cloth, settings, name)
+    cloth = without_outliers(cloth, settings)
+    cloth = _one_piece(cloth, cloth_side, settings, name)
+    flat = others[np.abs(others[:, 2]) < settings.plane.tolerance]
+    return Segmented(cloth, flat, rotation, origin)
+
+
+def _measured(cloud: PointCloud, settings: CloudConfig, name: str) -> Bool[np.ndarray, " points"]:
+    """The points that the camera measured and that lie in the box."""
+    if not len(cloud.points):
+        raise InputError(f"{name}: is empty, expected points x y z in metres")
+    for field in ("cloth", "colours"):
+        values = getattr(cloud, field)
+        if values is not None and len(values) != len(cloud.points):
+            raise InputError(f"{name}: {field} has {len(values)} rows for {len(cloud.points)} points")
+    kept = np.isfinite(cloud.points).all(1) & (cloud.points != 0).any(1)
+    if not kept.any():
+        raise InputError(f"{name}: none of its {len(kept)} points is finite and other than (0, 0, 0)")
+    if settings.box is not None:
+        low, high = settings.box
+        with np.errstate(invalid="ignore"):
+            kept &= ((cloud.points >= low) & (cloud.points <= high)).all(1)
+        if not kept.any():
+            raise InputError(f"{name}: none of its points lies in the box {low}..{high}")
+    return kept
+
+
+def _mask(cloud: PointCloud, settings: CloudConfig, name: str) -> Bool[np.ndarray, " points"]:
+    """The points that are the cloth's: as the cloud says, else as their colours say, else all."""
+    if cloud.cloth is not None:
+        return cloud.cloth
+    if settings.table_colour is None:
+        return np.ones(len(cloud.points), bool)
+    if cloud.colours is None:
+        raise InputError(f"{name}: has no colours, but table_colour is to tell the table by them")
+    low, high = settings.table_colour
+    return np.any((cloud.colours < np.array(low)) | (cloud.colours > np.array(high)), axis=1)
+
+
+def _check_units(cloth: np.ndarray, cloth_side: float, *, masked: bool, name: str) -> None:
+    """That what is cloth spans what a cloth of its side can span."""
+    # Some strays may lie anywhere.
+    low, high = np.percentile(cloth, [1, 99], axis=0)
+    span = float((high - low).max())
+    narrowest, widest = _NARROWEST * cloth_side, _WIDEST * cloth_side
+    if narrowest <= span <= widest:
+        return
+    sentence = (
+        f"{name}: the cloth spans {span:.3g} m, a cloth of side {cloth_side:g} m spans {narrowest:.3g} to {widest:.3g}"
+    )
+    units = [unit for unit, factor in _UNITS.items() if narrowest <= span / factor <= widest]
+    if units:
+        raise InputError(f"{sentence}; the points seem to be in {units[0]}, expected metres")
+    if span > widest and not masked:
+        raise InputError(f"{sentence}; if the table is among the points, give a mask or the table's colour")
+    raise InputError(f"{sentence}; check the units, the cloth's side, and which points are the cloth's")
+
+
+def _above_table(cloth: np.ndarray, settings: CloudConfig, name: str) -> np.ndarray:
+    """The cloth's points between table and `highest`, if the cloth lies there."""
+    middle = float(np.median(cloth[:, 2]))
+    if not -settings.plane.tolerance <= middle <= settings.highest:
+        where = "above" if middle > 0 else "below"
+        raise InputError(
+            f"{name}: table not found where the cloth lies, half of its points are more than {abs(middle):.3g} m "
+            f"{where} the plane; check the table's plane, or crop with box"
+        )
+    return cloth[(cloth[:, 2] > -2 * settings.plane.tolerance) & (cloth[:, 2] < settings.highest)]
+
+
+def without_outliers(points: Float[np.ndarray, "points 3"], settings: CloudConfig) -> Float[np.ndarray, "kept 3"]:
+    """The points whose mean distance to their nearest neighbours is not far above what is usual in the cloud."""
+    if not settings.neighbours or len(points) <= settings.neighbours:
+        return points
+    distance = cKDTree(points).query(points, k=settings.neighbours + 1)[0][:, 1:].mean(1)
+    usual = distance.mean()
+    return points[distance <= max(usual + settings.deviations * distance.std(), _LEAST_OUTLYING * usual)]
+
+
+def _one_piece(cloth: np.ndarray, cloth_side: float, settings: CloudConfig, name: str) -> np.ndarray:
+    """The largest connected piece, if the others are strays."""
+    cell = cloth_side / _VOXELS_A_SIDE
+    index = np.floor((cloth[:, :2] - cloth[:, :2].min(0)) / cell).astype(int)
+    cells = np.zeros(index.max(0) + 1, bool)
+    cells[tuple(index.T)] = True
+    pieces, count = ndimage.label(cells, structure=np.ones((3, 3)))
+    sizes = np.bincount(pieces[cells], minlength=count + 1)
+    largest = int(sizes.argmax())
+    second = float(np.sort(sizes)[-2] / sizes[largest])
+    if second >= settings.second:
+        raise InputError(
+            f"{name}: two objects where one cloth was expected, the smaller covers {second:.0%} of what the larger "
+            "does; crop with box or mask the other"
+        )
+    cloth = cloth[pieces[tuple(index.T)] == largest]
+    span, area = float(np.ptp(cloth[:, :2], axis=0).max()), sizes[largest] * cell**2
+    # Cells at the border are only partly covered.
+    most = _MOST_COVERED * (cloth_side + 2 * cell) ** 2
+    if span > _WIDEST * cloth_side or area > most:
+        raise InputError(
+            f"{name}: what should be the cloth spans {span:.2g} m and covers {area:.2g} m², more than a cloth of side "
+            f"{cloth_side:g} m can; check its side, and which points are the cloth's"
+        )
+    return cloth

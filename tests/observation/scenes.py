@@ -1,0 +1,46 @@
+"""Cloths that tests look at, and clouds of them in other frames."""
+
+import numpy as np
+
+from clothkit.cloth.grid import CLOTH_SIDE, SIDE, flat, triangles
+from clothkit.cloth.silhouette import centred
+from clothkit.observation.camera import CameraConfig, DepthImage, render
+
+CLOTH = 0.4
+SCALE = CLOTH / CLOTH_SIDE
+THICKNESS = 0.007  # normalised
+SMALL = CameraConfig(columns=160, rows=120, focal=147.5)
+
+
+def folded(*, along: float = 0.3, angle: float = 0.0) -> np.ndarray:
+    """A cloth of which a strip lies on the rest: what is beyond x = `along` is wound over a half circle. Centred."""
+    x = np.linspace(-CLOTH_SIDE / 2, CLOTH_SIDE / 2, SIDE)
+    radius = 1.5 * THICKNESS
+    past = x - along
+    bent = np.clip(past / radius, 0, np.pi)
+    rest = np.maximum(past - np.pi * radius, 0)
+    placed = np.where(past < 0, x, along + radius * np.sin(bent) - rest)
+    height = THICKNESS / 2 + radius * (1 - np.cos(bent)) * (past > 0)
+    mesh = flat()
+    mesh[..., 0], mesh[..., 2] = placed[:, None], height[:, None]
+    return centred(turned(mesh, angle))[0]
+
+
+def turned(mesh: np.ndarray, angle: float) -> np.ndarray:
+    """The mesh turned about z."""
+    c, s = np.cos(angle), np.sin(angle)
+    return (mesh @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])).astype(np.float32)
+
+
+def image_of(mesh: np.ndarray, camera: CameraConfig, *, at: tuple[float, float] = (0.0, 0.0)) -> DepthImage:
+    """What the camera sees of a normalised mesh whose centre lies at `at` [m] on the table."""
+    metres = mesh.astype(float) * SCALE + [*at, 0.0]
+    return render(metres, triangles(), camera)
+
+
+def motion(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """A random rigid motion: rotation and shift."""
+    random = np.random.default_rng(seed)
+    q, r = np.linalg.qr(random.normal(size=(3, 3)))
+    q = q * np.sign(np.diag(r))
+    return q * np.sign(np.linalg.det(q)), random.uniform(-2, 2, 3)
