@@ -12,8 +12,6 @@ optimiser's update takes by itself, and the gradient with its drawing.
 
 import argparse
 import dataclasses
-import time
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,6 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from tables import show
+from timed import in_a_row, least
 
 from clothkit.cloth.grid import flat
 from clothkit.dataset.store import STATES, STEPS, Dataset
@@ -49,27 +48,11 @@ def made_up() -> Dataset:
     )
 
 
-def least(call: Callable[[], Any], rounds: int) -> float:
-    """Seconds of the quickest of some calls, after one that compiles."""
-    jax.block_until_ready(call())
-    times = []
-    for _ in range(rounds):
-        started = time.perf_counter()
-        jax.block_until_ready(call())
-        times.append(time.perf_counter() - started)
-    return min(times)
-
-
 @partial(jax.jit, static_argnames="first")
 def products(x: jax.Array, weights: jax.Array, gradient: jax.Array, *, first: bool) -> tuple[jax.Array, ...]:
     """The forward product of a dense layer, and those of its backward pass."""
     forward, of_weights = x @ weights, x.T @ gradient
     return (forward, of_weights) if first else (forward, of_weights, gradient @ weights.T)
-
-
-def in_a_row(call: Callable[[], Any], repeats: int) -> list[Any]:
-    """The results of so many calls."""
-    return [call() for _ in range(repeats)]
 
 
 def products_alone(shapes: dict[tuple[int, int, int, bool], int], rounds: int) -> tuple[float, float]:

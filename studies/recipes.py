@@ -4,7 +4,7 @@ NET is pemd or vtm. Every variant (all of VARIANTS[NET] if none is named) change
 given as many iterations as fit into so many CPU minutes by a measurement of its own, and is trained with its schedule
 over them. The validation score after each tenth goes to reports/<scale>/studies/recipes_<net>.csv beside iterations
 and CPU minutes (compilation and validation left out), with the variant, its settings and its seed; what is there
-already is not done again. Needs `dvc repro augment`.
+already is not done again. recipes_<net>.png shows them. Needs `dvc repro augment`.
 """
 
 import argparse
@@ -23,10 +23,12 @@ from clothkit.dataset import store
 from clothkit.networks import pemd_training, vtm_training
 from clothkit.networks.training import Problem, train
 from clothkit.params import load_params
+from clothkit.report.figures.studies import recipes as draw
 
 CHECKS = 10
 TIMED = 30  # iterations by which a variant's pace is measured
 BASE: dict[str, Any] = {}
+HELD = {"training.muon_iterations": 3, "hold": 0.5}
 FAST = {"training.batch": 512, "training.muon_iterations": 3}
 VARIANTS: dict[str, dict[str, dict[str, Any]]] = {
     "pemd": {
@@ -39,6 +41,10 @@ VARIANTS: dict[str, dict[str, dict[str, Any]]] = {
         "batch 512": {"training.batch": 512},
         "batch 512, muon 3": FAST,
         "batch 512, muon 3, hold 0.5": {**FAST, "hold": 0.5},
+        "muon 3, hold 0.5": HELD,
+        "muon 3, hold 1": {**HELD, "hold": 1.0},
+        "muon 3, hold 0.5, rates x 2": {**HELD, "training.muon_learning_rate": 1.4e-2, "training.learning_rate": 2e-3},
+        "muon 2, hold 0.5": {**HELD, "training.muon_iterations": 2},
         "noise 0.01": {"noise": 0.01},
         "batch 128": {"training.batch": 128},
         "narrower": {"net.manipulation": 192, "net.encoder": [384, 192], "net.decoder": [192, 384]},
@@ -58,6 +64,10 @@ VARIANTS: dict[str, dict[str, dict[str, Any]]] = {
         "muon 3": {"training.muon_iterations": 3},
         "batch 512": {"training.batch": 512},
         "batch 512, muon 3": FAST,
+        "muon 3, hold 0.5": HELD,
+        "muon 3, hold 1": {**HELD, "hold": 1.0},
+        "batch 512, muon 3, hold 0.5": {**FAST, "hold": 0.5},
+        "muon 3, hold 0.5, rates x 2": {**HELD, "training.muon_learning_rate": 1.4e-2, "training.learning_rate": 2e-3},
         "batch 128": {"training.batch": 128},
         "narrower": {"net.hidden": 384},
         "wider": {"net.hidden": 768},
@@ -159,6 +169,8 @@ def main() -> None:
                 f"{best['minutes']:.1f} CPU minutes",
                 flush=True,
             )
+    # Budgets are not to be compared: the one that was asked for.
+    draw(table[table["budget"] == asked.minutes], path.with_suffix(".png"))
 
 
 if __name__ == "__main__":

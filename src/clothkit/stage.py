@@ -14,11 +14,16 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import jax
+
 import clothkit
 from clothkit.errors import InputError
 from clothkit.params import Params, load_params
 
 WORK = Path(".work")
+
+COMPILED_BYTES = 2**30
+"""What compiled programs may take, kept so that a stage that goes on, and its variants, need not compile again."""
 
 
 class Stage:
@@ -99,6 +104,8 @@ def stage(name: str, variant: str | None = None) -> Iterator[Stage]:
                 f"{clothkit.__file__}: stages run the clothkit under the current directory, and this one is elsewhere; "
                 "set PYTHONPATH=src or install the checkout that you stand in"
             )
+        jax.config.update("jax_compilation_cache_dir", str(WORK / "compiled"))
+        jax.config.update("jax_compilation_cache_max_size", COMPILED_BYTES)
         run = Stage(name, variant)
         yield run
     except InputError as error:

@@ -1,0 +1,149 @@
+"""What does a plan cost, and how much of the machine's matrix-product rate does the search reach?
+
+python benchmarks/planning.py [SYSTEM ..] [options]
+
+SYSTEM is main, b2, b3, b4 or b5 (the first three if none is named). For plans of one, two and three manipulations:
+seconds per plan, and, for systems that plan on meshes, how these stand to the time that the search's matrix products
+take by themselves, on the same shapes in the same run: for every weight matrix that the loss needs the forward product
+and the backward one for its input; weights need no gradient. The encoder, run once, is not counted.
+
+`--scale NAME` takes the sizes of a scale (the one in force), `--strains`, `--batch` and `--every` change its settings,
+`--rounds N` (3) repeat and take the least of each time. Nets are untrained: values do not matter for the time.
+"""
+
+import argparse
+import dataclasses
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from tables import show
+from timed import in_a_row, least
+
+from clothkit.cloth.grid import SIDE, flat
+from clothkit.cloth.voxels import observe
+from clothkit.networks import emd_voxel, pemd
+from clothkit.networks.net import Net
+from clothkit.params import load_params
+from clothkit.planning.draw import Candidates
+from clothkit.planning.loss import Range, Spread, Weights
+from clothkit.planning.search import UNKNOWN, Problem, Reference, SearchConfig, search
+from clothkit.planning.sight import CORNERS, MeshSight, VoxelSight
+from clothkit.planning.systems import SYSTEMS, System
+
+LENGTHS = (1, 2, 3)
+CANDIDATES = 12
+
+
+def problems(system: System, nets: tuple[Net, ...], forward: Any, length: int, batch: int) -> Problem:
+    """Flat cloths that shall stay as they are."""
+    state = np.asarray(observe(flat())) if system.voxels else flat()
+    grasps = np.zeros((CANDIDATES, 2), np.float32)
+    grasps[: len(CORNERS)] = 0.7 * CORNERS if system.voxels else CORNERS
+    widths = [jax.eval_shape(forward.encode, net, jnp.asarray(state)).shape[-1] for net in nets]
+    one = Problem(
+        state=state,
+        goal=state,
+        candidates=Candidates(grasps, np.array(len(CORNERS))),
+        traces=tuple(np.zeros((forward.labels, width), np.float32) for width in widths),
+        relative=np.array(0 if system.voxels else UNKNOWN),
+        later=np.array(False),
+        carried=np.zeros((length, 6), np.float32),
+    )
+    return jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[None], batch, axis=0), one)
+
+
+@jax.jit
+def products(x: jax.Array, weights: jax.Array, gradient: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """A dense layer's forward product, and the one that takes a gradient back to its input."""
+    return x @ weights, gradient @ weights.T
+
+
+def products_alone(params: Any, rows: int, length: int, explicit: bool, every: int, rounds: int) -> tuple[float, float]:
+    """Seconds and FLOPs of one net's products in one evaluation of the loss."""
+    seconds = flops = 0.0
+    for path, weights in jax.tree_util.tree_leaves_with_path({part: params[part] for part in "MD"}):
+        if weights.ndim != 2:
+            continue
+        names = [key.key for key in path]
+        wide, out = weights.shape
+        if names[:2] == ["D", "mesh"]:
+            out = out // every**2
+        # M runs once a step; D for the outcome alone, or for every state where their difference counts.
+        times, count = (length, rows) if names[0] == "M" else (1, rows * (length if explicit else 1))
+        arrays = (jnp.ones((count, wide)), jnp.ones((wide, out)), jnp.ones((count, out)))
+        repeats = max(1, int(2e9 / (4 * count * wide * out)))
+        row = partial(in_a_row, partial(products, *arrays), repeats)
+        seconds += times * least(row, rounds) / repeats
+        flops += times * 4 * count * wide * out
+    return seconds, flops
+
+
+def measure(system: System, stages: Any, settings: SearchConfig, batch: int, rounds: int) -> list[dict]:
+    """A row of the table for each plan length."""
+    net: Any = stages.train_emd_voxel if system.voxels else stages.train_pemd
+    build: Any = emd_voxel.initial if system.voxels else pemd.initial
+    nets = tuple(Net(net.net, build(net.net, key=jax.random.key(seed))) for seed in range(system.nets))
+    forward = VoxelSight().forward if system.voxels else MeshSight(None, stages.plan.refine).forward
+    explicit = system.alpha is None and system.nets == 2
+    found = []
+    for length in LENGTHS:
+        asked = problems(system, nets, forward, length, batch)
+        keys = jax.random.split(jax.random.key(0), batch)
+        reference = Reference((Range(0.0, 1.0),) * 2, Spread(np.ones(length, np.float32), np.ones(length, np.float32)))
+        call = partial(
+            search,
+            forward,
+            nets,
+            asked,
+            reference,
+            Weights(float(explicit), 5.0, 1.25),
+            length=length,
+            settings=settings,
+            explicit=explicit,
+            keys=keys,
+        )
+        seconds = least(call, rounds)
+        row: dict[str, Any] = {"system": system.name, "length": length, "s a plan": round(seconds / batch, 3)}
+        if not system.voxels:
+            rows = settings.strains * batch
+            alone, flops = products_alone(nets[0].params, rows, length, explicit, settings.every, rounds)
+            evaluations = settings.iterations(length) * system.nets
+            row |= {
+                "GF a plan": round(flops * evaluations / batch / 1e9),
+                "products s": round(alone * evaluations / batch, 3),
+                "GF/s of products": round(flops / alone / 1e9),
+                "GF/s of the search": round(flops * evaluations / seconds / 1e9),
+                "fraction": f"{alone * evaluations / seconds:.0%}",
+            }
+        found.append(row)
+    return found
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("systems", nargs="*", metavar="SYSTEM")
+    parser.add_argument("--scale")
+    parser.add_argument("--strains", type=int)
+    parser.add_argument("--every", type=int, choices=[e for e in range(1, SIDE + 1) if SIDE % e == 0])
+    parser.add_argument("--batch", type=int)
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--csv", type=Path)
+    asked = parser.parse_args()
+    params = load_params(Path("params.yaml"))
+    stages: Any = params.scales[asked.scale or params.scale]
+    rows = []
+    for name in asked.systems or ("main", "b2", "b3"):
+        plan = stages.plan.of(SYSTEMS[name])
+        changed = {k: getattr(asked, k) for k in ("strains", "every") if getattr(asked, k) is not None}
+        settings = dataclasses.replace(plan.search, **changed)
+        rows += measure(SYSTEMS[name], stages, settings, asked.batch or plan.batch, asked.rounds)
+    show(f"planning: {asked.scale or params.scale}", rows, csv=asked.csv)
+
+
+if __name__ == "__main__":
+    main()

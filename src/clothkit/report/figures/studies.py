@@ -1,0 +1,79 @@
+"""Figures of the studies: validation error against the cost of training, planning error against the loss's weights."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float
+
+from clothkit.evaluation.comparisons import interval
+from clothkit.report import panels
+from clothkit.report.figures.curves import COLOURS
+
+SYMBOLS = {"alpha": "α", "beta": "β", "gamma": "γ"}
+QUIET = "#b5b5b5"
+SHOWN = 6
+"""Variants that are named in a figure; the others are grey."""
+
+
+def recipes(table: pd.DataFrame, path: Path, *, base: str = "base") -> None:
+    """Validation score [cloth length] against CPU minutes, a line per variant; the best by name, and `base`.
+
+    Columns: variant, seed, minutes, score. Of several seeds the mean is drawn, with its range.
+    """
+    figure, (axis,) = panels.chart(1, width=6.4, height=3.6)
+    best = table.groupby(["variant", "seed"])["score"].min().groupby("variant").mean().sort_values()
+    named = [*best.index[:SHOWN], *([base] if base in best.index[SHOWN:] else [])]
+    ends = []
+    for variant in best.index[::-1]:
+        runs = table[table["variant"] == variant].assign(check=lambda rows: rows.groupby("seed").cumcount())
+        by_check = runs.groupby("check").agg({"minutes": "mean", "score": ["mean", "min", "max"]})
+        minutes, score = by_check["minutes", "mean"], by_check["score", "mean"]
+        place = named.index(variant) if variant in named else -1
+        colour = COLOURS[place % len(COLOURS)] if place >= 0 else QUIET
+        style = "-" if place < len(COLOURS) else "--"
+        axis.plot(minutes, score, style, color=colour, linewidth=1.3 if place >= 0 else 0.7)
+        if runs["seed"].nunique() > 1:
+            axis.fill_between(minutes, by_check["score", "min"], by_check["score", "max"], color=colour, alpha=0.15)
+        if place >= 0:
+            ends.append((float(score.iloc[-1]), f"{variant}: {best[variant]:.4f}", colour))
+    axis.set_yscale("log")
+    axis.set_xlim(left=0, right=float(table["minutes"].max()))
+    axis.set_ylim(0.95 * float(table["score"].min()), min(0.4, 1.05 * float(table["score"].max())))
+    axis.set_xlabel("CPU minutes", fontsize=8)
+    axis.set_ylabel("validation score [cloth length]", fontsize=8)
+    panels.label_ends(axis, ends, least=0.06)
+    panels.save(figure, path)
+
+
+def weights(table: pd.DataFrame, usual: Mapping[str, float], path: Path) -> None:
+    """Planning error [cloth length] against alpha, beta and gamma, the others as `usual`: a line per plan length.
+
+    Columns: alpha, beta, gamma, sequence, length, error. Means and 95 % bootstrap intervals over sequences.
+    """
+    figure, axes = panels.chart(len(SYMBOLS), width=3.0, height=2.9)
+    for axis, name in zip(axes, SYMBOLS, strict=True):
+        others = [np.isclose(table[other], usual[other]) for other in SYMBOLS if other != name]
+        rows = table[np.all(others, axis=0)]
+        values = np.sort(rows[name].unique())
+        for length, colour in zip((1, 2, 3), COLOURS, strict=True):
+            found = [_mean(rows[(rows[name] == value) & (rows["length"] == length)]) for value in values]
+            mean, low, high = np.array(found).T
+            axis.plot(range(len(values)), mean, "o-", color=colour, linewidth=1.2, markersize=3.5, label=f"{length}")
+            axis.fill_between(range(len(values)), low, high, color=colour, alpha=0.13, linewidth=0)
+        axis.set_xticks(range(len(values)), [f"{value:g}" for value in values])
+        axis.set_xlabel(SYMBOLS[name], fontsize=9)
+        axis.set_ylim(bottom=0)
+    axes[0].set_ylabel("planning error [cloth length]", fontsize=8)
+    axes[0].legend(title="manipulations", fontsize=7, title_fontsize=7, frameon=False)
+    panels.save(figure, path)
+
+
+def _mean(rows: pd.DataFrame) -> Float[np.ndarray, "3"]:
+    by_sequence: Any = rows.groupby("sequence")["error"].agg(["sum", "count"])
+    total, count = by_sequence["sum"].to_numpy(float), by_sequence["count"].to_numpy(float)
+    if not len(total):
+        return np.full(3, np.nan)
+    return np.array([total.sum() / count.sum(), *interval(total, count)])

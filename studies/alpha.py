@@ -1,0 +1,84 @@
+"""How much should planning avoid what the nets do not know?  python studies/alpha.py [SEQUENCES] [options]
+
+Plans and executes every task of the first validation sequences (10 if not said) with system main, for each of the
+weights of the uncertainty term, and, at the weight in force, for other values of beta and gamma (eqs. 13 and 15). A row
+per setting and task goes to reports/<scale>/studies/alpha.csv; what is there already is not done again. Draws error
+against alpha, beta and gamma for each plan length, mean and 95 % bootstrap interval over sequences, to alpha.png.
+Needs the nets, the normalisation and the dataset (`dvc repro normalise`).
+
+`--alphas A ..` (0 0.1 0.3 1 3 10), `--betas B ..` (2.5 10), `--gammas G ..` (0 2.5).
+"""
+
+import argparse
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from clothkit.dataset import store
+from clothkit.dataset.store import Dataset
+from clothkit.dataset.tasks import tasks_of
+from clothkit.params import load_params
+from clothkit.planning.loss import Weights
+from clothkit.planning.planner import Planner, assemble
+from clothkit.planning.record import tasks_of_dataset
+from clothkit.planning.rows import rows
+from clothkit.planning.session import Execute, run_sessions
+from clothkit.planning.systems import SYSTEMS
+from clothkit.report.figures.studies import weights as draw
+from clothkit.simulation.executor import execute
+
+NAMES = ("alpha", "beta", "gamma")
+
+
+def outcomes(dataset: Dataset, sequences: list[int], planner: Planner, simulate: Execute) -> pd.DataFrame:
+    """The tidy rows of every task of some validation sequences, a sequence at a time."""
+    found = []
+    for sequence in sequences:
+        tasks = tasks_of(sequence, int(dataset.length[sequence]))
+        sessions, _ = run_sessions(tasks_of_dataset(dataset, tasks, "validation"), planner, simulate)
+        found.append(rows(sessions, planner.system.name))
+    return pd.concat(found, ignore_index=True)
+
+
+def known(table: pd.DataFrame, weights: Weights) -> pd.DataFrame:
+    """The rows of a table that were made with these weights."""
+    return table[np.all([np.isclose(table[name], value) for name, value in weights._asdict().items()], axis=0)]
+
+
+def main() -> None:
+    """Do what is asked and print the mean errors."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("sequences", type=int, nargs="?", default=10)
+    parser.add_argument("--alphas", type=float, nargs="+", default=[0, 0.1, 0.3, 1, 3, 10])
+    parser.add_argument("--betas", type=float, nargs="+", default=[2.5, 10])
+    parser.add_argument("--gammas", type=float, nargs="+", default=[0, 2.5])
+    asked = parser.parse_args()
+    params = load_params(Path("params.yaml"))
+    usual = Weights(params.alpha, params.beta, params.gamma)
+    settings = [usual._replace(alpha=value) for value in asked.alphas]
+    settings += [usual, *(usual._replace(beta=value) for value in asked.betas)]
+    settings += [usual._replace(gamma=value) for value in asked.gammas]
+    simulate = params.stages.simulate
+    dataset = store.load(Path("data/meshes.zarr"))
+    sequences = dataset.indices("validation")[: asked.sequences].tolist()
+    folder = Path("reports") / params.scale / "studies"
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "alpha.csv"
+    table = pd.read_csv(path) if path.exists() else pd.DataFrame(columns=[*NAMES, "sequence", "length", "error"])
+    for weights in settings:
+        done = set(known(table, weights)["sequence"])
+        missing = [sequence for sequence in sequences if sequence not in done]
+        if missing:
+            planner = assemble(SYSTEMS["main"], Path("data"), weights, params.stages.plan, simulate.candidates)
+            found = outcomes(dataset, missing, planner, partial(execute, settings=simulate.simulation))
+            table = pd.concat([table, found.assign(**weights._asdict())], ignore_index=True)
+            table.to_csv(path, index=False, lineterminator="\n", float_format="%.5g")
+        means = known(table, weights).groupby("length")["error"].mean().round(4).tolist()
+        print(f"alpha {weights.alpha:g}, beta {weights.beta:g}, gamma {weights.gamma:g}: {means}", flush=True)
+    draw(table, usual._asdict(), folder / "alpha.png")
+
+
+if __name__ == "__main__":
+    main()
