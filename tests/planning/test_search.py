@@ -1,5 +1,6 @@
 """The search finds manipulations that are known, whatever the labels of estimate and goal."""
 
+import dataclasses
 from functools import partial
 
 import jax
@@ -16,7 +17,19 @@ from clothkit.networks.pemd import PEMDConfig, decode, initial
 from clothkit.planning.draw import Candidates
 from clothkit.planning.forward import MESH, decode_thinned
 from clothkit.planning.loss import Weights, accuracy, diff, uncertainty
-from clothkit.planning.search import INVERSE, UNKNOWN, Fixed, Found, Problem, _move, _Strains, planning_loss, search
+from clothkit.planning.search import (
+    INVERSE,
+    UNKNOWN,
+    Fixed,
+    Found,
+    Problem,
+    SearchConfig,
+    _least,
+    _move,
+    _Strains,
+    planning_loss,
+    search,
+)
 from tests.planning import toy
 
 CORNERS = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]], np.float32)
@@ -43,13 +56,13 @@ def problem(mesh: np.ndarray, goal: np.ndarray, length: int = 1, **changes: obje
     return Problem(**{**fields, **changes})
 
 
-def find(*problems: Problem, length: int = 1, seeds: tuple[int, ...] = (0,)) -> Found:
+def find(*problems: Problem, length: int = 1, seeds: tuple[int, ...] = (0,), size: SearchConfig = toy.SEARCH) -> Found:
     """What a batch of searches finds; the last problem fills up the batch."""
     missing = toy.BATCH - len(problems)
     stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *problems, *problems[-1:] * missing)
     keys = jnp.stack([jax.random.key(seed) for seed in (*seeds, *seeds[-1:] * missing)])
     reference = toy.NORMALISATION.reference(length)
-    of = {"length": length, "settings": toy.SEARCH, "explicit": True, "keys": keys}
+    of = {"length": length, "settings": size, "explicit": True, "keys": keys}
     return jax.tree.map(np.asarray, search(toy.FORWARD, toy.NETS, stacked, reference, WEIGHTS, **of))
 
 
@@ -173,6 +186,28 @@ def test_one_strain_moves_as_one_hand() -> None:
     # Both hands' slopes together: -2 along u, -1 along v; u ends at the cloth's edge.
     np.testing.assert_allclose(moved[0, 1], [1, 0.55, 1, 0.55, -0.05, 0.05], rtol=1e-6)
     np.testing.assert_allclose(moved[1, 1], [1, 0.45, 0.94, 0.55, -0.05, 0.05], rtol=1e-6)
+
+
+def test_screened_strains_start_where_the_loss_is_least() -> None:
+    """First losses are the least of so many draws each, far lower than those of single draws; carried plans stay."""
+    mesh = toy.bent()
+    goal = np.asarray(toy.dragged(jnp.asarray(mesh), BEST))
+    sieve = dataclasses.replace(toy.SEARCH, screen=8, base_iterations=1, iterations_per_step=0)
+    plain, screened = (
+        first(find(problem(mesh, goal, relative=np.int32(0)), size=dataclasses.replace(sieve, screen=screen)))
+        for screen in (1, 8)
+    )
+    assert np.median(screened.losses[0]) < np.quantile(plain.losses[0], 0.25)
+    carried = problem(mesh, goal, carried=np.asarray(BEST)[None], relative=np.int32(0), later=np.bool_(True))
+    unscreened, warm = (first(find(carried, size=dataclasses.replace(sieve, screen=screen))) for screen in (1, 8))
+    np.testing.assert_allclose(warm.losses[0, :8], unscreened.losses[0, :8], rtol=1e-4)
+    assert np.median(warm.losses[0, 8:]) < np.median(unscreened.losses[0, 8:])
+
+
+def test_the_least_of_each_group() -> None:
+    numbers = jnp.arange(6)
+    of = _Strains(*(numbers for _ in _Strains._fields))
+    assert _least(jnp.array([3.0, 1, 2, 5, 4, 0]), of, 3).common.tolist() == [1, 5]
 
 
 def test_the_same_key_gives_the_same_plan_beside_any_neighbour() -> None:

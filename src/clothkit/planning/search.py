@@ -37,6 +37,8 @@ class SearchConfig:
     strains: Annotated[int, Gt(0), MultipleOf(COUNT)] = 256
     base_iterations: Annotated[int, Ge(0)] = 25
     iterations_per_step: Annotated[int, Ge(0)] = 25
+    screen: Annotated[int, Gt(0)] = 1
+    """Each strain's first start is the best of so many random plans: their losses cost no gradients."""
     patience: Annotated[int, Gt(0)] = 5
     """A strain that has not improved for so many iterations starts anew."""
     every: Annotated[int, Gt(0), Predicate(lambda every: SIDE % every == 0)] = 1
@@ -178,8 +180,18 @@ def _search_one(
         strains = strains._replace(lowest=jnp.minimum(loss, strains.lowest), stale=stale)
         return _State(strains, best, restart), (loss, restart)
 
-    keys = jax.random.split(key, settings.iterations(length))
-    (_, best, _), (losses, restarts) = jax.lax.scan(iterate, _first_state(forward, problem, length, settings), keys)
+    key_first, key_search = jax.random.split(key)
+    state = _first_state(forward, problem, length, settings)
+    if settings.screen > 1:
+        drawn = _start(forward, problem, length, settings, draws=settings.screen, key=key_first)
+        loss, _, _ = losses_of(drawn.plan, drawn.common, drawn.relative, every=settings.every)
+        apart = ~jnp.asarray(release_points(drawn.grasps, drawn.plan[:, 0, 4:]).same_side)
+        screened = _least(jnp.where(apart, jnp.inf, loss), drawn, settings.screen)
+        state = state._replace(
+            strains=_choose(state.restart, screened, state.strains), restart=jnp.zeros_like(state.restart)
+        )
+    keys = jax.random.split(key_search, settings.iterations(length))
+    (_, best, _), (losses, restarts) = jax.lax.scan(iterate, state, keys)
     # Among the strains' best plans the whole mesh decides.
     loss, terms, _ = losses_of(best.plan, best.common, best.relative)
     winner = jnp.argmin(jnp.where(jnp.isinf(best.loss), jnp.inf, loss))
@@ -239,12 +251,14 @@ def planning_loss(
     return sum(accuracies) + weights.alpha * u, jnp.stack([*accuracies, u], axis=-1), relative
 
 
-def _start(forward: Forward, problem: Problem, length: int, settings: SearchConfig, *, key: PRNGKeyArray) -> _Strains:
-    """Strains at random plans, in random common equivalents (design 6.10)."""
+def _start(
+    forward: Forward, problem: Problem, length: int, settings: SearchConfig, *, draws: int = 1, key: PRNGKeyArray
+) -> _Strains:
+    """Strains at random plans, in random common equivalents (design 6.10); `draws` in a row for each strain."""
     key_plan, key_common = jax.random.split(key)
-    count = settings.strains
+    count = settings.strains * draws
     drawn = jax.random.randint(key_common, (count,), 0, forward.labels)
-    common = jnp.where(problem.later, jnp.arange(count) % forward.labels, drawn)
+    common = jnp.where(problem.later, jnp.arange(count) // draws % forward.labels, drawn)
     xy = forward.points(problem.state, jnp.asarray(problem.candidates.grasps))
     return _fresh(forward, random_plans(count, length, problem.candidates, xy, key=key_plan), common, problem, settings)
 
@@ -296,6 +310,13 @@ def _move(strains: _Strains, gradient: Float[Array, "strains n 6"], settings: IR
     plan = strains.plan + update
     plan = jnp.concatenate([jnp.clip(plan[..., :4], -1, 1), plan[..., 4:]], axis=-1)
     return strains._replace(plan=plan, gradient=gradient, rate=rate)
+
+
+def _least(loss: Float[Array, " draws"], drawn: _Strains, draws: int) -> _Strains:
+    """Of each `draws` in a row the one of least loss."""
+    best = jnp.argmin(loss.reshape(-1, draws), axis=1)
+    chosen = jnp.arange(len(best)) * draws + best
+    return jax.tree.map(lambda leaf: leaf[chosen], drawn)
 
 
 def _choose(condition: Bool[Array, " strains"], yes: Any, no: Any) -> Any:
