@@ -17,29 +17,16 @@ import numpy as np
 import pandas as pd
 
 from clothkit.dataset import store
-from clothkit.dataset.store import Dataset
-from clothkit.dataset.tasks import tasks_of
 from clothkit.params import load_params
+from clothkit.planning.evaluate import try_out
 from clothkit.planning.loss import Weights
-from clothkit.planning.planner import Planner, assemble
-from clothkit.planning.record import tasks_of_dataset
+from clothkit.planning.planner import assemble
 from clothkit.planning.rows import rows
-from clothkit.planning.session import Execute, run_sessions
 from clothkit.planning.systems import SYSTEMS
 from clothkit.report.figures.studies import weights as draw
 from clothkit.simulation.executor import execute
 
 NAMES = ("alpha", "beta", "gamma")
-
-
-def outcomes(dataset: Dataset, sequences: list[int], planner: Planner, simulate: Execute) -> pd.DataFrame:
-    """The tidy rows of every task of some validation sequences, a sequence at a time."""
-    found = []
-    for sequence in sequences:
-        tasks = tasks_of(sequence, int(dataset.length[sequence]))
-        sessions, _ = run_sessions(tasks_of_dataset(dataset, tasks, "validation"), planner, simulate)
-        found.append(rows(sessions, planner.system.name))
-    return pd.concat(found, ignore_index=True)
 
 
 def known(table: pd.DataFrame, weights: Weights) -> pd.DataFrame:
@@ -72,8 +59,10 @@ def main() -> None:
         missing = [sequence for sequence in sequences if sequence not in done]
         if missing:
             planner = assemble(SYSTEMS["main"], Path("data"), weights, params.stages.plan, simulate.candidates)
-            found = outcomes(dataset, missing, planner, partial(execute, settings=simulate.simulation))
-            table = pd.concat([table, found.assign(**weights._asdict())], ignore_index=True)
+            simulator = partial(execute, settings=simulate.simulation)
+            sessions, _ = try_out(dataset, missing, "validation", planner, simulator)
+            found = rows(sessions, "main").assign(**weights._asdict())
+            table = pd.concat([table, found], ignore_index=True)
             table.to_csv(path, index=False, lineterminator="\n", float_format="%.5g")
         means = known(table, weights).groupby("length")["error"].mean().round(4).tolist()
         print(f"alpha {weights.alpha:g}, beta {weights.beta:g}, gamma {weights.gamma:g}: {means}", flush=True)

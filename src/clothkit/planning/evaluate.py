@@ -3,6 +3,7 @@
 import json
 from collections import defaultdict
 from pathlib import Path
+from typing import TypedDict
 
 from tqdm import tqdm
 
@@ -50,13 +51,32 @@ def evaluate(dataset: Dataset, planner: Planner, execute: Execute, *, work: Path
     return join(done), dict(clock)
 
 
-def cost(clock: Clock) -> dict[str, dict[str, tuple[int, float]] | tuple[int, float]]:
-    """`plans` by length and `estimates`: how many, and their seconds.
+def try_out(
+    dataset: Dataset, sequences: list[int], split: str, planner: Planner, execute: Execute
+) -> tuple[Sessions, Clock]:
+    """The sessions of every task of some sequences, one sequence after another: for studies."""
+    done, clock = [], defaultdict[str, list[tuple[int, float]]](list)
+    for sequence in sequences:
+        tasks = tasks_of(sequence, int(dataset.length[sequence]))
+        sessions, calls = run_sessions(tasks_of_dataset(dataset, tasks, split), planner, execute)
+        done.append(sessions)
+        for what, of_sequence in calls.items():
+            clock[what] += of_sequence
+    return join(done), dict(clock)
 
-    The first call of a kind, which compiles, is left out where there are others.
-    """
+
+class Cost(TypedDict):
+    """How many, and their seconds."""
+
+    plans: dict[str, tuple[int, float]]
+    """Searches, by plan length."""
+    estimates: tuple[int, float]
+
+
+def cost(clock: Clock) -> Cost:
+    """What sessions cost. The first call of a kind, which compiles, is left out where there are others."""
     counted = {}
     for what, calls in clock.items():
         kept = calls[1:] or calls
         counted[what] = (sum(count for count, _ in kept), round(sum(seconds for _, seconds in kept), 3))
-    return {"estimates": counted.pop("estimates", (0, 0.0)), "plans": counted}
+    return Cost(estimates=counted.pop("estimates", (0, 0.0)), plans=counted)

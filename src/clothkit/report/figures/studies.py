@@ -77,3 +77,37 @@ def _mean(rows: pd.DataFrame) -> Float[np.ndarray, "3"]:
     if not len(total):
         return np.full(3, np.nan)
     return np.array([total.sum() / count.sum(), *interval(total, count)])
+
+
+def search(table: pd.DataFrame, path: Path) -> None:
+    """Error, search failures and loss of first plans against seconds per plan: a line per plan length.
+
+    Columns: strains, base_iterations, iterations_per_step, length, seconds [s], error [cloth length], loss,
+    loss_recorded. Dots are named by their strains; crosses differ in iterations.
+    """
+    figure, axes = panels.chart(3, width=3.0, height=2.9)
+    table = table.assign(failure=table["loss_recorded"] < table["loss"])
+    usual: Any = table.groupby(["base_iterations", "iterations_per_step"])["strains"].nunique().idxmax()
+    titles = {
+        "error": "planning error [cloth length]",
+        "failure": "share of search failures",
+        "loss": "loss of the first plan",
+    }
+    for axis, (column, title) in zip(axes, titles.items(), strict=True):
+        for length, colour in zip((1, 2, 3), COLOURS, strict=True):
+            of_length = table[table["length"] == length]
+            sizes = of_length.groupby(["base_iterations", "iterations_per_step", "strains"])
+            means = sizes[["seconds", column]].mean().reset_index()
+            same = (means["base_iterations"] == usual[0]) & (means["iterations_per_step"] == usual[1])
+            line, others = means[same].sort_values("seconds"), means[~same]
+            axis.plot(
+                line["seconds"], line[column], "o-", color=colour, linewidth=1.2, markersize=3.5, label=f"{length}"
+            )
+            axis.plot(others["seconds"], others[column], "x", color=colour, markersize=5)
+        axis.set_xscale("log")
+        axis.set_xlabel("seconds per plan", fontsize=8)
+        axis.set_ylabel(title, fontsize=8)
+        if column != "loss":
+            axis.set_ylim(bottom=0)
+    axes[0].legend(title="manipulations", fontsize=7, title_fontsize=7, frameon=False)
+    panels.save(figure, path)

@@ -1,0 +1,88 @@
+"""How much search does a plan need?  python studies/search.py [SEQUENCES] [options]
+
+Plans and executes every task of the first validation sequences (5 if not said) with system main and searches of
+different sizes: numbers of strains, and numbers of iterations at the strains in force. A row per size and task goes to
+reports/<scale>/studies/search.csv, with the seconds per plan of that length; what is there already is not done again.
+search.png shows, for each plan length, error, search failures (the recorded plan has the lower loss) and the first
+plan's loss against seconds per plan. Prints also how the loss falls from restart to restart. Needs the nets, the
+normalisation and the dataset (`dvc repro normalise`).
+
+`--strains N ..` (16 32 64 128 256 512), `--iterations F ..` (0.5 2: multiples of those in force).
+"""
+
+import argparse
+import dataclasses
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from clothkit.dataset import store
+from clothkit.params import load_params
+from clothkit.planning.evaluate import cost, try_out
+from clothkit.planning.loss import Weights
+from clothkit.planning.planner import assemble
+from clothkit.planning.record import Sessions
+from clothkit.planning.rows import rows
+from clothkit.planning.search import SearchConfig
+from clothkit.planning.systems import SYSTEMS
+from clothkit.report.figures.studies import search as draw
+from clothkit.simulation.executor import execute
+
+KEYS = ["strains", "base_iterations", "iterations_per_step"]
+
+
+def sizes(usual: SearchConfig, strains: list[int], factors: list[float]) -> list[SearchConfig]:
+    """The searches that are compared."""
+    found = [dataclasses.replace(usual, strains=count) for count in strains]
+    for factor in factors:
+        base, more = round(factor * usual.base_iterations), round(factor * usual.iterations_per_step)
+        found.append(dataclasses.replace(usual, base_iterations=base, iterations_per_step=more))
+    return found if usual in found else [*found, usual]
+
+
+def by_restart(sessions: Sessions) -> list[float]:
+    """Mean over first plans of the least loss of any strain, up to its first, second, .. restart."""
+    best = np.minimum.accumulate(np.where(np.isnan(sessions.restarts[:, 0]), np.inf, sessions.restarts[:, 0]), axis=-1)
+    least = best.min(axis=1)
+    return np.round(least[:, np.isfinite(sessions.restarts[:, 0]).any((0, 1))].mean(0), 3).tolist()
+
+
+def main() -> None:
+    """Do what is asked and print what each size reaches."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("sequences", type=int, nargs="?", default=5)
+    parser.add_argument("--strains", type=int, nargs="+", default=[16, 32, 64, 128, 256, 512])
+    parser.add_argument("--iterations", type=float, nargs="*", default=[0.5, 2])
+    asked = parser.parse_args()
+    params = load_params(Path("params.yaml"))
+    simulate, plan = params.stages.simulate, params.stages.plan
+    weights = Weights(params.alpha, params.beta, params.gamma)
+    dataset = store.load(Path("data/meshes.zarr"))
+    sequences = dataset.indices("validation")[: asked.sequences].tolist()
+    folder = Path("reports") / params.scale / "studies"
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "search.csv"
+    table = pd.read_csv(path) if path.exists() else pd.DataFrame(columns=[*KEYS, "sequence"])
+    for size in sizes(plan.search, asked.strains, asked.iterations):
+        numbers = {name: getattr(size, name) for name in KEYS}
+        same = np.all([table[name] == value for name, value in numbers.items()], axis=0)
+        missing = [sequence for sequence in sequences if sequence not in set(table.loc[same, "sequence"])]
+        if missing:
+            settings = dataclasses.replace(plan, search=size)
+            planner = assemble(SYSTEMS["main"], Path("data"), weights, settings, simulate.candidates)
+            simulator = partial(execute, settings=simulate.simulation)
+            sessions, clock = try_out(dataset, missing, "validation", planner, simulator)
+            seconds = {int(n): spent / count for n, (count, spent) in cost(clock)["plans"].items()}
+            found = rows(sessions, "main").assign(**numbers)
+            found["seconds"] = found["length"].map(seconds)
+            table = pd.concat([table, found], ignore_index=True)
+            table.to_csv(path, index=False, lineterminator="\n", float_format="%.5g")
+            print(f"{numbers}: loss by restart {by_restart(sessions)}", flush=True)
+    print(table.groupby([*KEYS, "length"])[["seconds", "error", "loss"]].mean().round(4).to_string())
+    draw(table, folder / "search.png")
+
+
+if __name__ == "__main__":
+    main()
