@@ -126,7 +126,7 @@ def expected(planner: Planner, planned: Planned, given: Given) -> dict[str, Any]
     errors = []
     for name, state in (("", outcome), ("_no_action", planned.state)):
         if planner.system.voxels:
-            errors.append(float(planner.sight.misses(state, given.wanted)))
+            errors.append(float(planner.sight.misses(state[None], given.wanted[None])[0]))
             fields[f"voxel_error{name}"] = errors[-1]
         else:
             errors.append(float(error(state.astype(np.float32), given.wanted, aligned=True)))
@@ -173,7 +173,7 @@ def _step(
         "null": bool(is_null(planned.plan[i])),
         "hands": hands,
         "predictions": [
-            {"net": net, "state": _state(mean, getattr(state, "std", None), after)}
+            {"net": net, "state": _state(mean, state.std if isinstance(state, ProbabilisticMesh) else None, after)}
             for net, mean, state in zip(nets, means, states, strict=True)
         ],
         "centre_m": _centre(after),

@@ -198,6 +198,6 @@ def _corners(name: str, box: tuple[float, ...]) -> tuple[Triple, Triple]:
     return (x, y, z), (to_x, to_y, to_z)
 
 
-def _ordered(name: str, low: tuple[float, ...], high: tuple[float, ...]) -> None:
+def _ordered(name: str, low: tuple[int, ...] | tuple[float, ...], high: tuple[int, ...] | tuple[float, ...]) -> None:
     if any(a > b for a, b in zip(low, high, strict=True)):
         raise InputError(f"{name}: {low} is not below {high}, expected the low corner first")

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import sys
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -14,19 +15,22 @@ from clothkit.cloth.grid import geodesic, triangles
 from clothkit.dataset.export import Surface, encode
 from clothkit.errors import InputError
 
+_ERASE = "\r\x1b[K"
+
 
 @contextlib.contextmanager
 def part(what: str) -> Iterator[None]:
-    """Say on stderr what is being done, and how long it took."""
-    started = time.monotonic()
-    click.echo(f"{what} .. ", nl=False, err=True)
+    """Say on stderr what is being done, where someone watches, and how long it took once it is."""
+    started, watched = time.monotonic(), sys.stderr.isatty()
+    if watched:
+        click.echo(f"{what} ..", nl=False, err=True)
     try:
         yield
     except BaseException:
-        # What went wrong is told on a line of its own.
-        click.echo(err=True)
+        # What went wrong has a line of its own.
+        click.echo(_ERASE if watched else "", nl=False, err=True)
         raise
-    click.echo(f"{time.monotonic() - started:.1f} s", err=True)
+    click.echo(f"{_ERASE if watched else ''}{what}: {time.monotonic() - started:.1f} s", err=True)
 
 
 @contextlib.contextmanager

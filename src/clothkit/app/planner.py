@@ -214,7 +214,7 @@ def disagreement(planner: Planner, planned: Planned) -> float | None:
     """u of eq. (15), the epistemic uncertainty of a plan; None for one net alone."""
     if len(planner.nets) == 1:
         return None
-    differences = planner.sight.forward.diff(*planned.predictions)
+    differences = planner.sight.forward.diff(*jax.tree.map(jnp.asarray, planned.predictions))
     spread = planner.normalisation.reference(len(planned.plan)).spread
     return float(uncertainty(differences, spread, beta=planner.weights.beta, gamma=planner.weights.gamma))
 
@@ -226,9 +226,10 @@ def turned_plan(planner: Planner, planned: Planned, matrix: Float[np.ndarray, "2
     there. The nets are asked anew what they expect.
     """
     turn = jnp.asarray(matrix, jnp.float32)
+    turns = jnp.broadcast_to(turn, (len(planned.plan), 2, 2))
     turned = turn_mesh(jnp.asarray(planned.state), turn)
     k = int(jnp.argmin(jnp.stack([distance(turned, relabel(planned.state, k)) for k in range(8)])))
-    plan = relabel_manipulation(turn_manipulation(jnp.asarray(planned.plan), turn), inverse(k))
+    plan = relabel_manipulation(turn_manipulation(jnp.asarray(planned.plan), turns), inverse(k))
     common = compose(k, planned.common)
     found = predicted(planner, planned.state, np.asarray(plan), common=common, traces=planned.traces)
     return found._replace(relative=compose(planned.relative, inverse(k)), loss=planned.loss)
