@@ -100,6 +100,7 @@ STATES: list[tuple[Callable[[], None], tuple[object, ...], str, str]] = [
     (broken_net("nets/pemd_a", store.WEIGHTS), (START, *DAMAGED), "pemd_a/net.msgpack", "damaged"),
     (broken_net("nets/pemd_b", store.ATTRIBUTES), (START, *DAMAGED), "pemd_b/net.json", "found something else"),
     (nothing, (START, "--reach", 0, 0, 0, -1, -1, -1), "--reach", "low corner first"),
+    (nothing, (START, "--after", "out.json"), "out.json", "another file"),
     (nothing, (START, "--out", "nowhere/plan.json"), "nowhere/plan.json", "is no folder"),
     (nothing, (START, "--out", "plan.txt"), "plan.txt", "expected json"),
     (raw("params.yaml", "scale: laptop\nalhpa: 1\n"), (START,), "params.yaml", ""),

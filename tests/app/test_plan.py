@@ -11,12 +11,16 @@ import pytest
 
 from clothkit.app import plan as plan_command
 from clothkit.app import simulate as simulate_command
+from clothkit.app.given import reach_of, seeing
 from clothkit.app.plan_file import UNLIKELY, Plan, read_plan, schema
 from clothkit.app.recall import believed_of
+from clothkit.app.settings import AppConfig
 from clothkit.cloth.grid import flat
 from clothkit.cloth.mesh import distance
 from clothkit.manipulation.geometry import to_cartesian
 from clothkit.observation.camera import CameraConfig
+from clothkit.observation.files import read
+from clothkit.observation.waypoints import ReachConfig
 from clothkit.planning.planner import Planner
 from tests.app.conftest import AT, ROOT, run, succeed
 from tests.app.schema import violations
@@ -142,8 +146,6 @@ def test_a_plan_read_back_and_simulated_does_what_it_says(here: Path, files: Pat
     assert said.splitlines()[1:] == again.splitlines()[1:]
     state = plan.steps[-1].predictions[0].state
     assert state.kind == "mesh"
-    from clothkit.observation.files import read
-
     found = read(here / "mesh.ply")
     apart = float(distance(found.mesh, believed_of(plan, plan.start)))  # type: ignore[union-attr]
     where = found.pose.normalised_to_table(found.mesh.astype(float))  # type: ignore[union-attr]
@@ -226,6 +228,19 @@ def test_a_plan_is_turned_into_reach_and_its_goal_with_it(here: Path, files: Pat
     assert nowhere.exit_code == 1
     assert "outside the box" in nowhere.stderr
     assert not (here / "none.json").exists()
+
+
+def test_reach_and_side_come_from_params_unless_options_say_otherwise() -> None:
+    box = ReachConfig(low=(0.0, 0.0, 0.0), high=(1.0, 1.0, 1.0))
+    app = AppConfig(side=0.5, reach=box, table=(0.0, 0.0, 2.0, 1.0))
+    assert reach_of(app, None) == box
+    assert reach_of(app, (0.0, 0.0, 0.0, 2.0, 2.0, 2.0)) == ReachConfig(low=(0.0, 0.0, 0.0), high=(2.0, 2.0, 2.0))
+    how = seeing(app, side=None, table=None, table_colour=(1, 2, 3, 4, 5, 6), box=None)
+    assert how.side == 0.5
+    assert how.table is not None
+    assert how.table.offset == 0.5
+    assert how.cloud.table_colour == ((1, 2, 3), (4, 5, 6))
+    assert seeing(app, side=0.3, table=None, table_colour=None, box=None).side == 0.3
 
 
 def test_the_published_schema_is_the_one_that_plans_are_read_by() -> None:

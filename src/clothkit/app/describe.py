@@ -173,7 +173,10 @@ def _step(
         "null": bool(is_null(planned.plan[i])),
         "hands": hands,
         "predictions": [
-            {"net": net, "state": _state(mean, state.std if isinstance(state, ProbabilisticMesh) else None, after)}
+            {
+                "net": net,
+                "state": _state(mean, np.asarray(state.std) if isinstance(state, ProbabilisticMesh) else None, after),
+            }
             for net, mean, state in zip(nets, means, states, strict=True)
         ],
         "centre_m": _centre(after),

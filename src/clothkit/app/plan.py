@@ -98,6 +98,8 @@ def command(
     given = settings()
     how, box = seeing(given.app, **options), reach_of(given.app, reach)
     check_target(out, ("json",))
+    if after and out.resolve() == after.resolve():
+        raise InputError(f"--out: {out} is what --after reads, expected another file")
     before = read_plan(after) if after else None
     length = _length(steps, before, after)
     keep_compiled_programs()

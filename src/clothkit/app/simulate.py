@@ -48,6 +48,7 @@ class Score(NamedTuple):
 )
 @click.option("--plan", "source", required=True, type=click.Path(path_type=Path), metavar="PLAN", help="A plan file.")
 @click.option("--goal", metavar="FILE", help="What the outcome is held against.")
+@click.option("--steps", type=click.IntRange(1, 3), help="Only the first so many steps. [default: all]")
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
@@ -65,12 +66,13 @@ def command(
     state: str | None,
     source: Path,
     goal: str | None,
+    steps: int | None,
     out: Path,
     data: Path,
     mask: str | None,
     **options: Any,
 ) -> None:
-    """Simulate a plan: hands grasp where the plan says, in metres, and move as it says, all steps without a look.
+    """Simulate a plan: hands grasp where the plan says, in metres, and move as it says, without a look in between.
 
     The outcome is in metres in the table's frame. With a goal, its error (mean distance of vertices, moved to fit,
     under any labels) and its silhouette IoU are told, and the start's beside them. The simulated cloth is that of the
@@ -81,6 +83,8 @@ def command(
     """
     given = settings()
     plan = read_plan(source)
+    if steps and steps > len(plan.steps):
+        raise InputError(f"--steps: {source} has {len(plan.steps)}, found {steps}")
     if options["side"] is None:
         options["side"] = plan.side_m
     how = seeing(given.app, **options)
@@ -95,9 +99,9 @@ def command(
             mesh = np.asarray(estimated(vtm_of(data), seen, given).mesh[0])
     assert mesh is not None
     with part("simulate"):
-        states = simulated(plan, mesh, pose, given.simulation, name=str(source))
+        states = simulated(plan, mesh, pose, given.simulation, steps=steps, name=str(source))
     write_mesh(out, states[-1].astype(float) * pose.scale)
-    done = sum(not step.null for step in plan.steps)
+    done = sum(not step.null for step in plan.steps[:steps])
     click.echo(f"{out}: the cloth after {done} manipulation{'' if done == 1 else 's'}")
     if wanted is not None:
         matrix = None if plan.turned is None else np.array(plan.turned)
@@ -112,14 +116,17 @@ def command(
         click.echo(f"silhouette IoU {after.iou:.2f}, before {before.iou:.2f}")
 
 
-def simulated(plan: Plan, mesh: Mesh, pose: Pose, settings: SimulationConfig, *, name: str) -> list[Mesh]:
+def simulated(
+    plan: Plan, mesh: Mesh, pose: Pose, settings: SimulationConfig, *, steps: int | None = None, name: str
+) -> list[Mesh]:
     """The cloth before the first step of a plan and after each [normalised], where it lies on the table.
 
-    `mesh` [normalised, centred] lies at `pose`. Raises InputError when a hand grasps beside the cloth.
+    `mesh` [normalised, centred] lies at `pose`; only the first `steps` are made, if told. Raises InputError
+    when a hand grasps beside the cloth.
     """
     centre = pose.centre / pose.scale
     states = [(mesh + np.append(centre, 0)).astype(np.float32)]
-    for number, step in enumerate(plan.steps, start=1):
+    for number, step in enumerate(plan.steps[:steps], start=1):
         if step.null:
             states.append(states[-1])
             continue
