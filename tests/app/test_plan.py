@@ -184,7 +184,7 @@ def test_after_takes_up_what_is_left(here: Path, files: Path) -> None:
         succeed(*common, "--state", here / "start.npy", "--steps", 2)
         plan = read_plan(here / "plan.json")
         succeed(*common, "--state", here / "start.npy", "--after", "plan.json", "--out", "next.json")
-        wrong = run(*common, "--state", here / "start.npy", "--after", "plan.json", "--steps", 2)
+        wrong = run(*common, "--state", here / "start.npy", "--after", "plan.json", "--steps", 2, "--out", "no.json")
         last = run(*common, "--state", here / "start.npy", "--after", "next.json")
     later = read_plan(here / "next.json")
     assert len(later.steps) == 1

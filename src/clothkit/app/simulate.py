@@ -74,7 +74,8 @@ def command(
 ) -> None:
     """Simulate a plan: hands grasp where the plan says, in metres, and move as it says, without a look in between.
 
-    The outcome is in metres in the table's frame. With a goal, its error (mean distance of vertices, moved to fit,
+    A mesh [32, 32, 3] lies in the table's frame, which a plan in a camera's frame knows too. The outcome is in metres
+    in the table's frame. With a goal, its error (mean distance of vertices, moved to fit,
     under any labels) and its silhouette IoU are told, and the start's beside them. The simulated cloth is that of the
     data that the nets learned from, scaled to yours.
 
@@ -99,7 +100,8 @@ def command(
             mesh = np.asarray(estimated(vtm_of(data), seen, given).mesh[0])
     assert mesh is not None
     with part("simulate"):
-        states = simulated(plan, mesh, pose, given.simulation, steps=steps, name=str(source))
+        hands = seen.pose if seen and seen.kind == "points" and plan.frame == "camera" else None
+        states = simulated(plan, mesh, pose, given.simulation, steps=steps, hands=hands, name=str(source))
     write_mesh(out, states[-1].astype(float) * pose.scale)
     done = sum(not step.null for step in plan.steps[:steps])
     click.echo(f"{out}: the cloth after {done} manipulation{'' if done == 1 else 's'}")
@@ -107,7 +109,8 @@ def command(
         matrix = None if plan.turned is None else np.array(plan.turned)
         before, after = (scored(state, wanted, matrix) for state in (states[0], states[-1]))
         if before.error is not None and after.error is not None:
-            unit, expected = CLOTH_SIDE * pose.scale * 1000, plan.expected.error_m
+            unit = CLOTH_SIDE * pose.scale * 1000
+            expected = plan.expected.error_m if len(states) > len(plan.steps) else None
             click.echo(
                 f"error {after.error * unit:.0f} mm ({after.error:.3f} cloth lengths), "
                 f"before {before.error * unit:.0f} mm"
@@ -117,12 +120,20 @@ def command(
 
 
 def simulated(
-    plan: Plan, mesh: Mesh, pose: Pose, settings: SimulationConfig, *, steps: int | None = None, name: str
+    plan: Plan,
+    mesh: Mesh,
+    pose: Pose,
+    settings: SimulationConfig,
+    *,
+    steps: int | None = None,
+    hands: Pose | None = None,
+    name: str,
 ) -> list[Mesh]:
     """The cloth before the first step of a plan and after each [normalised], where it lies on the table.
 
-    `mesh` [normalised, centred] lies at `pose`; only the first `steps` are made, if told. Raises InputError
-    when a hand grasps beside the cloth.
+    `mesh` [normalised, centred] lies at `pose`; only the first `steps` are made, if told. `hands` brings
+    positions of the plan to the table, if its own table does not. Raises InputError when a hand grasps beside the
+    cloth.
     """
     centre = pose.centre / pose.scale
     states = [(mesh + np.append(centre, 0)).astype(np.float32)]
@@ -130,7 +141,7 @@ def simulated(
         if step.null:
             states.append(states[-1])
             continue
-        grasps = _grasps(plan, step, pose)
+        grasps = _grasps(step, hands or plan.pose(plan.start.centre_m))
         beside = np.linalg.norm(states[-1][..., None, :2] - grasps, axis=-1).min((0, 1)).max() / CLOTH_SIDE
         if beside > _BESIDE:
             raise InputError(
@@ -146,11 +157,10 @@ def simulated(
     return states
 
 
-def _grasps(plan: Plan, step: Step, pose: Pose) -> Float[np.ndarray, "2 2"]:
+def _grasps(step: Step, pose: Pose) -> Float[np.ndarray, "2 2"]:
     """Where the hands grasp on the table [normalised]; one hand: the same point twice."""
     points = np.array([hand.grasp_m for hand in (step.hands[0], step.hands[-1])], float)
-    on_table = pose.camera_to_table(points) if plan.frame == "camera" else points
-    return (on_table[:, :2] / pose.scale).astype(np.float32)
+    return (pose.camera_to_table(points)[:, :2] / pose.scale).astype(np.float32)
 
 
 def _start(plan: Plan, name: Path) -> tuple[Mesh, Pose]:
