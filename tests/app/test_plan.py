@@ -199,6 +199,26 @@ def test_after_takes_up_what_is_left(here: Path, files: Path) -> None:
     assert "nothing is left" in last.stderr
 
 
+@pytest.mark.parametrize("name", ["main", "b4"])
+def test_every_kind_of_system_goes_on_and_predicts(here: Path, files: Path, name: str) -> None:
+    """From the file alone: what it remembers is enough for what comes after it."""
+    common = ("--goal", files / "goal.glb", "--state", files / "voxels.npy")
+    succeed("plan", *common, "--system", name, "--steps", 2)
+    succeed("plan", *common, "--after", "plan.json", "--out", "next.json")
+    plan, later = read_plan(here / "plan.json"), read_plan(here / "next.json")
+    assert later.system == name
+    assert plan.memory.traces_before is None
+    assert (later.memory.traces_before is None) == plan.steps[0].null
+    assert later.memory.relative == plan.memory.relative
+    assert not violations(json.loads((here / "next.json").read_text()), schema())
+    succeed("predict", "--state", files / "voxels.npy", "--plan", "next.json")
+    nets = {prediction.net for prediction in later.steps[0].predictions}
+    assert {path.stem[-1] for path in (here / "predicted").iterdir()} == nets
+    other = run("plan", *common, "--after", "plan.json", "--system", "b3", "--out", "no.json")
+    assert other.exit_code == 1
+    assert "--system: expected" in other.stderr
+
+
 def test_a_plan_is_turned_into_reach_and_its_goal_with_it(here: Path, files: Path) -> None:
     """The flat cloth looks the same turned by right angles; what is beyond its middle is out of reach."""
     goal = np.asarray(toy.dragged(jnp.asarray(flat()), jnp.array([-1, -1, -1, -1, 0.6, 0.5])))

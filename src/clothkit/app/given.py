@@ -125,7 +125,12 @@ def looking(command: Callable[..., Any]) -> Callable[..., Any]:
     """Adds the options that tell how files are looked at; `seeing` makes a `Seeing` of them."""
     for option in reversed(
         (
-            click.option("--side", type=float, metavar="METRES", help="Side of the flat cloth. [default: 0.4]"),
+            click.option(
+                "--side",
+                type=float,
+                metavar="METRES",
+                help="Side of the flat cloth. [default: a given plan's, else app.side]",
+            ),
             click.option(
                 "--mask", metavar="FILE", help="NPY [n] of 0 and 1: which points of the state's cloud are the cloth's."
             ),
