@@ -96,11 +96,13 @@ def command(
     clothkit plan --state cloud2.ply --goal goal.obj --after plan.json --out plan2.json --table 0 0 -1 -0.8
     """
     given = settings()
-    how, box = seeing(given.app, **options), reach_of(given.app, reach)
     check_target(out, ("json",))
     if after and out.resolve() == after.resolve():
         raise InputError(f"--out: {out} is what --after reads, expected another file")
     before = read_plan(after) if after else None
+    if before and options["side"] is None:
+        options["side"] = before.side_m
+    how, box = seeing(given.app, **options), reach_of(given.app, reach)
     length = _length(steps, before, after)
     keep_compiled_programs()
     with part("look"):
