@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
+from matplotlib.ticker import FuncFormatter, LogLocator
 
 from clothkit.evaluation.comparisons import interval
 from clothkit.report import panels
@@ -42,6 +43,9 @@ def recipes(table: pd.DataFrame, path: Path, *, base: str = "base") -> None:
     axis.set_yscale("log")
     axis.set_xlim(left=0, right=float(table["minutes"].max()))
     axis.set_ylim(0.95 * float(table["score"].min()), min(0.4, 1.05 * float(table["score"].max())))
+    axis.yaxis.set_major_locator(LogLocator(subs=(0.6, 0.7, 0.8, 1.0, 1.2, 1.5, 2.0, 3.0)))
+    axis.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.yaxis.set_minor_formatter("")
     axis.set_xlabel("CPU minutes", fontsize=8)
     axis.set_ylabel("validation score [cloth length]", fontsize=8)
     panels.label_ends(axis, ends, least=0.06)

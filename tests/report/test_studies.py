@@ -1,0 +1,89 @@
+"""Figures of the studies: what is drawn is what the rows say."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.figure import Figure
+
+from clothkit.report import panels
+from clothkit.report.figures import studies
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
+    """Figures as they were saved."""
+    found: list[Figure] = []
+    original = panels.save
+
+    def keep(figure: Figure, path: Path) -> None:
+        found.append(figure)
+        original(figure, path)
+
+    monkeypatch.setattr(panels, "save", keep)
+    return found
+
+
+def test_recipes_name_the_best_by_their_mean_over_seeds(tmp_path: Path, drawn: list[Figure]) -> None:
+    runs = {("good", 0): 0.05, ("good", 1): 0.07, ("base", 0): 0.2, **{(f"v{k}", 0): 0.1 + 0.01 * k for k in range(8)}}
+    table = pd.DataFrame(
+        [
+            {"variant": variant, "seed": seed, "minutes": check + 1.0, "score": score + 0.1 * (2 - check)}
+            for (variant, seed), score in runs.items()
+            for check in range(3)
+        ]
+    )
+    studies.recipes(table, tmp_path / "recipes.png")
+    axis = drawn[0].axes[0]
+    texts = {text.get_text() for text in axis.texts}
+    assert "good: 0.0600" in texts
+    assert "base: 0.2000" in texts
+    assert "v7: 0.1700" not in texts
+    assert len(axis.lines) == 10
+    ends = [line.get_ydata()[-1] for line in axis.lines]
+    assert min(ends) == pytest.approx(0.06)
+
+
+def test_weights_and_search(tmp_path: Path, drawn: list[Figure]) -> None:
+    rows = []
+    for alpha, beta, gamma in [(0, 5, 1.25), (1, 5, 1.25), (1, 10, 1.25), (1, 5, 2.5)]:
+        for length in (1, 2, 3):
+            for sequence in range(4):
+                error = 0.1 * length - 0.05 * alpha + 0.01 * sequence
+                rows.append(
+                    {
+                        "alpha": alpha,
+                        "beta": beta,
+                        "gamma": gamma,
+                        "sequence": sequence,
+                        "length": length,
+                        "error": error,
+                    }
+                )
+    usual = {"alpha": 1.0, "beta": 5.0, "gamma": 1.25}
+    studies.weights(pd.DataFrame(rows), usual, tmp_path / "alpha.png")
+    lines = drawn[0].axes[0].lines
+    np.testing.assert_allclose(lines[1].get_ydata(), [0.215, 0.165])
+    assert [len(axis.lines[0].get_xdata()) for axis in drawn[0].axes] == [2, 2, 2]
+    sizes = [(16, 15), (64, 15), (64, 30)]
+    table = pd.DataFrame(
+        [
+            {
+                "strains": strains,
+                "base_iterations": more,
+                "iterations_per_step": more,
+                "length": length,
+                "seconds": strains * more / 100,
+                "error": 1 / strains,
+                "loss": 1.0,
+                "loss_recorded": 0.5 if strains == 16 else 2.0,
+            }
+            for strains, more in sizes
+            for length in (1, 2, 3)
+        ]
+    )
+    studies.search(table, tmp_path / "search.png")
+    failures = drawn[1].axes[1]
+    np.testing.assert_allclose(failures.lines[0].get_ydata(), [1, 0])
+    np.testing.assert_allclose(failures.lines[1].get_xdata(), [64 * 30 / 100])
