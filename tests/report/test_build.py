@@ -42,7 +42,7 @@ def dataset() -> Dataset:
 def recorded_sessions(dataset: Dataset) -> Sessions:
     """Sessions in which everything happened as recorded."""
     tasks = [Task(sequence, start, length) for sequence in (0, 1) for start, length in TASKS]
-    sessions = blank(tasks_of_dataset(dataset, tasks, "test"), Sizes(4, 2, 5, 8, 2))
+    sessions = blank(tasks_of_dataset(dataset, tasks, "test"), Sizes((32, 32, 3), True, 4, 2, 5, 8, 2))
     for place, (sequence, start, length) in enumerate(tasks):
         for step in range(length):
             state, left = dataset.vertices[sequence, start + step], length - step
@@ -63,7 +63,7 @@ def inputs(dataset: Dataset) -> Inputs:
     shift = {"position_error": 0.02, "position_no_action": 0.2}
     in_voxels = {"voxel_error": 0.01, "voxel_error_no_action": 0.05}
     tasks = [{"sequence": q, "start": start, "length": length} for q in (0, 1) for start, length in TASKS]
-    planned = planning_rows(sequences=2, splits=("test",))
+    planned = planning_rows(SETTINGS.planners, sequences=2, splits=("test",))
     prediction = pd.DataFrame(
         [
             {**common, **shift, **in_voxels, **task, "system": system, "net": net, "better": net == "b"}
@@ -139,6 +139,10 @@ def test_a_report_is_complete(inputs: Inputs, tmp_path: Path) -> None:
             "scatter",
             "largest",
             "curves",
+            "meshes",
+            "voxels",
+            "trajectories",
+            "equivalents",
             *(f"sessions_{n}" for n in (1, 2, 3)),
         )
     }

@@ -1,6 +1,7 @@
 """Sheets of small pictures with what belongs on them: manipulations, grasp candidates, marks; saved as equal bytes."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -170,7 +171,7 @@ def wrapped(start: Float[np.ndarray, "2"], end: Float[np.ndarray, "2"]) -> list[
         crossings |= {float(t) for t in ((borders + 0.5) * side - first) / (along or 1.0) if 0 < t < 1}
     shares = sorted(crossings)
     pieces = []
-    for low, high in zip(shares[:-1], shares[1:], strict=True):
+    for low, high in pairwise(shares):
         copy = np.round((start + (low + high) / 2 * way) / side)
         pieces.append(np.stack([start + low * way, start + high * way]) - side * copy)
     return pieces

@@ -44,9 +44,10 @@ def _corners(axis: Axes, mesh: Float[np.ndarray, "u v 3"]) -> None:
     for corners, names in together:
         outmost = max(corners, key=lambda corner: float(np.linalg.norm(corner - middle)))
         away = (outmost - middle) / max(float(np.linalg.norm(outmost - middle)), 1e-9)
-        place = np.clip(outmost + (0.12 + 0.05 * len(names)) * away, -0.86 * EXTENT, 0.86 * EXTENT)
+        x, y = np.clip(outmost + (0.12 + 0.05 * len(names)) * away, -0.86 * EXTENT, 0.86 * EXTENT)
         axis.text(
-            *place,
+            x,
+            y,
             "\n".join(names),
             fontsize=6.5,
             color=panels.INK,

@@ -68,5 +68,5 @@ def _example(axis: Axes, example: Example) -> None:
 
 def _name(axis: Axes, point: np.ndarray, text: str, away: np.ndarray) -> None:
     """A name beside a point, on the side that `away` points to, inside the panel."""
-    place = np.clip(point + 0.1 * away / max(float(np.linalg.norm(away)), 1e-9), -0.93 * EXTENT, 0.93 * EXTENT)
-    axis.text(*place, text, fontsize=8, color=panels.INK, ha="center", va="center", path_effects=[_OUTLINE])
+    x, y = np.clip(point + 0.1 * away / max(float(np.linalg.norm(away)), 1e-9), -0.93 * EXTENT, 0.93 * EXTENT)
+    axis.text(x, y, text, fontsize=8, color=panels.INK, ha="center", va="center", path_effects=[_OUTLINE])
