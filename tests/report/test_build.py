@@ -149,7 +149,7 @@ def test_a_report_is_complete(inputs: Inputs, tmp_path: Path) -> None:
     assert {"README.md", "metrics.json"} | tables | pictures <= found.keys()
     page = found["README.md"].decode()
     assert all(picture in page for picture in pictures)
-    assert all(f"(tables/{name}.csv)" in page for name in TABLES if name not in ("sigma_ratio", "attempts"))
+    assert all(f"(tables/{name}.csv)" in page for name in TABLES if name not in ("sigma_ratio", "splits", "attempts"))
     assert len(found["tables/largest.csv"].splitlines()) == 1 + SETTINGS.largest
     assert "every task of 2 test sequences" in page
 

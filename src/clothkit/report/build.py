@@ -138,9 +138,8 @@ def representations(folder: Path, inputs: Inputs) -> list[str]:
     place = next(place for place, sequence in enumerate(found["sequence"]) if int(sequence) in test)
     sequence = int(found["sequence"][place])
     state = min(2, int(dataset.length[sequence]))
-    mean, std = (
-        np.asarray(relabel(found[name][place, state], found["label"][place, state])) for name in ("mean", "std")
-    )
+    label = int(found["label"][place, state])
+    mean, std = (np.asarray(relabel(found[name][place, state], label)) for name in ("mean", "std"))
     meshes(dataset.vertices[sequence, state], mean, std, folder / "meshes.png")
     voxels(dataset.vertices[sequence, state], folder / "voxels.png")
     equivalents(dataset.vertices[sequence, 1], folder / "equivalents.png")
