@@ -67,6 +67,23 @@ LARGEST = (
     "expected an error of at most 0.05 (*model failure*); none of these (*open*): they knew that the plan is not good, "
     "and think no better of the recorded manipulations. All of the first plan: what went wrong later is not told.\n"
 )
+SYSTEMS = {
+    "main": "sees voxels only; two mesh nets",
+    "a1": "main, from true meshes",
+    "a2": "two voxel nets",
+    "b1": "main, from true meshes",
+    "b2": "main with one net",
+    "b3": "main without the uncertainty term",
+    "b4": "two voxel nets",
+    "b5": "one voxel net",
+    "unrefined": "main without refinement of its estimates",
+    "no action": "start against goal",
+    "no action, occluded": "start against goal, as a camera above sees them",
+    "pmr": "VtM's probabilistic mesh, its means",
+    "dmr": "the refined mesh",
+}
+"""What the names of systems, and of kinds of estimates, stand for."""
+
 CAPTIONS = {
     "sequences": "Simulated test sequences: states from above, manipulations dotted (red and green: the two hands); "
     "blue and orange are the cloth's two sides.",
