@@ -8,6 +8,10 @@ INTRO = (
     "term, *b4* and *b5* in voxels, with two nets and with one. Pictured are the first test sequences, not chosen "
     "ones, but for the largest errors.\n"
 )
+PAPER = (
+    "The paper's figures are from another simulator, 3,493 training sequences, and 100 test and 100 training sequences "
+    "in each table.\n"
+)
 UNCERTAINTY = (
     "Median over meshes of the mean of abs(error) / σ; 0.798 is ideal, less says that σ is too large. Columns: "
     "estimates, then predictions after one, two and three manipulations; the paper tells those of the test set.\n"
@@ -51,6 +55,16 @@ SPEED = (
     "Seconds of search per plan, by system and plan length, beside the paper's: [table 8](table_8.md) ([CSV]"
     "(table_8.csv)), on a page of its own, since no two runs take the same time.\n"
 )
+SPEED_MEANS = (
+    "Seconds of search over the number of plans, by system and plan length; *estimate*: seconds per estimate of a "
+    "mesh, refined. Searches run many at a time. A dash: none, or the stage's results were restored and its times "
+    "are not known.\n"
+)
+TIMINGS = (
+    "Of the stages' last runs on this machine, with the time of all their processes and the memory of the largest; a "
+    "stage whose results were restored has no row.\n"
+)
+STATES = "By how many manipulations lie behind the state; *no action* takes the state before the last one for it.\n"
 FAILURES = (
     "Of each session's first plan, test set. *search_failure*: share of plans that the nets rate worse than the "
     "recorded manipulations, which the search missed; *model_failure*: share that they rate no worse, yet whose "

@@ -53,10 +53,9 @@ def page(contents: Contents) -> str:
     parts = [
         f"# Report: {contents.scale}\n",
         captions.INTRO,
-        f"Planned and executed: every task of {counts} sequences. The paper's figures are from another simulator, "
-        "3,493 training sequences, and 100 test and 100 training sequences in each table.\n",
+        f"Planned and executed: every task of {counts} sequences. {captions.PAPER}",
         "## Test set in short: mean errors\n",
-        _headline(contents),
+        markdown.table(short(contents), ["what", "system"]),
         "## Planning\n",
         _figure(contents, "sessions_1"),
         _figure(contents, "sessions_2"),
@@ -99,13 +98,14 @@ def page(contents: Contents) -> str:
     return "\n".join(part for part in parts if part)
 
 
-def _headline(contents: Contents) -> str:
+def short(contents: Contents) -> pd.DataFrame:
+    """Mean errors on the test set: what (planning, prediction), system, source, then the columns of TASKS."""
     rows = []
     for what, data in (("planning", contents.table_6), ("prediction", contents.table_3)):
         means = data[(data["split"] == "test") & (data["statistic"] == "mean")]
         own = means.loc[means["source"] == "clothkit", "system"].drop_duplicates()
         rows += [means[means["system"] == system].assign(what=what) for system in own]
-    return markdown.table(pd.concat(rows)[["what", "system", "source", *TASKS]], ["what", "system"])
+    return pd.concat(rows)[["what", "system", "source", *TASKS]]
 
 
 def _compared(comparisons: pd.DataFrame) -> str:
@@ -119,12 +119,7 @@ def _compared(comparisons: pd.DataFrame) -> str:
 
 def table_8(data: pd.DataFrame) -> str:
     """The page of table 8 as a Markdown string."""
-    return (
-        "# Table 8: seconds per plan\n\n"
-        "Seconds of search over the number of plans, by system and plan length; *estimate*: seconds per estimate of a "
-        "mesh, refined. Searches run many at a time. A dash: none, or the stage's results were restored and its times "
-        f"are not known.\n\n{table('table_8', data)}"
-    )
+    return f"# Table 8: seconds per plan\n\n{captions.SPEED_MEANS}\n{table('table_8', data)}"
 
 
 def table(name: str, data: pd.DataFrame) -> str:

@@ -45,7 +45,11 @@ def page(contents: Contents, figures: Path, run: Run) -> str:
         ("estimation", "Estimation", _estimation(contents, figures)),
         ("uncertainty", "Uncertainty", _uncertainty(contents, figures)),
         ("data", "Data and training", _data(contents, figures)),
-        ("representations", "Representations", _pictures(contents, figures, "meshes", "voxels", "trajectories", "equivalents")),
+        (
+            "representations",
+            "Representations",
+            _pictures(contents, figures, "meshes", "voxels", "trajectories", "equivalents"),
+        ),
         (costs.SECTION, "Time", costs.costs(run.timings, run.table_8)),
         ("params", "Made with", _made_with(run.params)),
     ]
@@ -64,7 +68,7 @@ def page(contents: Contents, figures: Path, run: Run) -> str:
 
 
 def _short(contents: Contents) -> Html:
-    counts = " and ".join(f"{count} {SPLITS[split].lower()}" for split, count in contents.tasks.items())
+    counts = " and ".join(f"{count} {split}" for split, count in contents.tasks.items())
     return element(
         "section",
         element("h2", "In short"),
@@ -72,7 +76,7 @@ def _short(contents: Contents) -> Html:
         headline(contents),
         tables.paired(short(contents), ("what", "system"), label="In short", judged=list(captions.SYSTEMS)),
         paragraph(captions.INTRO),
-        paragraph(captions.counted(counts)),
+        paragraph(f"Planned and executed: every task of {counts} sequences. {captions.PAPER}"),
         id="short",
     )
 
@@ -136,7 +140,7 @@ def _uncertainty(contents: Contents, figures: Path) -> Html:
 def _data(contents: Contents, figures: Path) -> Html:
     return joined(
         element("h3", "The dataset"),
-        paragraph(captions.dataset(contents.splits, contents.attempts)),
+        paragraph(_summary(contents)),
         _csv("splits"),
         tables.plain(contents.splits, label="Sequences by split"),
         element("h3", "Tried sequences"),
@@ -146,6 +150,18 @@ def _data(contents: Contents, figures: Path) -> Html:
         _pictures(contents, figures, "sequences"),
         element("h3", "Training"),
         _pictures(contents, figures, "curves"),
+    )
+
+
+def _summary(contents: Contents) -> str:
+    splits, attempts = contents.splits, contents.attempts
+    count, manipulations = int(splits["sequences"].sum()), int(splits["manipulations"].sum())
+    single = float((splits["single_handed"] * splits["manipulations"]).sum()) / max(manipulations, 1)
+    accepted = float(attempts.loc[attempts["outcome"] == "accepted", "share"].sum())
+    return (
+        f"{count} sequences of a square cloth folded at random, {manipulations} manipulations, {100 * single:.1f} % of "
+        f"them single-handed; {100 * accepted:.1f} % of the tried sequences were accepted. [The dataset's card]"
+        "(dataset/README.md) tells its files, columns, quality and worst states."
     )
 
 

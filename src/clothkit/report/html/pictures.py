@@ -44,5 +44,7 @@ def picture(name: str, file: Path) -> Html:
     title = element("strong", f"{TITLES[name]}.")
     link = element("a", "PNG", href=f"figures/{name}.png")
     caption = element("figcaption", title, " ", inline(captions.CAPTIONS[name]), " ", link)
-    frame = element("div", image, class_="frame scroll", tabindex=0, role="region", aria_label=f"{TITLES[name]}, picture")
+    frame = element(
+        "div", image, class_="frame scroll", tabindex=0, role="region", aria_label=f"{TITLES[name]}, picture"
+    )
     return element("figure", joined(frame, caption), id=f"figure-{name}")

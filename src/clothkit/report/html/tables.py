@@ -97,7 +97,9 @@ def _mark() -> Html:
 
 
 def _system(name: str, columns: int) -> Html:
-    return element("tr", element("th", element("span", named(name)), scope="rowgroup", colspan=columns + 1), class_="of")
+    return element(
+        "tr", element("th", element("span", named(name)), scope="rowgroup", colspan=columns + 1), class_="of"
+    )
 
 
 def _line(
@@ -123,7 +125,12 @@ def _figure(value: float, source: str, marked: bool) -> Html:
     said = element("span", "clothkit: " if source == "own" else "paper: ", class_="said")
     after = element("span", " (better)", class_="said") if marked else ""
     return element(
-        "span", said, *([_mark()] if marked else []), number(value), after, class_=f"{source} better" if marked else source
+        "span",
+        said,
+        *([_mark()] if marked else []),
+        number(value),
+        after,
+        class_=f"{source} better" if marked else source,
     )
 
 
