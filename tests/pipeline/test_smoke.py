@@ -3,7 +3,9 @@
 The pipeline runs in a copy of the tree, so that the user's data, params and cache are left alone.
 """
 
+import hashlib
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -15,6 +17,8 @@ from typing import Any
 import pandas as pd
 import pytest
 from ruamel.yaml import YAML
+
+from clothkit.report.html.costs import SECTION
 
 ROOT = Path(__file__).parents[2]
 LONG_STAGES = ("simulate", "train_pemd@a", "train_vtm", "plan@main")
@@ -68,10 +72,13 @@ class Checkout:
         self.run("git", "-c", "user.name=test", "-c", "user.email=test@localhost", "commit", "-qm", "state")
 
     def hashes(self) -> dict[str, str]:
-        """The hash of every out, by path, but for what tells seconds."""
+        """The hash of every out, by path, but for what tells seconds: files, and a section of the HTML page."""
         lock = YAML(typ="safe").load(self.folder / "dvc.lock")["stages"]
         outs = [out for stage in lock.values() for out in stage["outs"]]
-        return {out["path"]: out["md5"] for out in outs if Path(out["path"]).stem not in ("timings", "table_8")}
+        hashes = {out["path"]: out["md5"] for out in outs if Path(out["path"]).stem not in ("timings", "table_8")}
+        page = next(path for path in hashes if Path(path).name == "index.html")
+        text = re.sub(f'<section id="{SECTION}">.*?</section>', "", (self.folder / page).read_text(), flags=re.S)
+        return {**hashes, page: hashlib.md5(text.encode()).hexdigest()}
 
 
 @pytest.fixture(scope="module")
@@ -92,6 +99,7 @@ def test_the_chain_ends_with_tables_pictures_and_metrics(finished: Checkout) -> 
     report = finished.folder / "reports" / "smoke"
     for name in (
         "README.md",
+        "index.html",
         "metrics.json",
         "params.yaml",
         "timings.csv",

@@ -45,7 +45,7 @@ def _card(contents: Contents, title: str, table: str, by: str, name: str, column
         element("p", number(own), class_="big"),
         element("p", f"{held} ", element("b", number(paper)), class_="against"),
         element("p", text, class_="meaning"),
-        class_="card",
+        class_={"clothkit": "card won", "paper": "card lost"}.get(best or "", "card"),
     )
 
 

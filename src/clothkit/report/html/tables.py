@@ -10,6 +10,7 @@ from clothkit.report import captions
 from clothkit.report.html.elements import Html, element, joined
 from clothkit.report.markdown import number
 from clothkit.report.planning_tables import HIGH, LOW
+from clothkit.report.tables import NO_ACTION
 
 IDEAL_RATIO = 0.798
 """Of sigma ratios."""
@@ -117,8 +118,10 @@ def _line(
         lines = [_figure(own, "own", best == "clothkit")] if "clothkit" in sources else []
         lines += [_figure(paper, "paper", best == "paper")] if "paper" in sources else []
         cells.append(element("td", *lines))
-    head = element("th", STATISTICS.get(name, name), scope="row")
-    return element("tr", head, *cells, class_="mean" if ideal is not None and name != "median" else None)
+    strong = ideal is not None and name != "median" and not name.startswith(NO_ACTION)
+    return element(
+        "tr", element("th", STATISTICS.get(name, name), scope="row"), *cells, class_="mean" if strong else None
+    )
 
 
 def _figure(value: float, source: str, marked: bool) -> Html:
