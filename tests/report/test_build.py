@@ -13,12 +13,15 @@ from clothkit.dataset.tasks import TASKS, Task
 from clothkit.evaluation import calibration, planning
 from clothkit.evaluation.comparisons import of_predictions
 from clothkit.planning.record import Sessions, Sizes, blank, tasks_of_dataset
+from clothkit.report import timings
 from clothkit.report.build import TABLES, build, picked
 from clothkit.report.figures.largest import Failure, largest
 from clothkit.report.figures.sessions import of_record, sessions
+from clothkit.report.html import page as html
 from clothkit.report.inputs import Inputs
 from clothkit.report.settings import ReportConfig
 from tests.evaluation.planning_rows import planning_rows
+from tests.report.web import tree
 
 SETTINGS = ReportConfig(sequences=1, estimates=1, predictions=1, sessions=1, largest=3)
 
@@ -126,7 +129,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def test_a_report_is_complete(inputs: Inputs, tmp_path: Path) -> None:
-    build(tmp_path / "report", inputs, SETTINGS, scale="smoke")
+    shown = build(tmp_path / "report", inputs, SETTINGS, scale="smoke")
     found = contents(tmp_path / "report")
     tables = {f"tables/{name}.{kind}" for name in TABLES for kind in ("csv", "md")}
     pictures = {
@@ -152,6 +155,11 @@ def test_a_report_is_complete(inputs: Inputs, tmp_path: Path) -> None:
     assert all(f"(tables/{name}.csv)" in page for name in TABLES if name not in ("sigma_ratio", "splits", "attempts"))
     assert len(found["tables/largest.csv"].splitlines()) == 1 + SETTINGS.largest
     assert "every task of 2 test sequences" in page
+    run = html.Run("scale: smoke\n", timings.timings(tmp_path), timings.table_8(tmp_path, SETTINGS.planners))
+    markup = html.page(shown, tmp_path / "report" / "figures", run)
+    assert len(tree(markup).all("img")) == len(pictures)
+    assert "No stage has left a note." in markup
+    assert len(markup) < 8e6
 
 
 def test_a_session_is_drawn_from_its_record(inputs: Inputs, dataset: Dataset, tmp_path: Path) -> None:

@@ -127,7 +127,7 @@ def test_the_better_figure_is_marked() -> None:
     assert [name for name, _ in rows] == ["main sees voxels only; two mesh nets", "mean", "st.dev.", "95 % of mean"]
     # Equal as printed is neither; a spread is neither better nor worse.
     assert rows[1:3] == [mean, spread]
-    assert "0.0200 – 0.0400" in table.all("tbody")[0].text
+    assert "0.0200 to0.0400" in table.all("tbody")[0].text
     # What only one of them has is shown alone.
     assert [body.all("th")[0].text.split()[0] for body in table.all("tbody")] == ["main", "no", "b9"]
     assert [span.attributes["class"] for span in table.all("tbody")[2].all("td")[0].all("span")] == ["paper", "said"]

@@ -37,10 +37,9 @@ POSITION = (
     "The predicted shift of the cloth's centre, by the number of manipulations, from every start; *no action* "
     "predicts no shift.\n"
 )
-INTERVALS = (
-    "*mean 95 % low* and *high* are the ends of a bootstrap interval of our mean, drawn by sequences, since tasks of "
-    "one sequence share its states.\n"
-)
+_INTERVALS = "the ends of a bootstrap interval of our mean, drawn by sequences, since tasks of one share its states.\n"
+INTERVALS = f"*mean 95 % low* and *high* are {_INTERVALS}"
+INTERVALS_BELOW = f"*95 % of mean*: {_INTERVALS}"
 PLANNING_VOXELS = (
     "The same outcomes and goals in voxels: mean absolute difference of voxel values, both sides free of noise and "
     "unoccluded, a vertex per grid point. It is the format in which *b4* and *b5* plan.\n"

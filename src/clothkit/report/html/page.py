@@ -17,6 +17,9 @@ HERE = Path(__file__).parent
 
 SPLITS = {"test": "Test set", "train": "Training set"}
 
+VOXELS = ("table_4", "table_7")
+"""Tables of voxel differences."""
+
 HEADS = {
     "table_2": {"1": "after 1", "2": "after 2", "3": "after 3"},
     "table_5": {"1": "1 manipulation", "2": "2 manipulations", "3": "3 manipulations"},
@@ -87,7 +90,7 @@ def _planning(contents: Contents, figures: Path) -> Html:
     failures = contents.failures[contents.failures["split"] == "test"].drop(columns="split")
     parts = [
         _pictures(contents, figures, "sessions_1", "sessions_2", "sessions_3"),
-        _table(contents, "table_6", "Table 6: planning, in meshes", captions.INTERVALS),
+        _table(contents, "table_6", "Table 6: planning, in meshes", captions.INTERVALS_BELOW),
         _pictures(contents, figures, "scatter"),
         _table(contents, "table_7", "Table 7: planning, in voxels", captions.PLANNING_VOXELS),
     ]
@@ -106,7 +109,9 @@ def _prediction(contents: Contents, figures: Path) -> Html:
         _pictures(contents, figures, "predictions"),
         _table(contents, "table_3", "Table 3: predicted meshes"),
         _table(contents, "table_4", "Table 4: the same in voxels", captions.VOXELS),
-        _plain("comparisons", "Predictors compared", contents.comparisons, captions.COMPARISONS),
+        element("h3", "Predictors compared", id="comparisons"),
+        paragraph(captions.COMPARISONS),
+        tables.plain(contents.comparisons, label="Predictors compared"),
         _table(contents, "table_5", "Table 5: predicted position", captions.POSITION),
     )
 
@@ -187,12 +192,13 @@ def _plain(name: str, title: str, data: pd.DataFrame, text: str) -> Html:
 def _table(contents: Contents, name: str, title: str, text: str = "") -> Html:
     """A table of the paper's: the test set, and below it, folded away, the training set."""
     data, keys = getattr(contents, name), KEYS[name][1:]
+    unit = "mean voxel value difference" if name in VOXELS else "lengths of the cloth's side"
     parts = [element("h3", title, id=name), *([paragraph(text)] if text else []), _csv(name)]
     for split, words in SPLITS.items():
         rows = data[data["split"] == split].drop(columns="split")
         if rows.empty:
             continue
-        table = tables.paired(rows, keys, label=f"{title}, {words.lower()}", heads=HEADS.get(name))
+        table = tables.paired(rows, keys, label=f"{title}, {words.lower()}", heads=HEADS.get(name), unit=unit)
         parts += [element("h4", words), table] if split == "test" else [_folded(words, table)]
     return joined(*parts)
 

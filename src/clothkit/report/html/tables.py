@@ -43,6 +43,7 @@ def paired(
     *,
     label: str,
     heads: Mapping[str, str] | None = None,
+    unit: str = "",
     judged: Collection[str] = JUDGED,
     ideal: float = -math.inf,
 ) -> Html:
@@ -66,14 +67,19 @@ def paired(
                 high = found.get((*key[:-1], HIGH)) if key[-1] == LOW else None
                 lines.append(_line(key[-1], found[key], columns, high, ideal if key[-1] in judged else None))
         bodies.append(element("tbody", *lines))
-    caption = element("caption", "clothkit above, the paper below; ", _mark(), " the better")
+    said = f"{unit}; clothkit above, the paper below; " if unit else "clothkit above, the paper below; "
+    caption = element("caption", said, _mark(), " the better")
     head = _two_heads(columns) if any("/" in column for column in columns) else _head(columns, heads or {})
     return _scrolling(element("table", caption, head, *bodies, class_="paired"), label)
 
 
 def plain(data: pd.DataFrame, *, label: str) -> Html:
     """A table column by column and row by row as it stands; the first column heads its rows."""
-    heads = [element("th", column.replace("_", " "), scope="col") for column in data.columns]
+    words = [bool(data[column].map(lambda value: isinstance(value, str)).any()) for column in data.columns]
+    heads = [
+        element("th", column.replace("_", " "), scope="col", class_="word" if word else None)
+        for column, word in zip(data.columns, words, strict=True)
+    ]
     lines = []
     for first, *rest in data.itertuples(index=False):
         cells = [element("td", _text(value), class_="word" if isinstance(value, str) else None) for value in rest]
@@ -111,8 +117,9 @@ def _line(
     for column in columns:
         own, paper = (float(sources.get(source, {}).get(column, math.nan)) for source in _PAIR)
         if high is not None:
-            text = f"{number(own)} – {number(float(high['clothkit'][column]))}"
-            cells.append(element("td", element("span", text, class_="own")))
+            # One below the other, as narrow as the other rows.
+            ends = (f"{number(own)} to", number(float(high["clothkit"][column])))
+            cells.append(element("td", *(element("span", end, class_="own") for end in ends)))
             continue
         best = None if ideal is None else better(own, paper, ideal=ideal)
         lines = [_figure(own, "own", best == "clothkit")] if "clothkit" in sources else []
