@@ -29,7 +29,11 @@ def costs(timings: pd.DataFrame, table_8: pd.DataFrame) -> Html:
 def _stages(timings: pd.DataFrame) -> Html:
     if timings.empty:
         return element("p", "No stage has left a note.")
-    heads = [element("th", name, scope="col") for name in ("stage", "time", "", "CPU time", "memory", "machine")]
+    names = ("stage", "time", "share of the longest", "CPU time", "memory", "machine")
+    # Bars and machines start at the left of their columns.
+    heads = [
+        element("th", name, scope="col", class_="word" if place in (2, 5) else None) for place, name in enumerate(names)
+    ]
     longest = max(float(timings["seconds"].max()), 1e-9)
     lines = []
     for row in timings.to_dict("records"):
