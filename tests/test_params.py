@@ -53,6 +53,8 @@ def test_every_scale_of_the_repository_is_valid(tmp_path: Path) -> None:
         ({"scales.laptop.regularise.train": 3.5}, "scales.laptop.regularise.train: input should be a valid integer"),
         ({"scales.laptop.simulate.source": "arksim"}, "simulate.source: input should be 'own' or 'arcsim', found"),
         ({"alpha": -1.0}, "alpha: input should be greater than or equal to 0"),
+        ({"app.side": -0.4}, "app.side: input should be greater than 0, found -0.4"),
+        ({"app.reach": {"low": [0.0, 0.0, 0.0]}}, "app.reach.high is missing"),
         ({"scale": "huge"}, "scale: input should be 'smoke', 'laptop', 'overnight' or 'paper'"),
         ({"scales.paper.regularise": ...}, "scales.paper.regularise is missing"),
     ],

@@ -8,6 +8,7 @@ import pydantic
 from annotated_types import Ge, Gt
 from ruamel.yaml import YAML, YAMLError
 
+from clothkit.app.settings import AppConfig
 from clothkit.dataset.augment import AugmentConfig
 from clothkit.dataset.regularise import RegulariseConfig
 from clothkit.errors import InputError
@@ -40,12 +41,14 @@ class StageParams(pydantic.BaseModel, frozen=True, extra="forbid"):
 
 
 class Params(pydantic.BaseModel, frozen=True, extra="forbid"):
-    """The whole file: the scale in force, the planning weights of eqs. (13) and (15), and every scale's settings."""
+    """The whole file: the scale in force, the planning weights of eqs. (13) and (15), the command line's settings, and
+    every scale's."""
 
     scale: Scale
     alpha: Annotated[float, Ge(0)]
     beta: Annotated[float, Gt(0)]
     gamma: float
+    app: AppConfig = AppConfig()
     scales: dict[Scale, StageParams]
 
     @property

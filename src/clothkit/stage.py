@@ -104,8 +104,9 @@ def stage(name: str, variant: str | None = None) -> Iterator[Stage]:
                 f"{clothkit.__file__}: stages run the clothkit under the current directory, and this one is elsewhere; "
                 "set PYTHONPATH=src or install the checkout that you stand in"
             )
-        jax.config.update("jax_compilation_cache_dir", str(WORK / "compiled"))
-        jax.config.update("jax_compilation_cache_max_size", COMPILED_BYTES)
+        if jax.config.jax_compilation_cache_dir is None:
+            jax.config.update("jax_compilation_cache_dir", str(WORK / "compiled"))
+            jax.config.update("jax_compilation_cache_max_size", COMPILED_BYTES)
         run = Stage(name, variant)
         yield run
     except InputError as error:

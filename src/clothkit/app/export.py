@@ -1,6 +1,7 @@
-"""Cloth states as OBJ, PLY or GLB files: `python -m clothkit.app.export data/raw --sequence 3 --format glb --to out`.
+"""Cloth states as OBJ, PLY or GLB files: `clothkit export data/raw --sequence 3 --format glb --to out`.
 
-From raw artifacts (any topology) or from `data/meshes.zarr` (32 x 32).
+From raw artifacts (any topology) or from `data/meshes.zarr` (32 x 32). `python -m clothkit.app.export` does the same,
+and takes sequences as `--sequence 3 7`.
 """
 
 import argparse
@@ -8,9 +9,41 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+import click
+
 from clothkit.dataset.export import FORMATS, export
 from clothkit.errors import InputError
 from clothkit.simulation.settings import SimulationConfig
+
+
+@click.command()
+@click.argument("source", type=click.Path(path_type=Path))
+@click.option("--sequence", "sequences", type=int, multiple=True, metavar="N", help="One of them; may be repeated.")
+@click.option("--all", "every", is_flag=True, help="All sequences.")
+@click.option("--format", "file_format", default="glb", show_default=True, help=f"{', '.join(FORMATS)}.")
+@click.option("--to", type=click.Path(path_type=Path), default=Path("exported"), show_default=True, metavar="FOLDER")
+@click.option(
+    "--cloth-side",
+    type=float,
+    default=SimulationConfig().cloth_side,
+    show_default=True,
+    metavar="METRES",
+    help="Of meshes in a store.",
+)
+def command(
+    source: Path, *, sequences: tuple[int, ...], every: bool, file_format: str, to: Path, cloth_side: float
+) -> None:
+    """Write states of SOURCE as files that other programs open, in metres, with texture coordinates.
+
+    SOURCE is a folder of raw artifacts (data/raw) or a store of meshes (data/meshes.zarr). OBJ and PLY have z up, GLB y
+    up.
+
+    \b
+    clothkit export data/raw --sequence 3 --sequence 7 --format glb --to exported
+    """
+    if every == bool(sequences):
+        raise click.UsageError("expected either --sequence N or --all")
+    _export(source, to, file_format, None if every else sequences, cloth_side)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,14 +62,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Write the files and say where they are. Raises InputError."""
-    written = export(
-        arguments.source,
-        arguments.to,
-        file_format=arguments.format,
-        sequences=None if arguments.all else arguments.sequence,
-        cloth_side=arguments.cloth_side,
-    )
-    print(f"{len(written)} files in {arguments.to}: {written[0].name} to {written[-1].name}")
+    sequences = None if arguments.all else arguments.sequence
+    _export(arguments.source, arguments.to, arguments.format, sequences, arguments.cloth_side)
+
+
+def _export(source: Path, to: Path, file_format: str, sequences: Sequence[int] | None, cloth_side: float) -> None:
+    written = export(source, to, file_format=file_format, sequences=sequences, cloth_side=cloth_side)
+    print(f"{len(written)} files in {to}: {written[0].name} to {written[-1].name}")
 
 
 def main(argv: Sequence[str] | None = None) -> None:

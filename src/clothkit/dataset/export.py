@@ -38,11 +38,13 @@ class Surface(NamedTuple):
     triangles: Int[np.ndarray, "triangles 3"]
     uv: Float[np.ndarray, "vertices 2"]
     """Material coordinates, 0..1."""
+    title: str = ""
+    """What it is, where it is not a state of a sequence."""
 
     @property
     def name(self) -> str:
         """What its file is called, without the format's ending."""
-        return f"sequence_{self.sequence:04d}_state_{self.state}"
+        return self.title or f"sequence_{self.sequence:04d}_state_{self.state}"
 
 
 def export(

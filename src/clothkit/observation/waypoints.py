@@ -73,10 +73,20 @@ def hand_paths(
     `mesh` is the cloth as it is estimated or predicted before the manipulation, normalised and centred, `pose` where it
     is then: for a later step of a plan, `pose.moved` by the predicted shifts of its centre.
     """
+    grasps = np.stack([np.asarray(to_cartesian(mesh, uv), float) for uv in grasp_points(manipulation)])
+    return paths_from(grasps, manipulation, pose, settings)
+
+
+def paths_from(
+    grasps: Float[np.ndarray, "2 3"],
+    manipulation: Float[np.ndarray, "6"],
+    pose: Pose,
+    settings: MotionConfig = MotionConfig(),  # noqa: B008
+) -> HandPaths:
+    """The same for a manipulation whose grasp points are known to lie at `grasps` [normalised, centred]."""
     if bool(is_null(manipulation)):
         return HandPaths(np.zeros(settings.waypoints), np.zeros((0, settings.waypoints, 3)))
     hands = 1 if bool(is_single(manipulation)) else 2
-    grasps = np.stack([np.asarray(to_cartesian(mesh, uv), float) for uv in grasp_points(manipulation)])
     releases = release_points(grasps[:, :2], np.asarray(displacement(manipulation), float)).points
     path = arc(grasps[:hands], np.asarray(releases)[:hands], height_limit=settings.highest_lift)
     share = np.linspace(0, 1, settings.waypoints)

@@ -1,0 +1,204 @@
+"""A found plan as a plan file has it: in metres, in a frame, with what is expected of it."""
+
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from clothkit.app import plan_file
+from clothkit.app.given import Seen
+from clothkit.app.plan_file import Plan, rounded
+from clothkit.app.planner import Believed, Planned, disagreement
+from clothkit.cloth.grid import CLOTH_SIDE
+from clothkit.cloth.mesh import ProbabilisticMesh, distance, error
+from clothkit.cloth.silhouette import centred, iou, silhouette
+from clothkit.cloth.voxels import HEIGHT, RESOLUTION
+from clothkit.manipulation.vector import grasp_points, is_null
+from clothkit.observation.pose import Pose
+from clothkit.observation.waypoints import HandPaths, MotionConfig, hand_paths, paths_from
+from clothkit.planning.planner import Planner
+
+_MICROMETRES = 6
+_SURELY = 0.5  # probability from which a voxel counts as cloth
+
+Frame = Literal["camera", "table"]
+
+
+class Given(NamedTuple):
+    """What a plan was asked for with."""
+
+    state: Seen
+    goal: Seen
+    wanted: Believed
+    """The goal as it was planned for: as the system takes it, turned if need be."""
+    matrix: Float[np.ndarray, "2 2"] | None
+    """That it was turned by."""
+    side: float
+    """Of the flat cloth [m]."""
+    seed: int
+    frame: Frame
+    nets: tuple[str, ...]
+    """What the planner's nets are called."""
+
+
+def frame_of(seen: Seen, wanted: Frame) -> Frame:
+    """The frame of a plan's positions: what is in the table's frame has no camera."""
+    return wanted if seen.kind == "points" else "table"
+
+
+def paths_of(planner: Planner, planned: Planned, pose: Pose, motion: MotionConfig) -> list[HandPaths]:
+    """Where the hands are when, in the table's frame: of later steps, where the better net expects the cloth."""
+    means = planner.sight.means(planned.predictions[planner.better])
+    places = poses_of(planned, pose)
+    states = [planned.state, *means[:-1]]
+    if not planner.system.voxels:
+        return [
+            hand_paths(m, mesh.astype(np.float32), place, motion)
+            for m, mesh, place in zip(planned.plan, states, places, strict=False)
+        ]
+    paths = []
+    for manipulation, voxels, place in zip(planned.plan, states, places, strict=False):
+        xy = np.stack([np.asarray(point, float) for point in grasp_points(manipulation)])
+        grasps = np.column_stack([xy, heights(voxels, xy)])
+        paths.append(paths_from(grasps, manipulation, place, motion))
+    return paths
+
+
+def poses_of(planned: Planned, pose: Pose) -> list[Pose]:
+    """Where the cloth is expected before the first step and after each."""
+    return [pose, *(pose.moved(shift) for shift in np.cumsum(planned.shifts, axis=0))]
+
+
+def heights(voxels: Believed, xy: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, " points"]:
+    """How high the cloth is at the occupied column nearest to each point [normalised]; 0 where there is no cloth."""
+    columns = np.argwhere((voxels >= _SURELY).any(-1))
+    if not len(columns):
+        return np.zeros(len(xy))
+    middles = (columns + 0.5) * (2 / RESOLUTION[0]) - 1
+    nearest = columns[((xy[:, None] - middles) ** 2).sum(-1).argmin(1)]
+    top = (voxels[nearest[:, 0], nearest[:, 1]] >= _SURELY).sum(-1)
+    return (top - 0.5) * (HEIGHT / RESOLUTION[2])
+
+
+def describe(planner: Planner, planned: Planned, paths: list[HandPaths], given: Given) -> Plan:
+    """The plan file's content. `paths` are in the table's frame."""
+    real = given.state.pose
+    # What is already in the table's frame stays as it is.
+    pose = real if given.frame == "camera" else Pose(np.eye(3), np.zeros(3), real.centre, real.scale)
+    poses = poses_of(planned, pose)
+    expectation = expected(planner, planned, given)
+    content = {
+        "format": "clothkit plan",
+        "version": 1,
+        "system": planner.system.name,
+        "seed": given.seed,
+        "frame": given.frame,
+        "state": {"file": given.state.file, "kind": given.state.kind},
+        "goal": {"file": given.goal.file, "kind": given.goal.kind},
+        "turned": None if given.matrix is None else rounded(given.matrix, 9),
+        "side_m": given.side,
+        "metres_per_normalised": pose.scale,
+        "table": {"axes": pose.rotation.tolist(), "origin_m": pose.origin.tolist()},
+        "start": {"state": _state(planned.state, None, pose), "centre_m": _centre(pose)},
+        "steps": [_step(planner, planned, given.nets, i, path, poses[i + 1]) for i, path in enumerate(paths)],
+        "expected": expectation,
+        "warning": None if expectation["improves"] else plan_file.UNLIKELY,
+        "memory": {
+            "common": planned.common,
+            "relative": planned.relative,
+            "better": planner.better,
+            "traces_before": [[rounded(label, 7) for label in trace] for trace in planned.traces]
+            if any(trace.any() for trace in planned.traces)
+            else None,
+        },
+    }
+    return Plan.model_validate(content)
+
+
+def expected(planner: Planner, planned: Planned, given: Given) -> dict[str, Any]:
+    """What the mean of the nets' predictions comes to; errors as design section 2 has them, whatever the labels."""
+    means = [planner.sight.means(prediction) for prediction in planned.predictions]
+    outcome = np.mean([mean[-1] for mean in means], axis=0)
+    fields: dict[str, Any] = dict.fromkeys(
+        ("error_cloth_lengths", "error_m", "error_no_action_cloth_lengths", "error_no_action_m")
+    )
+    fields |= dict.fromkeys(("voxel_error", "voxel_error_no_action"))
+    errors = []
+    for name, state in (("", outcome), ("_no_action", planned.state)):
+        if planner.system.voxels:
+            errors.append(float(planner.sight.misses(state[None], given.wanted[None])[0]))
+            fields[f"voxel_error{name}"] = errors[-1]
+        else:
+            errors.append(float(error(state.astype(np.float32), given.wanted, aligned=True)))
+            fields[f"error{name}_cloth_lengths"], fields[f"error{name}_m"] = errors[-1], errors[-1] * given.side
+        fields[f"silhouette_iou{name}"] = iou(covered(state), covered(given.wanted))
+    acts = not all(bool(is_null(manipulation)) for manipulation in planned.plan)
+    return {
+        **fields,
+        "epistemic_uncertainty": disagreement(planner, planned),
+        "loss": planned.loss,
+        "improves": acts and errors[0] < errors[1],
+    }
+
+
+def covered(state: Believed) -> np.ndarray:
+    """The silhouette of a mesh, centred, or the columns of voxels."""
+    if state.shape == RESOLUTION:
+        return np.asarray((state >= _SURELY).any(-1))
+    return silhouette(centred(state.astype(np.float32))[0])
+
+
+def _step(
+    planner: Planner, planned: Planned, nets: tuple[str, ...], i: int, path: HandPaths, after: Pose
+) -> dict[str, Any]:
+    states = [_of_step(prediction, i) for prediction in planned.predictions]
+    means = [planner.sight.means(state) for state in states]
+    apart = None
+    if len(means) > 1 and not planner.system.voxels:
+        apart = float(distance(means[0], means[1])) * CLOTH_SIDE * after.scale
+    points = after.table_to_camera(path.points)
+    hands = [
+        {
+            "grasp_m": rounded(hand[0], _MICROMETRES),
+            "release_m": rounded(hand[-1], _MICROMETRES),
+            "waypoints": [
+                {"time_s": round(float(time), 4), "position_m": rounded(point, _MICROMETRES)}
+                for time, point in zip(path.times, hand, strict=True)
+            ],
+        }
+        for hand in points
+    ]
+    return {
+        "manipulation": planned.plan[i].astype(float).tolist(),
+        "null": bool(is_null(planned.plan[i])),
+        "hands": hands,
+        "predictions": [
+            {
+                "net": net,
+                "state": _state(mean, np.asarray(state.std) if isinstance(state, ProbabilisticMesh) else None, after),
+            }
+            for net, mean, state in zip(nets, means, states, strict=True)
+        ],
+        "centre_m": _centre(after),
+        "disagreement_m": apart,
+    }
+
+
+def _of_step(prediction: Any, i: int) -> Any:
+    if isinstance(prediction, ProbabilisticMesh):
+        return ProbabilisticMesh(prediction.mean[i], prediction.std[i])
+    return prediction[i]
+
+
+def _state(mean: Believed, std: np.ndarray | None, pose: Pose) -> dict[str, Any]:
+    if mean.shape == RESOLUTION:
+        return {"kind": "voxels", "occupancy": rounded(mean, 3)}
+    return {
+        "kind": "mesh",
+        "vertices_m": rounded(pose.normalised_to_camera(mean.astype(float)), _MICROMETRES),
+        "sigma_m": None if std is None else rounded(std * pose.scale, _MICROMETRES),
+    }
+
+
+def _centre(pose: Pose) -> Any:
+    return rounded(pose.table_to_camera(np.append(pose.centre, 0.0)), 7)

@@ -1,0 +1,74 @@
+"""`clothkit estimate`: the mesh in voxels or a point cloud, and how sure the net is of it."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from clothkit.app.given import keep_compiled_programs, look, looking, seeing, settings
+from clothkit.app.output import check_target, part, write_arrays, write_mesh
+from clothkit.app.planner import estimated, vtm_of
+from clothkit.cloth.grid import CLOTH_SIDE
+from clothkit.cloth.silhouette import silhouette
+from clothkit.dataset.export import FORMATS
+from clothkit.observation.coverage import goal_iou
+
+
+@click.command()
+@click.argument("file")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path("mesh.obj"),
+    show_default=True,
+    metavar="FILE",
+    help=f"The mesh: {', '.join(FORMATS)}.",
+)
+@click.option(
+    "--sigma",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="NPZ: mesh, mean and sigma [u, v, xyz] in metres. [default: beside --out, ending sigma.npz]",
+)
+@click.option(
+    "--data", type=click.Path(path_type=Path), default=Path("data"), show_default=True, help="Where nets/vtm is."
+)
+@looking
+def command(file: str, *, out: Path, sigma: Path | None, data: Path, mask: str | None, **options: Any) -> None:
+    """Estimate the mesh of the cloth in FILE: voxels, a point cloud, or a mesh as a camera above would see it.
+
+    The net gives a mean and a standard deviation for each coordinate; the mesh is what is plausible within them.
+    All are in the table's frame, z up (y up in GLB), the table at 0.
+
+    \b
+    clothkit estimate cloud.ply --table 0 0 -1 -0.8 --out mesh.obj
+    """
+    given = settings()
+    how = seeing(given.app, **options)
+    unsure = sigma or out.with_suffix(".sigma.npz")
+    check_target(out, FORMATS)
+    check_target(unsure, ("npz",))
+    keep_compiled_programs()
+    with part("look"):
+        seen = look(file, how, mask=mask)
+    with part("estimate"):
+        found = estimated(vtm_of(data), seen, given)
+    mesh, mean = (np.asarray(part[0], float) for part in (found.mesh, found.probabilistic.mean))
+    std = np.asarray(found.probabilistic.std[0], float)
+    place, scale = seen.pose.normalised_to_table, seen.pose.scale
+    write_mesh(out, place(mesh))
+    arrays = {"mesh": place(mesh), "mean": place(mean), "sigma": std * scale}
+    write_arrays(unsure, {name: array.astype(np.float32) for name, array in arrays.items()})
+    covered = goal_iou(mesh.astype(np.float32), seen.observation.points)
+    click.echo(
+        f"{out}: sigma {1000 * scale * std.mean():.1f} mm on average (in {unsure.name}), "
+        f"silhouette IoU {covered:.2f} with what was observed, which covers "
+        f"{_area(mesh) * (CLOTH_SIDE * scale) ** 2 * 1e4:.0f} cm²"
+    )
+
+
+def _area(mesh: np.ndarray) -> float:
+    """What a mesh covers, as a share of the flat cloth."""
+    extent = 1.1
+    return float(silhouette(mesh.astype(np.float32), extent=extent).mean() * (2 * extent) ** 2 / CLOTH_SIDE**2)

@@ -1,0 +1,208 @@
+"""What a command is given: settings, and states and goals as a camera or a file shows them."""
+
+import dataclasses
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import click
+import jax
+import numpy as np
+from jaxtyping import Bool
+
+from clothkit.app.settings import AppConfig
+from clothkit.errors import InputError
+from clothkit.manipulation.candidates import CandidateConfig
+from clothkit.observation.cloud import Observation
+from clothkit.observation.files import State, read
+from clothkit.observation.observe import observe
+from clothkit.observation.plane import Plane, plane_of
+from clothkit.observation.pose import Pose
+from clothkit.observation.settings import CloudConfig, Triple
+from clothkit.observation.states import MeshState, PointCloud, VoxelState
+from clothkit.observation.waypoints import ReachConfig
+from clothkit.params import load_params
+from clothkit.planning.loss import Weights
+from clothkit.planning.settings import PlanConfig
+from clothkit.simulation.settings import SimulationConfig
+
+PARAMS = Path("params.yaml")
+COMPILED_BYTES = 2**30
+"""What compiled programs may take on disk."""
+_WEIGHTS = Weights(alpha=1.0, beta=5.0, gamma=1.25)
+
+Kind = Literal["mesh", "voxels", "points"]
+
+
+class Settings(NamedTuple):
+    """What commands go by."""
+
+    app: AppConfig
+    plan: PlanConfig
+    weights: Weights
+    grasping: CandidateConfig
+    simulation: SimulationConfig
+
+
+def settings() -> Settings:
+    """Those of params.yaml where the current directory has one, at its scale, else the defaults. Raises InputError."""
+    if not PARAMS.exists():
+        return Settings(AppConfig(), PlanConfig(), _WEIGHTS, CandidateConfig(), SimulationConfig())
+    params = load_params(PARAMS)
+    simulate = params.stages.simulate
+    weights = Weights(params.alpha, params.beta, params.gamma)
+    return Settings(params.app, params.stages.plan, weights, simulate.candidates, simulate.simulation)
+
+
+def keep_compiled_programs() -> None:
+    """Where the next call finds what this one compiles: compiling a search takes longer than searching."""
+    if jax.config.values.get("jax_compilation_cache_dir") is None:
+        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        jax.config.update("jax_compilation_cache_dir", str(home / "clothkit/compiled"))
+        jax.config.update("jax_compilation_cache_max_size", COMPILED_BYTES)
+
+
+class Seeing(NamedTuple):
+    """How files are looked at."""
+
+    side: float
+    """Of the flat cloth [m]."""
+    cloud: CloudConfig
+    table: Plane | None
+
+
+@dataclasses.dataclass(frozen=True)
+class Seen:
+    """A state or a goal."""
+
+    file: str
+    state: State
+    observation: Observation
+
+    @property
+    def kind(self) -> Kind:
+        """What the file holds."""
+        if isinstance(self.state, MeshState):
+            return "mesh"
+        return "voxels" if isinstance(self.state, VoxelState) else "points"
+
+    @property
+    def pose(self) -> Pose:
+        """Where the cloth is."""
+        return self.observation.pose
+
+
+def look(file: str, seeing: Seeing, *, mask: str | None = None) -> Seen:
+    """What a file shows. `mask` names a file that tells a cloud's points of the cloth. Raises InputError."""
+    state = read(file, cloth_side=seeing.side)
+    if mask is not None:
+        if not isinstance(state, PointCloud):
+            raise InputError(f"{mask}: is a mask for points, but {file} holds none")
+        state = dataclasses.replace(state, cloth=_read_mask(Path(mask), len(state.points)))
+    cloud, table = seeing.cloud, seeing.table
+    if isinstance(state, PointCloud) and state.table is not None:
+        # What options say is about a camera's points, not about a surface that lies on its own table.
+        cloud, table = dataclasses.replace(cloud, box=None, table_colour=None), None
+    seen = observe(state, cloth_side=seeing.side, settings=cloud, table=table, name=file)
+    return Seen(file, state, seen)
+
+
+def _read_mask(path: Path, count: int) -> Bool[np.ndarray, " points"]:
+    try:
+        with path.open("rb") as file:
+            mask: Any = np.load(file, allow_pickle=False)
+    except OSError as error:
+        raise InputError(f"{path}: not found, expected a mask as NPY") from error
+    except Exception as error:  # numpy's readers raise what they like
+        raise InputError(f"{path}: can't be read as NPY, expected a mask") from error
+    if not isinstance(mask, np.ndarray) or mask.shape != (count,) or not np.isin(mask, (0, 1)).all():
+        raise InputError(f"{path}: is no mask of {count} points, expected an array [{count}] of 0 and 1")
+    return mask.astype(bool)
+
+
+def looking(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Adds the options that tell how files are looked at; `seeing` makes a `Seeing` of them."""
+    for option in reversed(
+        (
+            click.option(
+                "--side",
+                type=float,
+                metavar="METRES",
+                help="Side of the flat cloth. [default: a given plan's, else app.side]",
+            ),
+            click.option(
+                "--mask", metavar="FILE", help="NPY [n] of 0 and 1: which points of the state's cloud are the cloth's."
+            ),
+            click.option(
+                "--table",
+                type=float,
+                nargs=4,
+                metavar="A B C D",
+                help="The table's plane a x + b y + c z = d in metres and in the cloud's frame, (a, b, c) pointing up. "
+                "Without it the plane is looked for among the points that are not the cloth's.",
+            ),
+            click.option(
+                "--table-colour",
+                type=click.IntRange(0, 255),
+                nargs=6,
+                metavar="R G B R G B",
+                help="Least and greatest red, green, blue (0 to 255) of the table: all else is cloth.",
+            ),
+            click.option(
+                "--box",
+                type=float,
+                nargs=6,
+                metavar="X Y Z X Y Z",
+                help="Low and high corner of what is looked at, metres in the cloud's frame.",
+            ),
+        )
+    ):
+        command = option(command)
+    return command
+
+
+def seeing(
+    app: AppConfig,
+    *,
+    side: float | None,
+    table: tuple[float, ...] | None,
+    table_colour: tuple[int, ...] | None,
+    box: tuple[float, ...] | None,
+) -> Seeing:
+    """How files are looked at: as options say, else as settings do. Raises InputError."""
+    cloud = app.cloud
+    if table_colour:
+        r, g, b, most_r, most_g, most_b = table_colour
+        least, most = (r, g, b), (most_r, most_g, most_b)
+        _ordered("--table-colour", least, most)
+        cloud = dataclasses.replace(cloud, table_colour=(least, most))
+    if box:
+        corners = _corners("--box", box)
+        cloud = dataclasses.replace(cloud, box=corners)
+    plane = table or app.table
+    return Seeing(app.side if side is None else side, cloud, plane_of(plane) if plane else None)
+
+
+def reach_of(app: AppConfig, box: tuple[float, ...] | None) -> ReachConfig | None:
+    """The box that the hands reach: as the option says, else as settings do. Raises InputError."""
+    if box is None:
+        reach = app.reach
+        if reach is not None:
+            _ordered("params.yaml: app.reach", reach.low, reach.high)
+        return reach
+    low, high = _corners("--reach", box)
+    return ReachConfig(low=low, high=high)
+
+
+def _corners(name: str, box: tuple[float, ...]) -> tuple[Triple, Triple]:
+    if not np.isfinite(box).all():
+        raise InputError(f"{name}: expected six finite numbers, found {' '.join(f'{value:g}' for value in box)}")
+    x, y, z, to_x, to_y, to_z = box
+    _ordered(name, (x, y, z), (to_x, to_y, to_z))
+    return (x, y, z), (to_x, to_y, to_z)
+
+
+def _ordered(name: str, low: tuple[int, ...] | tuple[float, ...], high: tuple[int, ...] | tuple[float, ...]) -> None:
+    if any(a > b for a, b in zip(low, high, strict=True)):
+        raise InputError(f"{name}: {low} is not below {high}, expected the low corner first")

@@ -1,0 +1,73 @@
+"""Files that appear whole or not at all, and what is said on the way."""
+
+import contextlib
+import os
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import click
+import numpy as np
+from jaxtyping import Float
+
+from clothkit.cloth.grid import geodesic, triangles
+from clothkit.dataset.export import Surface, encode
+from clothkit.errors import InputError
+
+_ERASE = "\r\x1b[K"
+
+
+@contextlib.contextmanager
+def part(what: str) -> Iterator[None]:
+    """Say on stderr what is being done, where someone watches, and how long it took once it is."""
+    started, watched = time.monotonic(), sys.stderr.isatty()
+    if watched:
+        click.echo(f"{what} ..", nl=False, err=True)
+    try:
+        yield
+    except BaseException:
+        # What went wrong has a line of its own.
+        click.echo(_ERASE if watched else "", nl=False, err=True)
+        raise
+    click.echo(f"{_ERASE if watched else ''}{what}: {time.monotonic() - started:.1f} s", err=True)
+
+
+@contextlib.contextmanager
+def unfinished(path: Path) -> Iterator[Path]:
+    """A name to write under, which becomes `path` if all goes well. Raises InputError when nothing can be written."""
+    part = path.with_name(f".{path.name}.part{os.getpid()}{path.suffix}")
+    try:
+        yield part
+        part.replace(path)
+    except OSError as error:
+        raise InputError(f"{path}: can't be written ({error.strerror or error})") from error
+    finally:
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
+
+
+def check_target(path: Path, endings: tuple[str, ...]) -> None:
+    """That a file can be written before any work is done for it. Raises InputError."""
+    if path.suffix.lower()[1:] not in endings:
+        raise InputError(f"{path}: ending {path.suffix!r}, expected {' or '.join(endings)}")
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder, expected a file to write")
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: {path.parent} is no folder, it must be there")
+    if not os.access(path.parent, os.W_OK):
+        raise InputError(f"{path}: can't be written, {path.parent} is write-protected")
+
+
+def write_mesh(path: Path, vertices: Float[np.ndarray, "u v 3"]) -> None:
+    """A mesh [m, z up] as OBJ, PLY or GLB, by the file's ending."""
+    uv = (geodesic(len(vertices)).reshape(-1, 2) + 1) / 2
+    surface = Surface(0, 0, vertices.reshape(-1, 3).astype(np.float32), triangles(len(vertices)), uv, path.stem)
+    with unfinished(path) as part:
+        part.write_bytes(encode(surface, path.suffix.lower()[1:]))
+
+
+def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """Named arrays as NPZ."""
+    with unfinished(path) as part, part.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays)

@@ -1,0 +1,209 @@
+"""`clothkit plan`: from one observation and a goal to a plan file."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from clothkit.app.describe import Frame, Given, describe, frame_of, paths_of
+from clothkit.app.given import Seen, keep_compiled_programs, look, looking, reach_of, seeing, settings
+from clothkit.app.output import check_target, part
+from clothkit.app.plan_file import Plan, read_plan, write_plan
+from clothkit.app.planner import Planned, believed, find_plan, goal_of, planner_of, turned_goal, turned_plan
+from clothkit.app.recall import past_of
+from clothkit.errors import InputError
+from clothkit.observation.waypoints import HandPaths, MotionConfig, ReachConfig, beyond, symmetries
+from clothkit.planning.planner import Planner, artifacts
+from clothkit.planning.systems import SYSTEMS, System, better_net, system
+
+
+@click.command(short_help="A plan that brings a cloth into a given shape.")
+@click.option("--state", required=True, metavar="FILE", help="The cloth as it lies.")
+@click.option("--goal", required=True, metavar="FILE", help="The shape that it shall have, wherever it lies.")
+@click.option("--steps", type=click.IntRange(1, 3), help="Manipulations; needed but with --after.")
+@click.option("--out", type=click.Path(path_type=Path), default=Path("plan.json"), show_default=True, metavar="FILE")
+@click.option(
+    "--after",
+    type=click.Path(path_type=Path),
+    metavar="PLAN",
+    help="The plan whose first step has led to this state: goes on with its later steps, labels and memory.",
+)
+@click.option(
+    "--system",
+    "name",
+    type=click.Choice(list(SYSTEMS)),
+    help="What plans: main estimates a mesh from what a camera sees; b1 takes a mesh as it is; b2 plans with one net; "
+    "b3 does not mind uncertainty; b4, b5 plan in voxels, with two nets and one; unrefined takes estimates as they "
+    "come. [default: b1 for a mesh [32, 32, 3], main for all else]",
+)
+@click.option(
+    "--data",
+    type=click.Path(path_type=Path),
+    default=Path("data"),
+    show_default=True,
+    metavar="FOLDER",
+    help="Where nets/ and normalisation/ are, as dvc repro makes them.",
+)
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Same seed, same plan.")
+@click.option(
+    "--frame",
+    type=click.Choice(["camera", "table"]),
+    default="camera",
+    show_default=True,
+    help="Of the plan's positions: that of the state's points, or the table's (z up). Meshes and voxels are in the "
+    "table's.",
+)
+@click.option(
+    "--reach",
+    type=float,
+    nargs=6,
+    metavar="X Y Z X Y Z",
+    help="Low and high corner of the box that the hands reach, metres in the table's frame. A plan that leaves it is "
+    "turned by right angles or mirrored, where this cloth looks the same turned; its goal turns along.",
+)
+@looking
+def command(
+    *,
+    state: str,
+    goal: str,
+    steps: int | None,
+    out: Path,
+    after: Path | None,
+    name: str | None,
+    data: Path,
+    seed: int,
+    frame: Frame,
+    reach: tuple[float, ...] | None,
+    mask: str | None,
+    **options: Any,
+) -> None:
+    """Plan how two hands bring a cloth into a given shape.
+
+    STATE and GOAL are files: a mesh (OBJ, PLY, GLB in metres; NPY, NPZ normalised; data/meshes.zarr:SEQUENCE/STATE),
+    voxels [32, 32, 16] (NPY, NPZ, zarr), or a point cloud in metres (PLY without faces, PCD, NPY, NPZ) with what tells
+    its cloth from the table: a mask, the table's colour, or its plane if nothing but the cloth is there.
+
+    The plan is JSON (docs/plan.schema.json): for each step grasp and release points and timed waypoints of each hand,
+    the predicted states of both nets, the expected error and how unsure the nets are. If nothing is expected to come
+    of it, it says so.
+
+    A plan is made once, from one observation. Cloths do not do quite what nets predict: execute the first step,
+    observe, and plan again for the steps that are left, with --after.
+
+    \b
+    clothkit plan --state cloud.ply --goal goal.obj --steps 2 --table 0 0 -1 -0.8
+    clothkit plan --state cloud2.ply --goal goal.obj --after plan.json --out plan2.json --table 0 0 -1 -0.8
+    """
+    given = settings()
+    check_target(out, ("json",))
+    if after and out.resolve() == after.resolve():
+        raise InputError(f"--out: {out} is what --after reads, expected another file")
+    before = read_plan(after) if after else None
+    if before and options["side"] is None:
+        options["side"] = before.side_m
+    how, box = seeing(given.app, **options), reach_of(given.app, reach)
+    length = _length(steps, before, after)
+    keep_compiled_programs()
+    with part("look"):
+        seen, wanted = look(state, how, mask=mask), look(goal, how)
+    chosen = _system(name, seen, before, after)
+    with part("load nets"):
+        planner = planner_of(chosen, data, given)
+        past = past_of(before, planner, after) if before and after else None
+    with part("estimate"):
+        cloth = believed(chosen, seen, data, given, expected=past.expected if past else None)
+        target, matrix = goal_of(chosen, wanted, data, given), None
+        if before and before.turned and not chosen.voxels:
+            matrix = np.array(before.turned)
+            target = turned_goal(target, matrix)
+    with part(f"search, {planner.settings.search.strains} strains"):
+        planned = find_plan(planner, cloth, target, length, seed=seed, past=past)
+        planned, paths, turn = reached(planner, planned, seen, given.app.motion, box)
+        if turn is not None:
+            target, matrix = turned_goal(target, turn), turn if matrix is None else turn @ matrix
+    nets = ("a", "b") if chosen.nets == 2 else (better_net({n: artifacts(chosen, data)[n] for n in ("a", "b")}),)
+    about = Given(seen, wanted, target, matrix, how.side, seed, frame_of(seen, frame), nets)
+    plan = describe(planner, planned, paths, about)
+    write_plan(out, plan)
+    click.echo(summary(plan, out))
+
+
+def _length(steps: int | None, before: Plan | None, after: Path | None) -> int:
+    if before is None:
+        if steps is None:
+            raise click.UsageError("Missing option '--steps': how many manipulations, 1 to 3.")
+        return steps
+    left = len(before.steps) - 1
+    if steps not in (None, left):
+        raise InputError(f"--steps: expected {left}, what is left of {after}, found {steps}")
+    return left
+
+
+def _system(name: str | None, seen: Seen, before: Plan | None, after: Path | None) -> System:
+    if before is not None:
+        if name not in (None, before.system):
+            raise InputError(f"--system: expected {before.system}, with which {after} was planned, found {name}")
+        name = before.system
+    return system(name or ("b1" if seen.kind == "mesh" else "main"))
+
+
+def reached(
+    planner: Planner, planned: Planned, seen: Seen, motion: MotionConfig, box: ReachConfig | None
+) -> tuple[Planned, list[HandPaths], np.ndarray | None]:
+    """The plan, its paths, and the matrix that it was turned by: the first of its forms that is in reach, itself first.
+
+    Raises InputError when none is. Plans in voxels are not turned: what looks the same is known of meshes alone.
+    """
+    paths = paths_of(planner, planned, seen.pose, motion)
+    if box is None or beyond(paths, box) == 0:
+        return planned, paths, None
+    nearest = beyond(paths, box)
+    for matrix in [] if planner.system.voxels else symmetries(planned.state)[1:]:
+        turned = turned_plan(planner, planned, matrix)
+        paths = paths_of(planner, turned, seen.pose, motion)
+        outside = beyond(paths, box)
+        if outside == 0:
+            return turned, paths, matrix
+        nearest = min(nearest, outside)
+    raise InputError(
+        f"--reach: however the plan is turned, a waypoint is at least {nearest:.3g} m outside the box "
+        f"{box.low}..{box.high}"
+    )
+
+
+def summary(plan: Plan, path: Path) -> str:
+    """What a person wants to know of a plan first."""
+    said = [f"{path}: {len(plan.steps)} step{'s' if len(plan.steps) > 1 else ''}, in the {plan.frame}'s frame"]
+    for number, step in enumerate(plan.steps, start=1):
+        if step.null:
+            said.append(f"  step {number}: nothing to do")
+            continue
+        moves = [f"{_point(hand.grasp_m)} -> {_point(hand.release_m)}" for hand in step.hands]
+        said.append(f"  step {number}: {', '.join(moves)} m in {step.hands[0].waypoints[-1].time_s:.1f} s")
+    expected = plan.expected
+    if expected.error_m is not None and expected.error_no_action_m is not None:
+        said.append(
+            f"expected error {expected.error_m * 1000:.0f} mm ({expected.error_cloth_lengths:.3f} cloth lengths), "
+            f"{expected.error_no_action_m * 1000:.0f} mm if nothing is done"
+        )
+    else:
+        said.append(
+            f"expected voxel error {expected.voxel_error:.4f}, {expected.voxel_error_no_action:.4f} if nothing is done"
+        )
+    said.append(
+        f"silhouette IoU {expected.silhouette_iou:.2f}, {expected.silhouette_iou_no_action:.2f} if nothing is done"
+    )
+    if expected.epistemic_uncertainty is not None:
+        apart = [step.disagreement_m for step in plan.steps if step.disagreement_m is not None]
+        in_metres = f", the nets differ by {', '.join(f'{1000 * d:.0f}' for d in apart)} mm" if apart else ""
+        said.append(f"epistemic uncertainty u = {expected.epistemic_uncertainty:.3g}{in_metres}")
+    if plan.turned:
+        said.append("the plan was turned or mirrored to be in reach, and so is the shape that it leads to")
+    if plan.warning:
+        said.append(plan.warning)
+    return "\n".join(said)
+
+
+def _point(point: tuple[float, ...]) -> str:
+    return "(" + ", ".join(f"{value:.3f}" for value in point) + ")"

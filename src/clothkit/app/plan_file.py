@@ -1,0 +1,252 @@
+"""Plan files: what a robot is to do, and what is expected of it, as JSON. `docs/plan.schema.json` is made of this.
+
+Positions are metres in `frame`. What nets and planning take is beside them, in normalised units.
+"""
+
+import json
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import pydantic
+from annotated_types import Ge, Gt, Le, Len
+
+from clothkit.app.given import Kind
+from clothkit.app.output import unfinished
+from clothkit.cloth.grid import SIDE
+from clothkit.cloth.voxels import RESOLUTION
+from clothkit.errors import InputError
+from clothkit.observation.pose import Pose
+
+UNLIKELY = "this plan is not expected to improve the state"
+
+_SHORT = 100
+
+Point = tuple[float, float, float]
+NotNegative = Annotated[float, Ge(0)]
+Share = Annotated[float, Ge(0), Le(1)]
+Grid = Annotated[list[Annotated[list[Point], Len(SIDE, SIDE)]], Len(SIDE, SIDE)]
+_Column = Annotated[list[Share], Len(RESOLUTION[2], RESOLUTION[2])]
+Occupancy = Annotated[
+    list[Annotated[list[_Column], Len(RESOLUTION[1], RESOLUTION[1])]], Len(RESOLUTION[0], RESOLUTION[0])
+]
+
+
+class Part(pydantic.BaseModel):
+    """A part of a plan file: nothing may be missing, nothing unknown, every number is finite."""
+
+    model_config = pydantic.ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
+
+
+class Source(Part):
+    """A file that was planned from or for."""
+
+    file: str
+    kind: Kind
+    """mesh: [32, 32, 3]; voxels: [32, 32, 16]; points: a cloud, or a surface seen from above."""
+
+
+class Table(Part):
+    """The table's frame: p_table = axes (p - origin_m)."""
+
+    axes: tuple[Point, Point, Point]
+    """Its x, y and z (up), in `frame`."""
+    origin_m: Point
+    """In `frame`."""
+
+
+class MeshState(Part):
+    """A cloth as a mesh [u][v][x, y, z]; u and v run along its edges."""
+
+    kind: Literal["mesh"]
+    vertices_m: Grid
+    """In `frame`."""
+    sigma_m: Grid | None
+    """Standard deviations along x, y and z of the table's frame; null: not known."""
+
+
+class VoxelState(Part):
+    """A cloth as voxels [x][y][z] of the table's frame, normalised and centred: from (-1, -1, 0) to (1, 1, 0.125)."""
+
+    kind: Literal["voxels"]
+    occupancy: Occupancy
+    """Probability that a voxel, or one above it, holds cloth."""
+
+
+State = Annotated[MeshState | VoxelState, pydantic.Field(discriminator="kind")]
+
+
+class Placed(Part):
+    """A state and where it lies."""
+
+    state: State
+    centre_m: Point
+    """The middle of what the cloth covers, on the table, in `frame`."""
+
+
+class Waypoint(Part):
+    """Where a hand is when."""
+
+    time_s: NotNegative
+    """From the grasp."""
+    position_m: Point
+    """In `frame`."""
+
+
+class Hand(Part):
+    """What one hand does: it closes at the grasp point, follows the waypoints, and opens at the release point."""
+
+    grasp_m: Point
+    """The first waypoint."""
+    release_m: Point
+    """The last one."""
+    waypoints: Annotated[list[Waypoint], Len(2)]
+
+
+class Prediction(Part):
+    """What one net expects after a step."""
+
+    net: Literal["a", "b"]
+    state: State
+
+
+class Step(Part):
+    """One manipulation."""
+
+    manipulation: tuple[float, float, float, float, float, float]
+    """u1 v1 u2 v2: grasp points on the cloth, geodesic, -1..1 (x and y from its centre where the system plans in
+    voxels); dx dy: displacement in the table's frame, normalised. One hand: the grasp point twice."""
+    null: bool
+    """Whether the displacement is too short for anything to be done; then there are no hands."""
+    hands: Annotated[list[Hand], Len(0, 2)]
+    predictions: Annotated[list[Prediction], Len(1, 2)]
+    centre_m: Point
+    """Where the cloth's centre is expected afterwards, on the table, in `frame`."""
+    disagreement_m: NotNegative | None
+    """Mean distance between the vertices that the two nets predict; null: there is one net, or it predicts voxels."""
+
+
+class Expectation(Part):
+    """What the plan is expected to come to, by the mean of the nets' predictions."""
+
+    error_cloth_lengths: NotNegative | None
+    """Mean distance of the outcome's vertices to the goal's, moved to fit, as a share of the cloth's side; null where
+    the system plans in voxels."""
+    error_m: NotNegative | None
+    error_no_action_cloth_lengths: NotNegative | None
+    """The same of the state as it is."""
+    error_no_action_m: NotNegative | None
+    voxel_error: NotNegative | None
+    """Mean difference of occupancy, where the system plans in voxels."""
+    voxel_error_no_action: NotNegative | None
+    silhouette_iou: Share
+    """Intersection over union of what outcome and goal cover, both centred."""
+    silhouette_iou_no_action: Share
+    epistemic_uncertainty: NotNegative | None
+    """u of eq. (15): how much the nets disagree, against what is usual; null for one net."""
+    loss: float
+    """The planning loss, eq. (13)."""
+    improves: bool
+    """Whether the outcome is expected to be nearer to the goal than the state is."""
+
+
+class Memory(Part):
+    """What a later plan of the same session takes up (`clothkit plan --after`)."""
+
+    common: Annotated[int, Ge(0), Le(7)]
+    """The Cartesian equivalent in which the plan was found."""
+    relative: Annotated[int, Ge(0), Le(7)]
+    """The relabelling that brings the goal under the state's labels."""
+    better: Annotated[int, Ge(0), Le(1)]
+    """Which of the predictions is the better net's."""
+    traces_before: list[list[list[float]]] | None
+    """[net][label][unit]: memory traces before the plan; null: none, the session begins."""
+
+
+class Plan(Part):
+    """A plan: from one observation, what to do in one to three steps."""
+
+    format: Literal["clothkit plan"]
+    version: Literal[1]
+    system: str
+    """How it was planned: main, b1, .."""
+    seed: Annotated[int, Ge(0)]
+    frame: Literal["camera", "table"]
+    """Of every position here. camera: the frame of the points in the state's file. table: z is up, the table is at 0;
+    meshes and voxels are in it."""
+    state: Source
+    goal: Source
+    turned: tuple[tuple[float, float], tuple[float, float]] | None
+    """The matrix in the table's plane that the goal was turned or mirrored by for the hands to reach all waypoints."""
+    side_m: Annotated[float, Gt(0)]
+    """Of the flat cloth."""
+    metres_per_normalised: Annotated[float, Gt(0)]
+    table: Table
+    start: Placed
+    """What the state was taken for."""
+    steps: Annotated[list[Step], Len(1, 3)]
+    expected: Expectation
+    warning: str | None
+    """'this plan is not expected to improve the state', or null."""
+    memory: Memory
+
+    def pose(self, centre_m: Point) -> Pose:
+        """The pose of a cloth whose centre [m, in `frame`] is given."""
+        axes, origin = np.array(self.table.axes, float), np.array(self.table.origin_m, float)
+        still = Pose(axes, origin, np.zeros(2), self.metres_per_normalised)
+        centre = still.camera_to_table(np.array(centre_m, float))[:2]
+        return Pose(axes, origin, centre, self.metres_per_normalised)
+
+
+def schema() -> dict[str, Any]:
+    """The JSON schema of plan files."""
+    found = Plan.model_json_schema()
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **found, "title": "A plan of clothkit"}
+
+
+def write_plan(path: Path, plan: Plan) -> None:
+    """Write a plan file; it appears whole or not at all. Raises InputError when it can't be written."""
+    with unfinished(path) as part:
+        part.write_text(lines(plan.model_dump(mode="json")) + "\n")
+
+
+def read_plan(path: Path) -> Plan:
+    """Read a plan file. Raises InputError that names the file and the first field that is not as it should be."""
+    try:
+        text = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: can't be read as a plan ({error.strerror})") from error
+    try:
+        return Plan.model_validate_json(text, strict=True)
+    except pydantic.ValidationError as error:
+        first = error.errors(include_url=False, include_context=False)[0]
+        if first["type"] == "json_invalid":
+            raise InputError(f"{path}: is not valid JSON, expected a plan") from error
+        field = ".".join(str(place) for place in first["loc"])
+        message = first["msg"][0].lower() + first["msg"][1:]
+        raise InputError(f"{path}: {field or 'plan'}: {message}") from error
+
+
+def lines(value: Any, indent: str = "") -> str:
+    """JSON with a line per field, but for what is short, and for lists of numbers."""
+    text, inner = json.dumps(value), indent + " "
+    if len(text) <= _SHORT or (isinstance(value, list) and _depth(value) <= 2):
+        return text
+    if isinstance(value, dict):
+        fields = [f"{inner}{json.dumps(name)}: {lines(field, inner)}" for name, field in value.items()]
+        return "{\n" + ",\n".join(fields) + f"\n{indent}}}"
+    if isinstance(value, list):
+        return "[\n" + ",\n".join(inner + lines(part, inner) for part in value) + f"\n{indent}]"
+    return text
+
+
+def _depth(value: Any) -> int:
+    """How deep lists of numbers are nested; large for lists of anything else."""
+    if isinstance(value, list):
+        return 1 + (_depth(value[0]) if value else 0)
+    return 99 if isinstance(value, dict) else 0
+
+
+def rounded(values: np.ndarray, digits: int) -> Any:
+    """Nested lists of numbers."""
+    return np.round(np.asarray(values, float), digits).tolist()

@@ -1,0 +1,81 @@
+"""`clothkit predict`: what the nets expect of a plan for a state."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from clothkit.app.describe import poses_of
+from clothkit.app.given import keep_compiled_programs, look, looking, seeing, settings
+from clothkit.app.output import part, write_arrays, write_mesh
+from clothkit.app.plan_file import read_plan
+from clothkit.app.planner import believed, planner_of, predicted
+from clothkit.app.recall import believed_of, manipulations, traces_before
+from clothkit.cloth.mesh import distance_aligned
+from clothkit.errors import InputError
+from clothkit.planning.systems import system
+
+
+@click.command()
+@click.option("--state", required=True, metavar="FILE", help="The cloth as it lies before the plan.")
+@click.option("--plan", "source", required=True, type=click.Path(path_type=Path), metavar="PLAN", help="A plan file.")
+@click.option("--out", type=click.Path(path_type=Path), default=Path("predicted"), show_default=True, metavar="FOLDER")
+@click.option(
+    "--data", type=click.Path(path_type=Path), default=Path("data"), show_default=True, help="Where nets/ is."
+)
+@looking
+def command(*, state: str, source: Path, out: Path, data: Path, mask: str | None, **options: Any) -> None:
+    """Predict what a plan makes of a cloth: a mesh for each step and net, with how sure the net is.
+
+    The folder gets step_N_net_X.obj, in metres in the table's frame, and beside each an NPZ with mean and sigma
+    [u, v, xyz] in metres; of systems that plan in voxels the NPZ alone, with their occupancy. The state may be another
+    than the one that was planned for: its grasp points are where they are on the cloth.
+
+    \b
+    clothkit predict --state start.obj --plan plan.json --out predicted
+    """
+    given = settings()
+    plan = read_plan(source)
+    if options["side"] is None:
+        options["side"] = plan.side_m
+    how = seeing(given.app, **options)
+    _check_folder(out)
+    keep_compiled_programs()
+    with part("look"):
+        seen = look(state, how, mask=mask)
+    chosen = system(plan.system)
+    with part("load nets"):
+        planner = planner_of(chosen, data, given)
+        traces = traces_before(plan, planner, source)
+    with part("predict"):
+        start = believed_of(plan, plan.start)
+        if start.shape != planner.sight.shape:
+            raise InputError(f"{source}: start: is not what system {chosen.name} plans from")
+        # Labels follow those of the plan, in which its grasp points are.
+        cloth = believed(chosen, seen, data, given, expected=None if chosen.voxels else start)
+        found = predicted(planner, cloth, manipulations(plan), common=plan.memory.common, traces=traces)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{out}: can't be made ({error.strerror})") from error
+    nets = [prediction.net for prediction in plan.steps[0].predictions]
+    for step, pose in enumerate(poses_of(found, seen.pose)[1:]):
+        for net, of_net in zip(nets, found.predictions, strict=True):
+            name, mean = f"step_{step + 1}_net_{net}", planner.sight.means(of_net)[step]
+            if chosen.voxels:
+                write_arrays(out / f"{name}.npz", {"occupancy": mean.astype(np.float32)})
+                continue
+            placed = pose.normalised_to_table(mean.astype(float))
+            sigma = np.asarray(of_net.std[step], float) * pose.scale
+            write_mesh(out / f"{name}.obj", placed)
+            write_arrays(out / f"{name}.npz", {"mean": placed.astype(np.float32), "sigma": sigma.astype(np.float32)})
+    click.echo(f"{out}: {len(plan.steps)} step{'s' if len(plan.steps) > 1 else ''}, nets {', '.join(nets)}")
+    if not chosen.voxels:
+        apart = float(distance_aligned(cloth, start))
+        click.echo(f"the state differs by {apart:.3f} cloth lengths from the one that was planned for")
+
+
+def _check_folder(path: Path) -> None:
+    if path.exists() and not path.is_dir():
+        raise InputError(f"{path}: is a file, expected a folder")

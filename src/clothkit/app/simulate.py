@@ -1,0 +1,183 @@
+"""`clothkit simulate`: the hands of a plan in the simulator."""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import click
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from clothkit.app.given import Seen, keep_compiled_programs, look, looking, seeing, settings
+from clothkit.app.output import check_target, part, write_mesh
+from clothkit.app.plan_file import Plan, Step, read_plan
+from clothkit.app.planner import estimated, mesh_of, vtm_of
+from clothkit.app.recall import believed_of
+from clothkit.cloth.grid import CLOTH_SIDE
+from clothkit.cloth.mesh import error
+from clothkit.cloth.silhouette import centred, iou, silhouette
+from clothkit.dataset.export import FORMATS
+from clothkit.errors import InputError
+from clothkit.manipulation.turns import turn_mesh
+from clothkit.observation.coverage import goal_iou
+from clothkit.observation.pose import Pose
+from clothkit.simulation.executor import execute
+from clothkit.simulation.settings import SimulationConfig
+
+_BESIDE = 0.1
+"""How far beside the cloth a hand may grasp, as a share of the cloth's side: predictions are not exact."""
+
+Mesh = Float[np.ndarray, "u v 3"]
+
+
+class Score(NamedTuple):
+    """How near an outcome comes to a goal."""
+
+    error: float | None
+    """Cloth lengths, whatever the labels, moved to fit; None if the goal is no mesh."""
+    iou: float
+    """Of what both cover, centred."""
+
+
+@click.command()
+@click.option(
+    "--state",
+    metavar="FILE",
+    help="The cloth before the plan; of what is no mesh [32, 32, 3] the estimate is simulated. "
+    "[default: what the plan took it for]",
+)
+@click.option("--plan", "source", required=True, type=click.Path(path_type=Path), metavar="PLAN", help="A plan file.")
+@click.option("--goal", metavar="FILE", help="What the outcome is held against.")
+@click.option("--steps", type=click.IntRange(1, 3), help="Only the first so many steps. [default: all]")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    default=Path("mesh.glb"),
+    show_default=True,
+    metavar="FILE",
+    help=f"The outcome: {', '.join(FORMATS)}.",
+)
+@click.option(
+    "--data", type=click.Path(path_type=Path), default=Path("data"), show_default=True, help="Where nets/vtm is."
+)
+@looking
+def command(
+    *,
+    state: str | None,
+    source: Path,
+    goal: str | None,
+    steps: int | None,
+    out: Path,
+    data: Path,
+    mask: str | None,
+    **options: Any,
+) -> None:
+    """Simulate a plan: hands grasp where the plan says, in metres, and move as it says, without a look in between.
+
+    A mesh [32, 32, 3] lies in the table's frame, which a plan in a camera's frame knows too. The outcome is in metres
+    in the table's frame. With a goal, its error (mean distance of vertices, moved to fit,
+    under any labels) and its silhouette IoU are told, and the start's beside them. The simulated cloth is that of the
+    data that the nets learned from, scaled to yours.
+
+    \b
+    clothkit simulate --state start.obj --plan plan.json --goal goal.obj --out outcome.glb
+    """
+    given = settings()
+    plan = read_plan(source)
+    if steps and steps > len(plan.steps):
+        raise InputError(f"--steps: {source} has {len(plan.steps)}, found {steps}")
+    if options["side"] is None:
+        options["side"] = plan.side_m
+    how = seeing(given.app, **options)
+    check_target(out, FORMATS)
+    keep_compiled_programs()
+    with part("look"):
+        seen = look(state, how, mask=mask) if state else None
+        wanted = look(goal, how) if goal else None
+    mesh, pose = (mesh_of(seen), seen.pose) if seen else _start(plan, source)
+    if mesh is None and seen:
+        with part("estimate"):
+            mesh = np.asarray(estimated(vtm_of(data), seen, given).mesh[0])
+    assert mesh is not None
+    with part("simulate"):
+        hands = seen.pose if seen and seen.kind == "points" and plan.frame == "camera" else None
+        states = simulated(plan, mesh, pose, given.simulation, steps=steps, hands=hands, name=str(source))
+    write_mesh(out, states[-1].astype(float) * pose.scale)
+    done = sum(not step.null for step in plan.steps[:steps])
+    click.echo(f"{out}: the cloth after {done} manipulation{'' if done == 1 else 's'}")
+    if wanted is not None:
+        matrix = None if plan.turned is None else np.array(plan.turned)
+        before, after = (scored(state, wanted, matrix) for state in (states[0], states[-1]))
+        if before.error is not None and after.error is not None:
+            unit = CLOTH_SIDE * pose.scale * 1000
+            expected = plan.expected.error_m if len(states) > len(plan.steps) else None
+            click.echo(
+                f"error {after.error * unit:.0f} mm ({after.error:.3f} cloth lengths), "
+                f"before {before.error * unit:.0f} mm"
+                + ("" if expected is None else f", expected {expected * 1000:.0f} mm")
+            )
+        click.echo(f"silhouette IoU {after.iou:.2f}, before {before.iou:.2f}")
+
+
+def simulated(
+    plan: Plan,
+    mesh: Mesh,
+    pose: Pose,
+    settings: SimulationConfig,
+    *,
+    steps: int | None = None,
+    hands: Pose | None = None,
+    name: str,
+) -> list[Mesh]:
+    """The cloth before the first step of a plan and after each [normalised], where it lies on the table.
+
+    `mesh` [normalised, centred] lies at `pose`; only the first `steps` are made, if told. `hands` brings
+    positions of the plan to the table, if its own table does not. Raises InputError when a hand grasps beside the
+    cloth.
+    """
+    centre = pose.centre / pose.scale
+    states = [(mesh + np.append(centre, 0)).astype(np.float32)]
+    for number, step in enumerate(plan.steps[:steps], start=1):
+        if step.null:
+            states.append(states[-1])
+            continue
+        grasps = _grasps(step, hands or plan.pose(plan.start.centre_m))
+        beside = np.linalg.norm(states[-1][..., None, :2] - grasps, axis=-1).min((0, 1)).max() / CLOTH_SIDE
+        if beside > _BESIDE:
+            raise InputError(
+                f"{name}: step {number} grasps {beside:.2f} cloth lengths beside the cloth; is the state in the frame "
+                "of the plan?"
+            )
+        displacement = np.array(step.manipulation[4:], np.float32)
+        single = np.array([len(step.hands) == 1])
+        outcome = execute(states[-1][None], grasps[None], displacement[None], single, settings, workers=1)[0]
+        if not np.isfinite(outcome).all():
+            raise InputError(f"{name}: step {number} has an outcome that is not finite")
+        states.append(outcome)
+    return states
+
+
+def _grasps(step: Step, pose: Pose) -> Float[np.ndarray, "2 2"]:
+    """Where the hands grasp on the table [normalised]; one hand: the same point twice."""
+    points = np.array([hand.grasp_m for hand in (step.hands[0], step.hands[-1])], float)
+    return (pose.camera_to_table(points)[:, :2] / pose.scale).astype(np.float32)
+
+
+def _start(plan: Plan, name: Path) -> tuple[Mesh, Pose]:
+    """What the plan took its state for."""
+    found = believed_of(plan, plan.start)
+    if found.ndim != 3 or found.shape[-1] != 3:
+        raise InputError(f"{name}: start: holds voxels, give --state with a mesh, or with what one is estimated from")
+    return found, plan.pose(plan.start.centre_m)
+
+
+def scored(state: Mesh, goal: Seen, matrix: Float[np.ndarray, "2 2"] | None) -> Score:
+    """A state [normalised] held against a goal that was turned by `matrix`, if by anything."""
+    mesh, wanted, points = centred(state)[0], mesh_of(goal), goal.observation.points
+    if matrix is not None:
+        points = np.concatenate([points[:, :2] @ matrix.T.astype(np.float32), points[:, 2:]], axis=1)
+    if wanted is None:
+        return Score(None, goal_iou(mesh, points))
+    if matrix is not None:
+        wanted = np.asarray(turn_mesh(jnp.asarray(wanted), jnp.asarray(matrix, jnp.float32)))
+    return Score(float(error(mesh, wanted, aligned=True)), iou(silhouette(mesh), silhouette(centred(wanted)[0])))

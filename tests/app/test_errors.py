@@ -1,0 +1,232 @@
+"""Bad input ends a command with one sentence that names the culprit, and leaves what was written as it is."""
+
+import json
+import shutil
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clothkit.networks import store
+from tests.app.conftest import run, succeed
+
+PLAN = ("plan", "--goal", "{files}/goal.glb", "--steps", 1, "--out", "out.json", "--state")
+START = "{files}/start.obj"
+
+
+def raw(name: str, content: bytes | str) -> Callable[[], None]:
+    """Makes a file of these bytes."""
+    data = content.encode() if isinstance(content, str) else content
+    return lambda: Path(name).write_bytes(data) and None  # type: ignore[func-returns-value]
+
+
+def array(name: str, values: object, **named: object) -> Callable[[], None]:
+    """Makes an NPY or NPZ."""
+    if named:
+        return lambda: np.savez(name, **{key: np.asarray(value) for key, value in named.items()})
+    return lambda: np.save(name, np.asarray(values))
+
+
+def nothing() -> None:
+    """Needs no file of its own."""
+
+
+def quads(scale: float) -> str:
+    corners = [(0, 0), (scale, 0), (scale, scale), (0, scale)]
+    return "".join(f"v {x} {y} 0\n" for x, y in corners) + "f 1 2 3\nf 1 3 4\n"
+
+
+def broken_net(name: str, file: str) -> Callable[[], None]:
+    """Data of which one file is cut off."""
+
+    def make() -> None:
+        shutil.copytree(Path("data").resolve(), "damaged")
+        path = Path("damaged") / name / file
+        path.write_bytes(path.read_bytes()[:-20])
+
+    return make
+
+
+def without(name: str) -> Callable[[], None]:
+    """Data in which something is missing."""
+
+    def make() -> None:
+        shutil.copytree(Path("data").resolve(), "damaged")
+        path = Path("damaged") / name
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+
+    return make
+
+
+CLOUD = np.random.default_rng(0).uniform(0, 0.4, (2000, 3)) * [1, 1, 0.01]
+TABLE = ("--table", 0, 0, 1, 0)
+DAMAGED = ("--data", "damaged")
+
+STATES: list[tuple[Callable[[], None], tuple[object, ...], str, str]] = [
+    (nothing, ("none.obj",), "none.obj", "not found"),
+    (raw("state.stl", "solid"), ("state.stl",), "state.stl", "ending '.stl' is not known"),
+    (raw("state.obj", ""), ("state.obj",), "state.obj", "is empty"),
+    (raw("state.obj", "v 0 0 0\nv 1 0 0\n"), ("state.obj",), "state.obj", "holds no"),
+    (raw("state.glb", b"glTF" + bytes(40)), ("state.glb",), "state.glb", "can't be read as GLB"),
+    (raw("state.ply", "ply\nformat ascii 1.0\nelement vertex 9\n"), ("state.ply",), "state.ply", ""),
+    (raw("state.obj", quads(400)), ("state.obj",), "state.obj", "spans 400"),
+    (raw("state.obj", quads(0.4)), ("state.obj", "--side", -1), "state.obj", "cloth side -1"),
+    (raw("state.npy", b"\x93NUMPY" + struct.pack("<4H", 1, 9, 9, 9)), ("state.npy",), "state.npy", "broken"),
+    (array("state.npy", np.zeros((5, 5))), ("state.npy",), "state.npy", "has shape [5, 5]"),
+    (array("state.npy", np.full((32, 32, 3), np.nan)), ("state.npy",), "state.npy", "not finite"),
+    (array("state.npy", np.zeros((32, 32, 16))), ("state.npy",), "state.npy", "no occupied voxel"),
+    (array("state.npz", None, a=[1], b=[2]), ("state.npz",), "state.npz", "expected one of mesh, voxels, points"),
+    (array("state.npy", np.zeros((0, 3))), ("state.npy", *TABLE), "state.npy", "is empty, expected points"),
+    (array("state.npy", CLOUD), ("state.npy",), "state.npy", "table not found"),
+    (array("state.npy", CLOUD * 1000), ("state.npy", *TABLE), "state.npy", "millimetres"),
+    (array("state.npy", CLOUD[:50]), ("state.npy", *TABLE), "state.npy", "50 points are the cloth's"),
+    (array("state.npy", CLOUD), ("state.npy", *TABLE, "--box", 5, 5, 5, 6, 6, 6), "state.npy", "box"),
+    (array("state.npy", CLOUD), ("state.npy", "--box", 5, 5, 5, 1, 1, 1), "--box", "low corner first"),
+    (array("state.npy", CLOUD), ("state.npy", "--box", "nan", 0, 0, 1, 1, 1), "--box", "finite"),
+    (array("state.npy", CLOUD), ("state.npy", "--table", 0, 0, 0, 1), "table (0.0, 0.0, 0.0, 1.0)", "expected a, b"),
+    (array("state.npy", CLOUD), ("state.npy", "--table-colour", 0, 0, 0, 9, 9, 9), "state.npy", "has no colours"),
+    (array("state.npy", CLOUD), ("state.npy", "--mask", "none.npy"), "none.npy", "not found, expected a mask"),
+    (array("state.npy", CLOUD), ("state.npy", "--mask", "state.npy"), "state.npy", "is no mask of 2000 points"),
+    (nothing, (START, "--mask", "mask.npy"), "mask.npy", "is a mask for points"),
+    (raw("state.pcd", "VERSION 0.7\nFIELDS a b\n"), ("state.pcd",), "state.pcd", ""),
+    (raw("cloth.zarr", "x"), ("cloth.zarr:0/1",), "cloth.zarr", "can't be read as a zarr store"),
+    (nothing, ("{files}/cloud.npz", "--system", "b1"), "cloud.npz", "plans from a mesh"),
+    (nothing, (START, "--data", "nowhere"), "nowhere/nets/pemd_a", "not found"),
+    (without("nets/vtm"), ("{files}/cloud.npz", *DAMAGED), "damaged/nets/vtm", "not found"),
+    (without("normalisation/mesh.json"), (START, *DAMAGED), "normalisation/mesh.json", "not found"),
+    (without("nets/pemd_b/net.json"), (START, *DAMAGED), "pemd_b/net.json", "no such file"),
+    (broken_net("nets/pemd_a", store.WEIGHTS), (START, *DAMAGED), "pemd_a/net.msgpack", "damaged"),
+    (broken_net("nets/pemd_b", store.ATTRIBUTES), (START, *DAMAGED), "pemd_b/net.json", "found something else"),
+    (nothing, (START, "--reach", 0, 0, 0, -1, -1, -1), "--reach", "low corner first"),
+    (nothing, (START, "--after", "out.json"), "out.json", "another file"),
+    (nothing, (START, "--out", "nowhere/plan.json"), "nowhere/plan.json", "is no folder"),
+    (nothing, (START, "--out", "plan.txt"), "plan.txt", "expected json"),
+    (raw("params.yaml", "scale: laptop\nalhpa: 1\n"), (START,), "params.yaml", ""),
+    (raw("params.yaml", "scale: [\n"), (START,), "params.yaml", "is not valid YAML"),
+    (raw("old.json", "{"), (START, "--after", "old.json"), "old.json", "is not valid JSON"),
+    (raw("old.json", "{}"), (START, "--after", "old.json"), "old.json", "format: field required"),
+    (nothing, (START, "--after", "old.json"), "old.json", "can't be read as a plan"),
+]
+
+
+@pytest.mark.parametrize(("make", "arguments", "culprit", "says"), STATES, ids=range(len(STATES)))
+def test_bad_input_is_told_in_one_sentence(
+    here: Path, files: Path, make: Callable[[], None], arguments: tuple[object, ...], culprit: str, says: str
+) -> None:
+    Path("out.json").write_text("of an earlier call")
+    make()
+    before = {path: path.read_bytes() for path in here.iterdir() if path.is_file()}
+    result = run(*(str(argument).format(files=files) for argument in (*PLAN, *arguments)))
+    assert result.exit_code == 1, result.output
+    assert isinstance(result.exception, SystemExit)
+    assert "Traceback" not in result.output
+    assert result.stdout == ""
+    # Before it there is how long what went well took.
+    *done, sentence = result.stderr.splitlines()
+    assert all(line.endswith(" s") for line in done)
+    assert sentence.startswith("plan: ")
+    assert culprit in sentence
+    assert says in sentence
+    assert sentence.count("plan: ") == 1
+    assert {path: path.read_bytes() for path in here.iterdir() if path.is_file()} == before
+
+
+BAD_PLANS: list[tuple[str, object, str]] = [
+    ("format", "something", "format"),
+    ("version", 2, "version"),
+    ("frame", "robot", "frame"),
+    ("side_m", 0, "side_m"),
+    ("steps", [], "steps"),
+    ("steps.0.manipulation", [1, 2], "steps.0.manipulation"),
+    ("steps.0.manipulation.4", "0.5", "steps.0.manipulation.4"),
+    ("steps.0.predictions", None, "steps.0.predictions"),
+    ("start.state.vertices_m.3", [], "start.state"),
+    ("start.state.kind", "cloud", "start.state"),
+    ("extra", 1, "extra"),
+    ("memory.traces_before", [[[1.0]]], "memory.traces_before"),
+    ("memory.traces_before", [[[1.0], [1.0, 2.0]]], "memory.traces_before"),
+    ("system", "b9", "b9"),
+    ("state", ..., "state: field required"),
+]
+
+
+@pytest.mark.parametrize(("field", "value", "says"), BAD_PLANS)
+def test_a_plan_file_that_is_none_is_told(here: Path, files: Path, field: str, value: object, says: str) -> None:
+    succeed("plan", "--state", files / "start.obj", "--goal", files / "goal.glb", "--steps", 1)
+    plan = json.loads(Path("plan.json").read_text())
+    *path, last = field.split(".")
+    place = plan
+    for name in path:
+        place = place[int(name) if name.isdigit() else name]
+    if value is ...:
+        del place[last]
+    else:
+        place[int(last) if last.isdigit() else last] = value
+    Path("plan.json").write_text(json.dumps(plan))
+    result = run("predict", "--state", files / "start.obj", "--plan", "plan.json")
+    assert result.exit_code == 1
+    *_, sentence = result.stderr.splitlines()
+    assert sentence.startswith("predict: ")
+    assert says in sentence
+    assert field == "system" or "plan.json" in sentence
+    assert not Path("predicted").exists()
+
+
+def test_a_plan_in_another_frame_is_not_simulated(here: Path, files: Path) -> None:
+    succeed("plan", "--state", files / "start.obj", "--goal", files / "goal.glb", "--steps", 1)
+    plan = json.loads(Path("plan.json").read_text())
+    step = plan["steps"][0]
+    step["null"] = False
+    step["hands"] = [
+        {
+            "grasp_m": [2, 0, 0],
+            "release_m": [1, 0, 0],
+            "waypoints": [{"time_s": t, "position_m": [2 - t, 0, 0]} for t in (0, 1)],
+        }
+    ]
+    Path("plan.json").write_text(json.dumps(plan))
+    result = run("simulate", "--plan", "plan.json")
+    assert result.exit_code == 1
+    assert "plan.json: step 1 grasps" in result.stderr
+    assert not Path("mesh.glb").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "culprit"),
+    [
+        (("plan", "--state", "a.obj"), "--goal"),
+        (("plan", "--state", "a.obj", "--goal", "b.obj"), "--steps"),
+        (("plan", "--state", "a.obj", "--goal", "b.obj", "--steps", 4), "--steps"),
+        (("plan", "--state", "a.obj", "--goal", "b.obj", "--steps", 1, "--system", "b9"), "--system"),
+        (("plan", "--state", "a.obj", "--goal", "b.obj", "--steps", 1, "--table", 1), "--table"),
+        (("estimate",), "FILE"),
+        (("simulate",), "--plan"),
+        (("export", "data/raw"), "--all"),
+        (("fold",), "fold"),
+    ],
+)
+def test_usage_is_told_with_status_two(here: Path, arguments: tuple[object, ...], culprit: str) -> None:
+    result = run(*arguments)
+    assert result.exit_code == 2
+    assert culprit in result.stderr.splitlines()[-1]
+
+
+def test_other_commands_tell_as_well(here: Path, files: Path) -> None:
+    for arguments, says in (
+        (("estimate", "none.ply"), "estimate: none.ply: not found"),
+        (("estimate", files / "voxels.npy", "--out", "a.stl"), "estimate: a.stl: ending '.stl', expected obj or"),
+        (("export", "none", "--all"), "export: none: not found"),
+        (("simulate", "--plan", "none.json"), "simulate: none.json: can't be read as a plan"),
+    ):
+        result = run(*arguments)
+        assert result.exit_code == 1
+        assert result.stderr.startswith(says)
+        assert len(result.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize("command", ["plan", "estimate", "predict", "simulate", "export"])
+def test_help_has_an_example(command: str) -> None:
+    said = succeed(command, "--help")
+    assert f"clothkit {command} " in said.split("Options:")[0].split("\n\n", 1)[1]

@@ -1,0 +1,285 @@
+"""Plans through the command line: what is written is what a robot can do, in the frame of the file that it saw."""
+
+import json
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from clothkit.app import plan as plan_command
+from clothkit.app import simulate as simulate_command
+from clothkit.app.given import reach_of, seeing
+from clothkit.app.plan_file import UNLIKELY, Plan, read_plan, schema
+from clothkit.app.recall import believed_of
+from clothkit.app.settings import AppConfig
+from clothkit.cloth.grid import flat
+from clothkit.cloth.mesh import distance
+from clothkit.manipulation.geometry import to_cartesian
+from clothkit.observation.camera import CameraConfig
+from clothkit.observation.files import read
+from clothkit.observation.waypoints import ReachConfig
+from clothkit.planning.planner import Planner
+from tests.app.conftest import AT, ROOT, run, succeed
+from tests.app.schema import violations
+from tests.observation.scenes import SCALE, SMALL
+from tests.planning import toy
+
+SAID_OF_TABLE = ("--table", *SMALL.table().normal.tolist(), SMALL.table().offset)
+
+
+def still(net: Any, latent: Any, trace: Any, manipulation: Any) -> Any:
+    """The toy world's step, told truly that nothing but the vertices moves."""
+    mesh, trace, shift = toy.step(net, latent, trace, manipulation)
+    return mesh, trace, jnp.zeros_like(shift)
+
+
+STILL = toy.FORWARD._replace(step=still)
+
+
+def toy_planner(*_: object) -> Planner:
+    planner = toy.planner("b1")
+    object.__setattr__(planner.sight, "forward", STILL)
+    return planner
+
+
+def grasps_on(plan: Plan, step: int) -> np.ndarray:
+    """Where the manipulation's grasp points lie before a step, in the plan's frame."""
+    placed = plan.start
+    if step:
+        prediction = plan.steps[step - 1].predictions[plan.memory.better]
+        placed = type(placed)(state=prediction.state, centre_m=plan.steps[step - 1].centre_m)
+    mesh = believed_of(plan, placed)
+    uv = np.array(plan.steps[step].manipulation[:4], np.float32).reshape(2, 2)
+    points = np.stack([np.asarray(to_cartesian(mesh, point), float) for point in uv])
+    return plan.pose(placed.centre_m).normalised_to_camera(points)
+
+
+@pytest.mark.parametrize(
+    ("state", "options", "frame"),
+    [
+        ("bent.obj", [], "table"),
+        ("bent.obj", ["--system", "main"], "table"),
+        ("cloud.npz", [], "camera"),
+        ("cloud.npz", ["--frame", "table", "--system", "b2"], "table"),
+    ],
+)
+def test_hands_start_at_the_grasp_points_in_the_plans_frame(
+    here: Path, files: Path, state: str, options: list[str], frame: str
+) -> None:
+    said = succeed("plan", "--state", files / state, "--goal", files / "goal.glb", "--steps", 2, *options)
+    plan = read_plan(here / "plan.json")
+    assert plan.frame == frame
+    assert "plan.json: 2 steps" in said
+    assert not violations(json.loads((here / "plan.json").read_text()), schema())
+    for number, step in enumerate(plan.steps):
+        assert step.null == (len(step.hands) == 0)
+        for hand, grasp in zip(step.hands, grasps_on(plan, number), strict=False):
+            np.testing.assert_allclose(hand.grasp_m, grasp, atol=2e-5)
+            assert hand.waypoints[0].position_m == hand.grasp_m
+            assert hand.waypoints[-1].position_m == hand.release_m
+            times = [point.time_s for point in hand.waypoints]
+            assert times[0] == 0
+            assert times == sorted(times)
+    # Where the cloth lies, seen by whatever.
+    centre = plan.pose(plan.start.centre_m).centre
+    np.testing.assert_allclose(centre, AT, atol=0.005)
+    if frame == "camera":
+        # The camera looks down from its height: positions are before it.
+        assert plan.start.centre_m[2] == pytest.approx(CameraConfig().height, abs=0.005)
+
+
+def test_the_same_seed_gives_the_same_file_and_another_directory_no_params(
+    here: Path, files: Path, data: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wanted = ("plan", "--state", files / "bent.obj", "--goal", files / "goal.glb", "--steps", 1, "--out")
+    for name in ("a.json", "b.json"):
+        succeed(*wanted, name)
+    assert (here / "a.json").read_bytes() == (here / "b.json").read_bytes()
+    succeed(*wanted, "c.json", "--seed", 1)
+    assert (here / "a.json").read_bytes() != (here / "c.json").read_bytes()
+    elsewhere = tmp_path_factory.mktemp("elsewhere")
+    monkeypatch.chdir(elsewhere)
+    succeed("estimate", files / "voxels.npy", "--out", "mesh.obj", "--data", data)
+    assert (elsewhere / "mesh.obj").exists()
+
+
+@pytest.mark.parametrize("goal", ["voxels.npy", "surface.obj", "cloth_alone.npz", "bent.obj"])
+def test_goals_of_every_kind_and_plans_in_voxels(here: Path, files: Path, goal: str) -> None:
+    wanted = ("plan", "--state", files / "cloth_alone.npz", "--goal", files / goal, "--steps", 1, *SAID_OF_TABLE)
+    succeed(*wanted)
+    assert read_plan(here / "plan.json").system == "main"
+    succeed(*wanted, "--system", "b4")
+    plan = read_plan(here / "plan.json")
+    assert plan.expected.error_m is None
+    assert plan.expected.voxel_error is not None
+    assert plan.start.state.kind == "voxels"
+    for hand in plan.steps[0].hands:
+        on_table = plan.pose(plan.start.centre_m).camera_to_table(np.array(hand.grasp_m))
+        # The cloth lies on the table, and is grasped no higher than a few of its layers.
+        assert -0.001 <= on_table[2] <= 0.04
+
+
+def test_a_mask_tells_the_cloth_as_well(here: Path, files: Path) -> None:
+    common = ("--goal", files / "goal.glb", "--steps", 1)
+    succeed("plan", "--state", files / "points.npy", "--mask", files / "mask.npy", *common, "--out", "a.json")
+    succeed("plan", "--state", files / "cloud.npz", *common, "--out", "b.json")
+    assert read_plan(here / "a.json").steps == read_plan(here / "b.json").steps
+
+
+def test_a_plan_read_back_and_simulated_does_what_it_says(here: Path, files: Path) -> None:
+    """In the toy world net a knows exactly what hands do, so the simulated cloth is where the plan predicts it."""
+    goal = np.asarray(toy.dragged(jnp.asarray(flat()), jnp.array([-1, -1, -1, -1, 0.6, 0.5])))
+    goal = np.asarray(toy.dragged(jnp.asarray(goal), jnp.array([1, 1, 1, 1, -0.7, -0.3])))
+    np.save(here / "goal.npy", goal)
+    with mock.patch.object(plan_command, "planner_of", toy_planner):
+        said = succeed("plan", "--state", files / "start.obj", "--goal", here / "goal.npy", "--steps", 2)
+    plan = read_plan(here / "plan.json")
+    assert plan.expected.improves
+    assert plan.warning is None
+    assert UNLIKELY not in said
+    with mock.patch.object(simulate_command, "execute", lambda *of, **_: toy.execute(*of[:4])):
+        said = succeed("simulate", "--plan", "plan.json", "--goal", here / "goal.npy", "--out", "mesh.ply")
+        again = succeed("simulate", "--state", files / "start.obj", "--plan", "plan.json", "--goal", here / "goal.npy")
+    assert said.splitlines()[1:] == again.splitlines()[1:]
+    state = plan.steps[-1].predictions[0].state
+    assert state.kind == "mesh"
+    found = read(here / "mesh.ply")
+    apart = float(distance(found.mesh, believed_of(plan, plan.start)))  # type: ignore[union-attr]
+    where = found.pose.normalised_to_table(found.mesh.astype(float))  # type: ignore[union-attr]
+    assert apart > 0.1
+    # Hands of the toy world take the nearest vertex.
+    assert np.linalg.norm(where - np.array(state.vertices_m), axis=-1).mean() < 0.1 * apart * 0.4
+    assert "expected" in said
+
+
+def test_a_plan_that_makes_nothing_better_says_so(here: Path, files: Path) -> None:
+    said = succeed("plan", "--state", files / "bent.obj", "--goal", files / "bent.obj", "--steps", 1)
+    plan = read_plan(here / "plan.json")
+    assert not plan.expected.improves
+    assert plan.warning == UNLIKELY
+    assert said.splitlines()[-1] == UNLIKELY
+    assert plan.expected.error_no_action_m == pytest.approx(0, abs=1e-4)
+    assert plan.expected.silhouette_iou_no_action > 0.98
+
+
+def test_after_takes_up_what_is_left(here: Path, files: Path) -> None:
+    goal = np.asarray(toy.dragged(jnp.asarray(toy.bent()), jnp.array([-1, -1, -1, -1, 0.6, 0.5])))
+    np.save(here / "start.npy", toy.bent())
+    np.save(here / "goal.npy", goal)
+    asked = []
+    original = plan_command.find_plan
+
+    def spy(*arguments: Any, **more: Any) -> Any:
+        asked.append((arguments, more))
+        return original(*arguments, **more)
+
+    with (
+        mock.patch.object(plan_command, "planner_of", toy_planner),
+        mock.patch.object(plan_command, "find_plan", spy),
+    ):
+        common = ("plan", "--goal", here / "goal.npy")
+        succeed(*common, "--state", here / "start.npy", "--steps", 2)
+        plan = read_plan(here / "plan.json")
+        succeed(*common, "--state", here / "start.npy", "--after", "plan.json", "--out", "next.json")
+        wrong = run(*common, "--state", here / "start.npy", "--after", "plan.json", "--steps", 2, "--out", "no.json")
+        last = run(*common, "--state", here / "start.npy", "--after", "next.json")
+    later = read_plan(here / "next.json")
+    assert len(later.steps) == 1
+    assert later.memory.traces_before is not None
+    past = asked[1][1]["past"]
+    np.testing.assert_allclose(past.rest, [plan.steps[1].manipulation], atol=1e-6)
+    assert past.relative == plan.memory.relative == later.memory.relative
+    # A toy trace counts the manipulations that were executed.
+    assert all((np.array(trace) == (not plan.steps[0].null)).all() for trace in later.memory.traces_before)
+    assert wrong.exit_code == 1
+    assert wrong.stderr.strip().endswith("--steps: expected 1, what is left of plan.json, found 2")
+    assert "nothing is left" in last.stderr
+
+
+@pytest.mark.parametrize("name", ["main", "b4"])
+def test_every_kind_of_system_goes_on_and_predicts(here: Path, files: Path, name: str) -> None:
+    """From the file alone: what it remembers is enough for what comes after it."""
+    common = ("--goal", files / "goal.glb", "--state", files / "voxels.npy")
+    succeed("plan", *common, "--system", name, "--steps", 2)
+    succeed("plan", *common, "--after", "plan.json", "--out", "next.json")
+    plan, later = read_plan(here / "plan.json"), read_plan(here / "next.json")
+    assert later.system == name
+    assert plan.memory.traces_before is None
+    assert (later.memory.traces_before is None) == plan.steps[0].null
+    assert later.memory.relative == plan.memory.relative
+    assert not violations(json.loads((here / "next.json").read_text()), schema())
+    succeed("predict", "--state", files / "voxels.npy", "--plan", "next.json")
+    nets = {prediction.net for prediction in later.steps[0].predictions}
+    assert {path.stem[-1] for path in (here / "predicted").iterdir()} == nets
+    other = run("plan", *common, "--after", "plan.json", "--system", "b3", "--out", "no.json")
+    assert other.exit_code == 1
+    assert "--system: expected" in other.stderr
+
+
+def test_a_plan_is_turned_into_reach_and_its_goal_with_it(here: Path, files: Path) -> None:
+    """The flat cloth looks the same turned by right angles; what is beyond its middle is out of reach."""
+    goal = np.asarray(toy.dragged(jnp.asarray(flat()), jnp.array([-1, -1, -1, -1, 0.6, 0.5])))
+    np.save(here / "goal.npy", goal)
+    with mock.patch.object(plan_command, "planner_of", toy_planner):
+        wanted = ("plan", "--state", files / "start.obj", "--goal", here / "goal.npy", "--steps", 1)
+        succeed(*wanted, "--out", "free.json")
+        free = read_plan(here / "free.json")
+        xy = np.concatenate([[point.position_m for point in hand.waypoints] for hand in free.steps[0].hands])[:, :2]
+        assert free.turned is None
+        # The opposite quadrant, or wherever the half turn brings the hands.
+        low, high = 2 * np.array(AT) - xy.max(0) - 0.01, 2 * np.array(AT) - xy.min(0) + 0.01
+        said = succeed(*wanted, "--reach", *low, -1, *high, 1)
+        plan = read_plan(here / "plan.json")
+        nowhere = run(*wanted, "--reach", 5, 5, -1, 6, 6, 1, "--out", "none.json")
+    np.testing.assert_allclose(np.array(plan.turned), -np.eye(2), atol=1e-6)
+    assert "turned" in said
+    moved = np.concatenate([[point.position_m for point in hand.waypoints] for hand in plan.steps[0].hands])[:, :2]
+    np.testing.assert_allclose(moved, 2 * np.array(AT) - xy, atol=1e-4)
+    # It reaches the turned goal as well as the first reached the goal.
+    assert plan.expected.error_m == pytest.approx(free.expected.error_m, abs=1e-4)
+    first, turned = (p.steps[0].predictions[0].state for p in (free, plan))
+    assert first.kind == turned.kind == "mesh"
+    one, other = (np.array(state.vertices_m) - [*AT, 0] for state in (first, turned))
+    low_sorted, other_sorted = (np.sort(array.reshape(-1, 3), axis=0) for array in (one * [-1, -1, 1], other))
+    np.testing.assert_allclose(low_sorted, other_sorted, atol=1e-4)
+    assert nowhere.exit_code == 1
+    assert "outside the box" in nowhere.stderr
+    assert not (here / "none.json").exists()
+
+
+def test_reach_and_side_come_from_params_unless_options_say_otherwise() -> None:
+    box = ReachConfig(low=(0.0, 0.0, 0.0), high=(1.0, 1.0, 1.0))
+    app = AppConfig(side=0.5, reach=box, table=(0.0, 0.0, 2.0, 1.0))
+    assert reach_of(app, None) == box
+    assert reach_of(app, (0.0, 0.0, 0.0, 2.0, 2.0, 2.0)) == ReachConfig(low=(0.0, 0.0, 0.0), high=(2.0, 2.0, 2.0))
+    how = seeing(app, side=None, table=None, table_colour=(1, 2, 3, 4, 5, 6), box=None)
+    assert how.side == 0.5
+    assert how.table is not None
+    assert how.table.offset == 0.5
+    assert how.cloud.table_colour == ((1, 2, 3), (4, 5, 6))
+    assert seeing(app, side=0.3, table=None, table_colour=None, box=None).side == 0.3
+
+
+def test_the_published_schema_is_the_one_that_plans_are_read_by() -> None:
+    assert json.loads((ROOT / "docs/plan.schema.json").read_text()) == schema()
+
+
+def test_estimates_predictions_and_simulations_are_files(here: Path, files: Path) -> None:
+    succeed("estimate", files / "cloud.npz", "--out", "mesh.ply")
+    with np.load(here / "mesh.sigma.npz") as found:
+        assert {name: found[name].shape for name in found} == dict.fromkeys(("mesh", "mean", "sigma"), (32, 32, 3))
+        assert (found["sigma"] > 0.01 * SCALE * 0.99).all()
+    succeed("plan", "--state", files / "bent.obj", "--goal", files / "goal.glb", "--steps", 2)
+    succeed("predict", "--state", files / "bent.obj", "--plan", "plan.json", "--out", "predicted")
+    plan = read_plan(here / "plan.json")
+    names = {f"step_{n}_net_{net}.{ending}" for n in (1, 2) for net in "ab" for ending in ("obj", "npz")}
+    assert {path.name for path in (here / "predicted").iterdir()} == names
+    for number, step in enumerate(plan.steps, start=1):
+        for prediction in step.predictions:
+            assert prediction.state.kind == "mesh"
+            with np.load(here / f"predicted/step_{number}_net_{prediction.net}.npz") as found:
+                np.testing.assert_allclose(found["mean"], prediction.state.vertices_m, atol=1e-4)
+                np.testing.assert_allclose(found["sigma"], prediction.state.sigma_m, atol=1e-4)
