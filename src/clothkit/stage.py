@@ -104,7 +104,7 @@ def stage(name: str, variant: str | None = None) -> Iterator[Stage]:
                 f"{clothkit.__file__}: stages run the clothkit under the current directory, and this one is elsewhere; "
                 "set PYTHONPATH=src or install the checkout that you stand in"
             )
-        if jax.config.jax_compilation_cache_dir is None:
+        if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
             jax.config.update("jax_compilation_cache_dir", str(WORK / "compiled"))
             jax.config.update("jax_compilation_cache_max_size", COMPILED_BYTES)
         run = Stage(name, variant)
