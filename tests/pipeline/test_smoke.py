@@ -17,6 +17,8 @@ import pytest
 from ruamel.yaml import YAML
 
 ROOT = Path(__file__).parents[2]
+TELL_SECONDS = ("timings", "table_8", "index")
+"""Files of the report; of index.html one section does, and tests/report/test_html.py compares the rest."""
 LONG_STAGES = ("simulate", "train_pemd@a", "train_vtm", "plan@main")
 
 
@@ -71,7 +73,7 @@ class Checkout:
         """The hash of every out, by path, but for what tells seconds."""
         lock = YAML(typ="safe").load(self.folder / "dvc.lock")["stages"]
         outs = [out for stage in lock.values() for out in stage["outs"]]
-        return {out["path"]: out["md5"] for out in outs if Path(out["path"]).stem not in ("timings", "table_8")}
+        return {out["path"]: out["md5"] for out in outs if Path(out["path"]).stem not in TELL_SECONDS}
 
 
 @pytest.fixture(scope="module")
@@ -92,6 +94,7 @@ def test_the_chain_ends_with_tables_pictures_and_metrics(finished: Checkout) -> 
     report = finished.folder / "reports" / "smoke"
     for name in (
         "README.md",
+        "index.html",
         "metrics.json",
         "params.yaml",
         "timings.csv",

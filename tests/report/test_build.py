@@ -13,12 +13,15 @@ from clothkit.dataset.tasks import TASKS, Task
 from clothkit.evaluation import calibration, planning
 from clothkit.evaluation.comparisons import of_predictions
 from clothkit.planning.record import Sessions, Sizes, blank, tasks_of_dataset
+from clothkit.report import timings
 from clothkit.report.build import TABLES, build, picked
 from clothkit.report.figures.largest import Failure, largest
 from clothkit.report.figures.sessions import of_record, sessions
+from clothkit.report.html import page as html
 from clothkit.report.inputs import Inputs
 from clothkit.report.settings import ReportConfig
 from tests.evaluation.planning_rows import planning_rows
+from tests.report.web import tree
 
 SETTINGS = ReportConfig(sequences=1, estimates=1, predictions=1, sessions=1, largest=3)
 
@@ -42,7 +45,7 @@ def dataset() -> Dataset:
 def recorded_sessions(dataset: Dataset) -> Sessions:
     """Sessions in which everything happened as recorded."""
     tasks = [Task(sequence, start, length) for sequence in (0, 1) for start, length in TASKS]
-    sessions = blank(tasks_of_dataset(dataset, tasks, "test"), Sizes(4, 2, 5, 8, 2))
+    sessions = blank(tasks_of_dataset(dataset, tasks, "test"), Sizes((32, 32, 3), True, 4, 2, 5, 8, 2))
     for place, (sequence, start, length) in enumerate(tasks):
         for step in range(length):
             state, left = dataset.vertices[sequence, start + step], length - step
@@ -63,7 +66,7 @@ def inputs(dataset: Dataset) -> Inputs:
     shift = {"position_error": 0.02, "position_no_action": 0.2}
     in_voxels = {"voxel_error": 0.01, "voxel_error_no_action": 0.05}
     tasks = [{"sequence": q, "start": start, "length": length} for q in (0, 1) for start, length in TASKS]
-    planned = planning_rows(sequences=2, splits=("test",))
+    planned = planning_rows(SETTINGS.planners, sequences=2, splits=("test",))
     prediction = pd.DataFrame(
         [
             {**common, **shift, **in_voxels, **task, "system": system, "net": net, "better": net == "b"}
@@ -126,7 +129,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def test_a_report_is_complete(inputs: Inputs, tmp_path: Path) -> None:
-    build(tmp_path / "report", inputs, SETTINGS, scale="smoke")
+    shown = build(tmp_path / "report", inputs, SETTINGS, scale="smoke")
     found = contents(tmp_path / "report")
     tables = {f"tables/{name}.{kind}" for name in TABLES for kind in ("csv", "md")}
     pictures = {
@@ -139,15 +142,24 @@ def test_a_report_is_complete(inputs: Inputs, tmp_path: Path) -> None:
             "scatter",
             "largest",
             "curves",
+            "meshes",
+            "voxels",
+            "trajectories",
+            "equivalents",
             *(f"sessions_{n}" for n in (1, 2, 3)),
         )
     }
     assert {"README.md", "metrics.json"} | tables | pictures <= found.keys()
     page = found["README.md"].decode()
     assert all(picture in page for picture in pictures)
-    assert all(f"(tables/{name}.csv)" in page for name in TABLES if name not in ("sigma_ratio", "attempts"))
+    assert all(f"(tables/{name}.csv)" in page for name in TABLES if name not in ("sigma_ratio", "splits", "attempts"))
     assert len(found["tables/largest.csv"].splitlines()) == 1 + SETTINGS.largest
     assert "every task of 2 test sequences" in page
+    run = html.Run("scale: smoke\n", timings.timings(tmp_path), timings.table_8(tmp_path, SETTINGS.planners))
+    markup = html.page(shown, tmp_path / "report" / "figures", run)
+    assert len(tree(markup).all("img")) == len(pictures)
+    assert "No stage has left a note." in markup
+    assert len(markup) < 8e6
 
 
 def test_a_session_is_drawn_from_its_record(inputs: Inputs, dataset: Dataset, tmp_path: Path) -> None:

@@ -8,9 +8,11 @@ import pytest
 from clothkit.cloth import grid, voxels
 from clothkit.cloth.equivalents import relabel
 from clothkit.report import panels
-from clothkit.report.draw import EXTENT, draw, draw_heights
+from clothkit.report.draw import EXTENT, Texture, draw, draw_heights, draw_silhouette
 
 PIXELS = 84
+
+TEXTURES: tuple[Texture, ...] = ("plain", "grid", "geodesic")
 
 
 def pixel(x: float, y: float) -> tuple[int, int]:
@@ -86,3 +88,56 @@ def test_equal_figures_are_equal_bytes(tmp_path: Path, displacement: tuple[float
         panels.row_label(axes[0, 0], "row")
         panels.save(figure, tmp_path / name)
     assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "pieces"),
+    [
+        ((0, 0), (0.5, 0.5), [((0, 0), (0.5, 0.5))]),
+        ((0.05, 0), (2.05, 0), [((0.05, 0), (1.05, 0)), ((-1.05, 0), (-0.05, 0))]),
+        ((0, -0.55), (0, -1.55), [((0, -0.55), (0, -1.05)), ((0, 1.05), (0, 0.55))]),
+        # Out at the right, in at the left, out at the top, in at the bottom.
+        (
+            (0.55, 0.05),
+            (1.8, 1.3),
+            [((0.55, 0.05), (1.05, 0.55)), ((-1.05, 0.55), (-0.55, 1.05)), ((-0.55, -1.05), (-0.3, -0.8))],
+        ),
+        # It may begin outside, and cross the panel more than once.
+        ((1.55, 0), (-1.55, 0), [((-0.55, 0), (-1.05, 0)), ((1.05, 0), (-1.05, 0)), ((1.05, 0), (0.55, 0))]),
+    ],
+)
+def test_paths_come_back_in_at_the_opposite_border(
+    start: tuple[float, float], end: tuple[float, float], pieces: list[tuple]
+) -> None:
+    found = panels.wrapped(np.array(start, float), np.array(end, float))
+    np.testing.assert_allclose(found, pieces, atol=1e-9)
+
+
+def test_a_hand_that_leaves_the_panel_is_drawn_on_both_sides() -> None:
+    _, axes = panels.sheet([1.0], [1.0])
+    axis = axes[0, 0]
+    panels.manipulate(axis, grid.flat(), np.array([1, 0, 1, 0, 0.9, 0.0], np.float32))
+    lines = [np.asarray(line.get_xydata()) for line in axis.lines]
+    assert all((np.abs(line) <= EXTENT + 1e-6).all() for line in lines)
+    (cross,) = (line for line in axis.lines if line.get_marker() == "x")
+    np.testing.assert_allclose(cross.get_xydata(), [[0.7 + 0.9 - 2 * EXTENT, 0]], atol=0.03)
+
+
+def test_textures_tell_places_on_the_cloth() -> None:
+    plain, lined, hues = (draw(grid.flat(), texture=texture, pixels=420).astype(int) for texture in TEXTURES)
+    # A line of the grid runs through the middle, none midway to the next; it is the same colour, darker.
+    centre, beside = (210, 210), (210 - 18, 210 + 18)
+    assert lined[centre].sum() < 0.8 * plain[centre].sum()
+    assert (lined[beside] == plain[beside]).all()
+    corners = [hues[210 + down * 120, 210 + right * 120] for down in (-1, 1) for right in (-1, 1)]
+    apart = [np.abs(a - b).max() for i, a in enumerate(corners) for b in corners[:i]]
+    assert min(apart) > 40
+    # Under other labels the same shape has its colours elsewhere.
+    mirrored = draw(np.asarray(relabel(grid.flat(), 2)), texture="geodesic", pixels=420).astype(int)
+    assert np.abs(mirrored[90, 90] - hues[90, 330]).max() < 60 < np.abs(mirrored[90, 90] - hues[90, 90]).max()
+
+
+def test_a_silhouette_is_grey_where_the_cloth_is() -> None:
+    picture = draw_silhouette(half_folded(), pixels=PIXELS)
+    assert picture[pixel(-0.4, 0.1)][0] < 230
+    assert (picture[pixel(0.5, 0.1)] == 255).all()

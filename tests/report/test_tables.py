@@ -7,61 +7,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from clothkit.dataset.tasks import TASKS
 from clothkit.errors import InputError
 from clothkit.evaluation import planning
-from clothkit.evaluation.comparisons import of_predictions
 from clothkit.report import markdown, metrics, page, paper, planning_tables, rows, tables, timings
 from tests.evaluation.planning_rows import SYSTEMS, planning_rows
-
-
-def tidy_tasks(systems: tuple[str, ...], *, sequences: int = 4, seed: int = 0) -> pd.DataFrame:
-    """Rows of prediction; net a is the better one."""
-    rng = np.random.default_rng(seed)
-    return pd.DataFrame(
-        [
-            {
-                "split": split,
-                "system": system,
-                "net": net,
-                "better": net == "a",
-                "sequence": sequence,
-                "start": start,
-                "length": length,
-                "error": rng.uniform(0.01, 0.1) + (net == "b"),
-                "error_no_action": 0.2 + 0.01 * sequence + 0.1 * length,
-                "sigma_ratio": 0.7 + 0.01 * sequence,
-                "position_error": 0.01 * (sequence + length) + (net == "b"),
-                "position_no_action": 0.1 * length,
-                "voxel_error": rng.uniform(0.01, 0.02) + (net == "b"),
-                "voxel_error_no_action": 0.05 + 0.01 * (system == "a2"),
-            }
-            for split in ("test", "train")
-            for system in systems
-            for net in ("a", "b")
-            for sequence in range(sequences)
-            for start, length in TASKS
-        ]
-    )
-
-
-def tidy_estimates() -> pd.DataFrame:
-    return pd.DataFrame(
-        [
-            {
-                "split": "test",
-                "sequence": sequence,
-                "state": state,
-                "kind": kind,
-                "error": 0.01 * state + 0.001 * sequence + (0.1 if kind == "dmr" else 0),
-                "error_no_action": 0.25,
-                "sigma_ratio": 0.8,
-            }
-            for sequence in range(3)
-            for state in (1, 2, 3)
-            for kind in ("pmr", "dmr")
-        ]
-    )
+from tests.report.contents import contents_of, dataset, tidy_estimates, tidy_tasks
 
 
 def cell(table: pd.DataFrame, column: str, **keys: str) -> float:
@@ -244,6 +194,16 @@ def test_attempts_are_counted_by_reason() -> None:
     }
 
 
+def test_splits_count_what_was_done() -> None:
+    found = tables.splits(dataset())
+    assert found.to_dict("list") == {
+        "split": ["train", "validation", "test"],
+        "sequences": [1, 1, 1],
+        "manipulations": [3, 2, 1],
+        "single_handed": [pytest.approx(1 / 3), 0.5, 1.0],
+    }
+
+
 def test_timings(tmp_path: Path) -> None:
     note = {"stage": "plan@main", "seconds": 1.5, "cpu_seconds": 2.5, "peak_memory_mib": 900, "machine": "2 x x86_64"}
     (tmp_path / "plan@main.json").write_text(json.dumps(note))
@@ -254,32 +214,8 @@ def test_timings(tmp_path: Path) -> None:
         timings.timings(tmp_path)
 
 
-def page_of(planners: tuple[str, ...], figures: list[str]) -> str:
-    tidy, planned = tidy_tasks(("main", "a1")), planning_rows(planners)
-    intervals = planning.intervals(planned)
-    return page.page(
-        page.Contents(
-            scale="smoke",
-            table_2=tables.estimation(tidy_estimates()),
-            table_3=tables.prediction(tidy, ("main", "a1")),
-            table_5=tables.position(tidy, ("main", "a1")),
-            table_4=tables.prediction_voxels(tidy_tasks(("main", "a2")), ("main", "a2")),
-            comparisons=tables.comparisons(of_predictions(tidy_tasks(("main", "a2")))),
-            table_6=planning_tables.planning(planned, intervals, planners),
-            table_7=planning_tables.planning_voxels(planned, intervals, planners),
-            planning_comparisons=planning_tables.comparisons(planning.comparisons(planned), planners),
-            failures=planning_tables.failures(planning.failures(planned), planners),
-            largest=planning_tables.largest(planned, planners[0], 3),
-            sigma_ratio=tables.sigma_ratio(tidy_estimates(), tidy),
-            attempts=tables.attempts(pd.DataFrame({"accepted": [True], "reason": [""]})),
-            tasks={"test": 4, "train": 4},
-            figures=figures,
-        )
-    )
-
-
 def test_the_page_shows_tables_and_figures() -> None:
-    text = page_of(SYSTEMS, ["sessions_2", "curves"])
+    text = page.page(contents_of(SYSTEMS, ["sessions_2", "curves"]))
     assert "figures/sessions_2.png" in text
     assert "figures/scatter.png" not in text
     assert "| planning | main | paper | 0.0291 |" in text
@@ -293,7 +229,7 @@ def test_the_page_shows_tables_and_figures() -> None:
 
 
 def test_a_page_of_one_planner_compares_nothing() -> None:
-    text = page_of(("main",), [])
+    text = page.page(contents_of(("main",), []))
     assert "planning_comparisons" not in text
     assert "| test | main | mean 95 % low | clothkit |" in text
     assert "| b4 |" not in text

@@ -6,16 +6,21 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from clothkit.cloth.equivalents import relabel
 from clothkit.dataset.tasks import Task, tasks_of
 from clothkit.report import metrics, page, planning_tables, tables
 from clothkit.report.figures.calibration import calibration
 from clothkit.report.figures.curves import curves
+from clothkit.report.figures.equivalents import equivalents
 from clothkit.report.figures.estimates import estimates
 from clothkit.report.figures.largest import Failure, largest
+from clothkit.report.figures.meshes import meshes
 from clothkit.report.figures.predictions import predictions
 from clothkit.report.figures.scatter import scatter
 from clothkit.report.figures.sequences import sequences
 from clothkit.report.figures.sessions import Session, of_record, sessions
+from clothkit.report.figures.trajectories import Example, trajectories
+from clothkit.report.figures.voxels import voxels
 from clothkit.report.inputs import NETS, Inputs
 from clothkit.report.settings import ReportConfig
 
@@ -34,6 +39,7 @@ TABLES = (
     "failures",
     "largest",
     "sigma_ratio",
+    "splits",
     "attempts",
 )
 
@@ -41,8 +47,11 @@ ABREAST = {1: 2, 2: 2, 3: 1}
 """Sessions side by side in a picture, by length."""
 
 
-def build(folder: Path, inputs: Inputs, settings: ReportConfig, *, scale: str) -> None:
-    """Write `tables/`, `figures/`, `metrics.json` and `README.md` into a new folder; equal inputs give equal bytes."""
+def build(folder: Path, inputs: Inputs, settings: ReportConfig, *, scale: str) -> page.Contents:
+    """Write `tables/`, `figures/`, `metrics.json` and `README.md` into a new folder; what they show.
+
+    Equal inputs give equal bytes.
+    """
     (folder / "tables").mkdir(parents=True)
     (folder / "figures").mkdir()
     errors = planning_tables.largest(inputs.planning, settings.planners[0], settings.largest)
@@ -59,6 +68,7 @@ def build(folder: Path, inputs: Inputs, settings: ReportConfig, *, scale: str) -
         failures=planning_tables.failures(inputs.failures, settings.planners),
         largest=errors,
         sigma_ratio=tables.sigma_ratio(inputs.estimation, inputs.prediction),
+        splits=tables.splits(inputs.dataset),
         attempts=tables.attempts(inputs.attempts),
         tasks={str(split): rows["sequence"].nunique() for split, rows in inputs.planning.groupby("split")},
         figures=draw_figures(folder / "figures", inputs, errors, settings),
@@ -78,6 +88,7 @@ def build(folder: Path, inputs: Inputs, settings: ReportConfig, *, scale: str) -
     )
     (folder / "metrics.json").write_text(json.dumps(headline, indent=1) + "\n")
     (folder / "README.md").write_text(page.page(contents))
+    return contents
 
 
 def draw_figures(folder: Path, inputs: Inputs, errors: pd.DataFrame, settings: ReportConfig) -> list[str]:
@@ -91,7 +102,7 @@ def draw_figures(folder: Path, inputs: Inputs, errors: pd.DataFrame, settings: R
     predictions(dataset, inputs.predictions, inputs.prediction, folder / "predictions.png", count=settings.predictions)
     calibration(inputs.calibration, folder / "calibration.png")
     curves({net: inputs.histories[net] for net in NETS}, inputs.histories["vtm"], folder / "curves.png")
-    names = ["sequences", "estimates", "predictions", "calibration", "curves"]
+    names = ["sequences", "estimates", "predictions", "calibration", "curves", *representations(folder, inputs)]
     if not PREDICTOR_OF.keys().isdisjoint(settings.planners):
         scatter(inputs.planning, inputs.prediction, PREDICTOR_OF, settings.planners, folder / "scatter.png")
         names.append("scatter")
@@ -118,6 +129,29 @@ def draw_figures(folder: Path, inputs: Inputs, errors: pd.DataFrame, settings: R
             sessions(chosen, folder / f"sessions_{length}.png", abreast=abreast)
             names.append(f"sessions_{length}")
     return names
+
+
+def representations(folder: Path, inputs: Inputs) -> list[str]:
+    """Draw what states and manipulations are, from the first test sequences that serve; the names."""
+    dataset, found = inputs.dataset, inputs.estimates
+    test = dataset.indices("test").tolist()
+    place = next(place for place, sequence in enumerate(found["sequence"]) if int(sequence) in test)
+    sequence = int(found["sequence"][place])
+    state = min(2, int(dataset.length[sequence]))
+    label = int(found["label"][place, state])
+    mean, std = (np.asarray(relabel(found[name][place, state], label)) for name in ("mean", "std"))
+    meshes(dataset.vertices[sequence, state], mean, std, folder / "meshes.png")
+    voxels(dataset.vertices[sequence, state], folder / "voxels.png")
+    equivalents(dataset.vertices[sequence, 1], folder / "equivalents.png")
+    # From a folded cloth if there is one: on the flat one, the silhouette says little.
+    steps = [(sequence, step) for step in (1, 2, 0) for sequence in test if step < dataset.length[sequence]]
+    examples = []
+    for hands in (2, 1):
+        chosen = next(((sequence, step) for sequence, step in steps if dataset.hands[sequence, step] == hands), None)
+        if chosen is not None:
+            examples.append(Example(dataset.vertices[chosen], dataset.manipulation[chosen]))
+    trajectories(examples, folder / "trajectories.png")
+    return ["meshes", "voxels", "trajectories", "equivalents"]
 
 
 def picked(sequences: list[int], manipulations: list[int], length: int) -> list[Task]:

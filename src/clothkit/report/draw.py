@@ -5,7 +5,7 @@ back are told apart by the winding of the grid, so two meshes of one shape match
 """
 
 from functools import cache
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import cv2
 import numpy as np
@@ -39,11 +39,21 @@ _RELIEF = np.array(
     ],
     np.float32,
 )
+# The corners [u v] of the geodesic texture: hues that stay apart, light enough for shading.
+_CORNERS = np.array(
+    [[[0.93, 0.93, 0.60], [0.36, 0.72, 0.55]], [[0.93, 0.52, 0.45], [0.38, 0.40, 0.78]]],
+    np.float32,
+)
 _LIGHT = np.array([-0.45, 0.45, 0.77], np.float32)
+# Of the grid texture: its squares along a side, and the width of its lines as a share of a square.
+_SQUARES, _LINE = 8, 0.09
 # Neighbouring pixels whose grid coordinates differ by more vertices than this show two layers, not one.
 _LAYER_JUMP = 2.0
 # Standard deviations [normalised] below the first leave a cloth's colour alone, the second is all lilac.
 _CAST = (0.01, 0.06)
+
+Texture = Literal["plain", "grid", "geodesic"]
+"""What is printed on a cloth: a colour a side, the same with a grid (not the mesh's), or a gradient over u and v."""
 
 
 def draw(
@@ -51,6 +61,7 @@ def draw(
     *,
     std: Float[np.ndarray, "u v 3"] | None = None,
     table: tuple[float, float, float] = (1.0, 1.0, 1.0),
+    texture: Texture = "plain",
     pixels: int = PIXELS,
 ) -> UInt8[np.ndarray, "row column 3"]:
     """The cloth from above, in the square -EXTENT..EXTENT, y upwards.
@@ -65,7 +76,7 @@ def draw(
     if std is not None:
         halo = _halo(mesh, std, size)[..., None]
         image = image * (1 - halo) + _SPREAD * halo
-    colour = _shade(cloth)
+    colour = _shade(cloth, texture)
     if std is not None:
         cast = np.clip((_refined(std, cloth.finer)[..., 2] - _CAST[0]) / (_CAST[1] - _CAST[0]), 0, 1)
         cast = 0.75 * cast.ravel()[cloth.source][..., None]
@@ -106,6 +117,13 @@ def draw_heights(voxels: Bool[np.ndarray, "x y z"], *, pixels: int = PIXELS) -> 
     inside = ((i >= 0) & (i < nx))[:, None] & ((j >= 0) & (j < ny))
     picked = np.where(inside, height[np.clip(i, 0, nx - 1)][:, np.clip(j, 0, ny - 1)], 0)
     grey = np.where(picked > 0, 0.82 - 0.7 * picked, 1.0).T[::-1]
+    return np.repeat(np.rint(grey * 255).astype(np.uint8)[..., None], 3, axis=-1)
+
+
+def draw_silhouette(mesh: Float[np.ndarray, "u v 3"], *, pixels: int = PIXELS) -> UInt8[np.ndarray, "row column 3"]:
+    """The cloth's projection on the table, grey, in the square -EXTENT..EXTENT, y upwards."""
+    covered = _splat(mesh, pixels * _OVERSAMPLING).covered.astype(np.float32)
+    grey = cv2.resize(1 - 0.18 * covered, (pixels, pixels), interpolation=cv2.INTER_AREA)
     return np.repeat(np.rint(grey * 255).astype(np.uint8)[..., None], 3, axis=-1)
 
 
@@ -153,7 +171,7 @@ def _splat(mesh: np.ndarray, size: int) -> _Cloth:
     return _Cloth(fine, finer, covered, source)
 
 
-def _shade(cloth: _Cloth) -> np.ndarray:
+def _shade(cloth: _Cloth, texture: Texture) -> np.ndarray:
     """The lit colour of each pixel that shows cloth; black elsewhere."""
     fine = cloth.fine
     last_u, last_v = fine.shape[0] - 1, fine.shape[1] - 1
@@ -167,10 +185,24 @@ def _shade(cloth: _Cloth) -> np.ndarray:
     # Where the surroundings are higher than the pixel, less light arrives: layers stand off from those below.
     heights = cloth.heights
     hollow = np.clip(_blur(heights, 0.012 * len(heights)) - heights, 0, None)[cloth.covered]
-    colour = np.clip(np.where(front, _FRONT, _BACK) * (0.42 + 0.75 * lit[:, None]), 0, 1)
+    printed = _printed(u / last_u, v / last_v, front, texture)
+    colour = np.clip(printed * (0.42 + 0.75 * lit[:, None]), 0, 1)
     image = np.zeros((*cloth.covered.shape, 3), np.float32)
     image[cloth.covered] = colour * (1 - np.clip(9 * hollow, 0, 0.4))[:, None]
     return image
+
+
+def _printed(u: np.ndarray, v: np.ndarray, front: np.ndarray, texture: Texture) -> np.ndarray:
+    """The unlit colour at places on the cloth, u and v in 0..1, of the side that is seen there."""
+    if texture == "geodesic":
+        along_u = np.stack([1 - u, u], -1).astype(np.float32)
+        along_v = np.stack([1 - v, v], -1).astype(np.float32)
+        return np.einsum("nu,nv,uvc->nc", along_u, along_v, _CORNERS)
+    sides = np.where(front, _FRONT, _BACK)
+    if texture == "grid":
+        lines = [np.abs(np.round(place * _SQUARES) - place * _SQUARES) < _LINE / 2 for place in (u, v)]
+        sides = np.where((lines[0] | lines[1])[:, None], 0.62 * sides, sides)
+    return sides
 
 
 def _layer_edges(cloth: _Cloth) -> np.ndarray:

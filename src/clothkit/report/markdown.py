@@ -20,7 +20,8 @@ def table(data: pd.DataFrame, keys: Sequence[str]) -> str:
     for key, rows in together.items():
         for row in sorted(rows, key=lambda row: _SOURCES.index(row["source"])):
             strong = "**" if row["source"] == "clothkit" and "mean" in key else ""
-            lines.append(_line([*map(str, key), row["source"], *(_number(row[column], strong) for column in columns)]))
+            figures = [_strong(row[column], strong) for column in columns]
+            lines.append(_line([*map(str, key), row["source"], *figures]))
     return "\n".join(lines) + "\n"
 
 
@@ -31,13 +32,17 @@ def plain(data: pd.DataFrame) -> str:
 
 
 def _cell(value: object) -> str:
-    return _number(value, "") if isinstance(value, float) else str(value).replace("|", "\\|")
+    return number(value) if isinstance(value, float) else str(value).replace("|", "\\|")
 
 
 def _line(cells: Sequence[str]) -> str:
     return "| " + " | ".join(cells) + " |"
 
 
-def _number(value: float, strong: str) -> str:
+def _strong(value: float, strong: str) -> str:
+    return number(value) if pd.isna(value) else f"{strong}{number(value)}{strong}"
+
+
+def number(value: float) -> str:
     """Three significant digits, as the paper has them; a dash for what was not measured."""
-    return "–" if pd.isna(value) else f"{strong}{f'{value:#.3g}'.rstrip('.')}{strong}"
+    return "–" if pd.isna(value) else f"{value:#.3g}".rstrip(".")

@@ -1,6 +1,7 @@
 """Sheets of small pictures with what belongs on them: manipulations, grasp candidates, marks; saved as equal bytes."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -137,7 +138,10 @@ def heading(axis: Axes, text: str) -> None:
 
 
 def manipulate(axis: Axes, mesh: Float[np.ndarray, "u v 3"], manipulation: Float[np.ndarray, "6"]) -> None:
-    """The hands' paths over a mesh, red and green dotted, from circled grasp points; a null one is said in words."""
+    """The hands' paths over a mesh, red and green dotted, from circled grasp points; a null one is said in words.
+
+    A path that leaves the panel comes back in at the opposite border (the manner of the paper's figure 10).
+    """
     if bool(is_null(manipulation)):
         axis.text(0.5, 0.93, "no action", transform=axis.transAxes, fontsize=7, color=INK, ha="center", va="top")
         return
@@ -145,11 +149,32 @@ def manipulate(axis: Axes, mesh: Float[np.ndarray, "u v 3"], manipulation: Float
     releases = np.asarray(release_points(grasps, np.asarray(displacement(manipulation))).points)
     hands = 1 if bool(is_single(manipulation)) else 2
     for grasp, release, colour in list(zip(grasps, releases, _HANDS, strict=True))[:hands]:
-        path = np.stack([grasp, release]).T
-        axis.plot(*path, color="white", linewidth=2.2, alpha=0.75, solid_capstyle="round")
-        axis.plot(*path, color=colour, linewidth=1.4, linestyle=(0, (1.2, 1.0)))
-        axis.plot(*grasp, "o", markersize=3.6, markerfacecolor="white", markeredgecolor=colour, markeredgewidth=1.2)
-        axis.plot(*release, marker="x", markersize=4.2, markeredgecolor=colour, markeredgewidth=1.4)
+        pieces = wrapped(grasp, release)
+        for piece in pieces:
+            axis.plot(*piece.T, color="white", linewidth=2.2, alpha=0.75, solid_capstyle="round")
+            axis.plot(*piece.T, color=colour, linewidth=1.4, linestyle=(0, (1.2, 1.0)))
+        axis.plot(
+            *pieces[0][0], "o", markersize=3.6, markerfacecolor="white", markeredgecolor=colour, markeredgewidth=1.2
+        )
+        axis.plot(*pieces[-1][-1], marker="x", markersize=4.2, markeredgecolor=colour, markeredgewidth=1.4)
+
+
+def wrapped(start: Float[np.ndarray, "2"], end: Float[np.ndarray, "2"]) -> list[Float[np.ndarray, "2 2"]]:
+    """The straight way from start to end as pieces [end xy] inside -EXTENT..EXTENT: out at a border, in opposite."""
+    side = 2 * EXTENT
+    way = end - start
+    # Borders of the panel's copies lie at odd multiples of EXTENT.
+    crossings = {0.0, 1.0}
+    for first, along in zip(start, way, strict=True):
+        low, high = sorted((first / side - 0.5, (first + along) / side - 0.5))
+        borders = np.arange(np.ceil(low), np.floor(high) + 1)
+        crossings |= {float(t) for t in ((borders + 0.5) * side - first) / (along or 1.0) if 0 < t < 1}
+    shares = sorted(crossings)
+    pieces = []
+    for low, high in pairwise(shares):
+        copy = np.round((start + (low + high) / 2 * way) / side)
+        pieces.append(np.stack([start + low * way, start + high * way]) - side * copy)
+    return pieces
 
 
 def candidates(axis: Axes, points: Float[np.ndarray, "points 2"]) -> None:
@@ -159,9 +184,9 @@ def candidates(axis: Axes, points: Float[np.ndarray, "points 2"]) -> None:
 
 def centre_shift(axis: Axes, shift: Float[np.ndarray, "2"]) -> None:
     """The predicted shift of the cloth's centre point, ending at its centre: a yellow dotted line."""
-    path = np.stack([-shift, np.zeros(2)]).T
-    axis.plot(*path, color="#5a4a00", linewidth=2.6, solid_capstyle="round")
-    axis.plot(*path, color="#ffe600", linewidth=1.5, linestyle=(0, (1.2, 0.8)))
+    for piece in wrapped(-shift, np.zeros(2)):
+        axis.plot(*piece.T, color="#5a4a00", linewidth=2.6, solid_capstyle="round")
+        axis.plot(*piece.T, color="#ffe600", linewidth=1.5, linestyle=(0, (1.2, 0.8)))
 
 
 def save(figure: Figure, path: Path) -> None:

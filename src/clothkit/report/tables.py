@@ -7,8 +7,10 @@ mean in relation to it. All in cloth lengths, but for table 4, which is in mean 
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
 import pandas as pd
 
+from clothkit.dataset.store import SPLITS, Dataset
 from clothkit.report import paper, rows
 
 TASKS = ("1/0", "1/1", "1/2", "1/all", "2/0", "2/1", "2/all", "3/all")
@@ -128,6 +130,16 @@ def _table(
     table = table.reset_index().rename_axis(columns=None)
     table.insert(0, "source", "clothkit")
     return table
+
+
+def splits(dataset: Dataset) -> pd.DataFrame:
+    """Sequences, their manipulations, and the share of these that one hand does, by split."""
+    counted = []
+    for split in SPLITS:
+        chosen = dataset.of_split(split)
+        hands = np.concatenate([[], *(own[:length] for own, length in zip(chosen.hands, chosen.length, strict=True))])
+        counted.append((split, len(chosen), len(hands), float((hands == 1).mean()) if len(hands) else float("nan")))
+    return pd.DataFrame(counted, columns=["split", "sequences", "manipulations", "single_handed"])
 
 
 def attempts(tidy: pd.DataFrame) -> pd.DataFrame:

@@ -1,0 +1,133 @@
+"""What the report says above its tables and below its figures, in Markdown; the same words on both pages."""
+
+INTRO = (
+    "Errors are mean distances between vertices in lengths of the cloth's side, the smallest over the cloth's "
+    "eight equivalent labellings; outcomes and *no action* (start against goal) are moved onto the goal first, "
+    "estimates and predictions are not. Columns: manipulations / state that they start from. *main* sees voxels "
+    "only; *a1* predicts, and *b1* plans, from true meshes; *b2* plans with one net, *b3* without the uncertainty "
+    "term, *b4* and *b5* in voxels, with two nets and with one. Pictured are the first test sequences, not chosen "
+    "ones, but for the largest errors.\n"
+)
+PAPER = (
+    "The paper's figures are from another simulator, 3,493 training sequences, and 100 test and 100 training sequences "
+    "in each table.\n"
+)
+UNCERTAINTY = (
+    "Median over meshes of the mean of abs(error) / σ; 0.798 is ideal, less says that σ is too large. Columns: "
+    "estimates, then predictions after one, two and three manipulations; the paper tells those of the test set.\n"
+)
+
+SESSIONS = (
+    "Above the recorded sequence and its goal (light blue), which is all that the planner is given of it; at the left "
+    "what happened, the outcome in light blue; between, plan by plan, the estimate (E) with grasp candidates (lilac "
+    "circles) and the predictions (P, σ lilac); at the right the predicted outcome, refined."
+)
+VOXELS = (
+    "The same predictions in voxels: mean absolute difference of voxel values. *a2* is the paper's voxel baseline, "
+    "which sees, and predicts, voxels. Meshes become voxels by eq. (16), and their truth is unoccluded, a vertex per "
+    "grid point. *a2* predicts what a camera above sees, and its truth is that: occluded, at twice the mesh's "
+    "resolution; so is its *no action*.\n"
+)
+COMPARISONS = (
+    "The two on the same tasks: mean difference (system minus the one it is held against: below zero the first is "
+    "better), its 95 % bootstrap interval, and p of a two-sided paired sign-flip test, both over sequences. [CSV]"
+    "(tables/comparisons.csv)\n"
+)
+POSITION = (
+    "The predicted shift of the cloth's centre, by the number of manipulations, from every start; *no action* "
+    "predicts no shift.\n"
+)
+_INTERVALS = "the ends of a bootstrap interval of our mean, drawn by sequences, since tasks of one share its states.\n"
+INTERVALS = f"*mean 95 % low* and *high* are {_INTERVALS}"
+INTERVALS_BELOW = f"*95 % of mean*: {_INTERVALS}"
+PLANNING_VOXELS = (
+    "The same outcomes and goals in voxels: mean absolute difference of voxel values, both sides free of noise and "
+    "unoccluded, a vertex per grid point. It is the format in which *b4* and *b5* plan.\n"
+)
+PLANNING_COMPARISONS = (
+    "Two planners on the same tasks: mean difference (system minus the one it is held against: below zero the first is "
+    "better), its 95 % bootstrap interval, and p of a two-sided paired sign-flip test, both over sequences; p is not "
+    "adjusted for the number of comparisons. Shown are those of the test set by length; the CSV has every start, and "
+    "the training set.\n"
+)
+SPEED = (
+    "Seconds of search per plan, by system and plan length, beside the paper's: [table 8](table_8.md) ([CSV]"
+    "(table_8.csv)), on a page of its own, since no two runs take the same time.\n"
+)
+SPEED_MEANS = (
+    "Seconds of search over the number of plans, by system and plan length; *estimate*: seconds per estimate of a "
+    "mesh, refined. Searches run many at a time. A dash: none, or the stage's results were restored and its times "
+    "are not known.\n"
+)
+TIMINGS = (
+    "Of the stages' last runs on this machine, with the time of all their processes and the memory of the largest; a "
+    "stage whose results were restored has no row.\n"
+)
+STATES = "By how many manipulations lie behind the state; *no action* takes the state before the last one for it.\n"
+FAILURES = (
+    "Of each session's first plan, test set. *search_failure*: share of plans that the nets rate worse than the "
+    "recorded manipulations, which the search missed; *model_failure*: share that they rate no worse, yet whose "
+    "outcome is more than 0.05 off; *grasp_offered*: share of starts with a grasp candidate at each recorded grasp "
+    "point; *nulls_fired*: manipulations per session that the planner cancelled because it expected them to lead away "
+    "from the goal, *nulls_helped*: the share of these that would have done so in simulation; *expected*, *error*: "
+    "mean error that the nets expect, and that came; *error_estimate_good*, *error_estimate_bad*: mean error of tasks "
+    "whose first estimate is within 0.05 of the truth, and of the others. The CSV has the training set, too.\n"
+)
+LARGEST = (
+    "The test tasks with the largest errors, and why, in the words of the paper's section 6.4; the first that holds: a "
+    "recorded grasp point had no candidate nearby (*grasp point not offered*); the first estimate was more than 0.05 "
+    "off (*estimate wrong*); the nets rate the recorded manipulations better than the plan (*search failure*); they "
+    "expected an error of at most 0.05 (*model failure*); none of these (*open*): they knew that the plan is not good, "
+    "and think no better of the recorded manipulations. All of the first plan: what went wrong later is not told.\n"
+)
+SYSTEMS = {
+    "main": "sees voxels only; two mesh nets",
+    "a1": "main, from true meshes",
+    "a2": "two voxel nets",
+    "b1": "main, from true meshes",
+    "b2": "main with one net",
+    "b3": "main without the uncertainty term",
+    "b4": "two voxel nets",
+    "b5": "one voxel net",
+    "unrefined": "main without refinement of its estimates",
+    "no action": "start against goal",
+    "no action, occluded": "start against goal, as a camera above sees them",
+    "pmr": "VtM's probabilistic mesh, its means",
+    "dmr": "the refined mesh",
+}
+"""What the names of systems, and of kinds of estimates, stand for."""
+
+CAPTIONS = {
+    "sequences": "Simulated test sequences: states from above, manipulations dotted (red and green: the two hands); "
+    "blue and orange are the cloth's two sides.",
+    "estimates": "Estimates of test sequences after one, two and three manipulations: truth, voxels, VtM's mean with "
+    "its σ in lilac, and the refined mesh.",
+    "predictions": "Predictions from an estimate of the first state (E) beside what was recorded (R). Lilac is σ, the "
+    "yellow line the predicted shift of the cloth's centre.",
+    "sessions_1": f"Planning in one step. {SESSIONS}",
+    "sessions_2": f"Planning in two steps. {SESSIONS}",
+    "sessions_3": f"Planning in three steps. {SESSIONS}",
+    "calibration": "Test set: the share of coordinates whose error is below z σ, against the share of a normal "
+    "distribution there; dots are at z = 1. Above the dashed diagonal σ is larger than the errors warrant, below it "
+    "smaller. Estimates by the manipulations that lie behind the state; predictions from estimates, by the "
+    "manipulations predicted, from every start.",
+    "scatter": "Planning error against prediction error, a dot per test task. Predictions start from what the planner "
+    "starts from: estimates beside main, true meshes (a1) beside b1.",
+    "largest": "The largest errors, in the table's order: start with the recorded manipulation; goal; estimate with "
+    "grasp candidates (lilac circles) and the first manipulation of the first plan; the outcome that is predicted "
+    "for it (σ lilac); the session's real outcome. Numbers are how far the estimate is off, how far from the goal the "
+    "nets expect to end, and how far from it the cloth was in the end.",
+    "meshes": "One state of the first test sequence, as a mesh and as the probabilistic mesh that VtM makes of its "
+    "voxels: from above (the grid is printed on the picture; lilac is σ), and each component over the cloth, u to the "
+    "right, v upwards. Light is more: x and y over the viewport, z over the mesh's own heights, σ up to the number "
+    "above it.",
+    "voxels": "The same state in voxels, without noise and unoccluded: the share of occupied voxels along each line of "
+    "sight, darker is more. z is stretched as the viewport's resolution stretches it.",
+    "trajectories": "From grasp points g and displacement d to release points r: two hands' are mirrored at the line "
+    "m, which stands across d in p (eq. 1); a single hand moves by d. Grey: the silhouette. What leaves the picture "
+    "comes back in at the opposite border, in every figure.",
+    "equivalents": "One shape as eight meshes, with the geodesic coordinates of its corners; the colours are those of "
+    "geodesic coordinates, too.",
+    "curves": "Validation errors during training, with their values where the score was best (dots). Tasks: "
+    "manipulations / state that they start from; states: manipulations that lie behind them.",
+}

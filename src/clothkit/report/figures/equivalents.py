@@ -1,0 +1,57 @@
+"""Figure 7: the eight Cartesian equivalents, meshes that describe one shape."""
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.patheffects import withStroke
+
+from clothkit.cloth.equivalents import COUNT
+from clothkit.cloth.equivalents import equivalents as equivalents_of
+from clothkit.report import panels
+from clothkit.report.draw import EXTENT, draw
+
+SIDE = 1.35
+"""Of a panel, as a share of the usual one."""
+
+NEAR = 0.25
+"""Corners that lie no farther apart share a text [normalised]."""
+
+
+def equivalents(mesh: Float[np.ndarray, "u v 3"], path: Path) -> None:
+    """The shape under each labelling, coloured by geodesic coordinates, those of its corners written beside them."""
+    figure, axes = panels.sheet([SIDE] * 2, [SIDE] * (COUNT // 2))
+    for axis, labelled in zip(axes.flat, np.asarray(equivalents_of(mesh)), strict=True):
+        panels.show(axis, draw(labelled, texture="geodesic"))
+        _corners(axis, labelled)
+    panels.save(figure, path)
+
+
+def _corners(axis: Axes, mesh: Float[np.ndarray, "u v 3"]) -> None:
+    """The geodesic coordinates of the corners, one below the other where corners lie on each other."""
+    together: list[tuple[list[np.ndarray], list[str]]] = []
+    for u, v in ((0, 0), (0, -1), (-1, 0), (-1, -1)):
+        corner = mesh[u, v, :2]
+        text = "({}, {})".format(*("1" if last else "−1" for last in (u, v)))
+        group = next((group for group in together if np.linalg.norm(group[0][0] - corner) < NEAR), None)
+        if group is None:
+            together.append(([corner], [text]))
+        else:
+            group[0].append(corner)
+            group[1].append(text)
+    middle = mesh[..., :2].reshape(-1, 2).mean(axis=0)
+    for corners, names in together:
+        outmost = max(corners, key=lambda corner: float(np.linalg.norm(corner - middle)))
+        away = (outmost - middle) / max(float(np.linalg.norm(outmost - middle)), 1e-9)
+        x, y = np.clip(outmost + (0.12 + 0.05 * len(names)) * away, -0.86 * EXTENT, 0.86 * EXTENT)
+        axis.text(
+            x,
+            y,
+            "\n".join(names),
+            fontsize=6.5,
+            color=panels.INK,
+            ha="center",
+            va="center",
+            path_effects=[withStroke(linewidth=2.2, foreground="w")],
+        )

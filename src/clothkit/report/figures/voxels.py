@@ -1,0 +1,30 @@
+"""Figure 4: a state in voxels, seen along each axis."""
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from clothkit.cloth import voxels as cloth_voxels
+from clothkit.report import panels
+
+VIEWS = (("from above (x, y)", 2), ("from the front (x, z)", 1), ("from the side (y, z)", 0))
+"""Title, and the axis that is looked along."""
+
+
+def voxels(mesh: Float[np.ndarray, "u v 3"], path: Path) -> None:
+    """The voxels that hold a vertex (no noise, no occlusion): the share of occupied ones along each column.
+
+    Darker is more, from none to the fullest column of each view; z upwards in the views along the table.
+    """
+    occupied = np.asarray(cloth_voxels.of_mesh(mesh))
+    figure, axes = panels.sheet([1.6], [1.6] * len(VIEWS), above=0.2)
+    for axis, (title, along) in zip(axes[0], VIEWS, strict=True):
+        share = occupied.mean(axis=along)
+        axis.set_axis_on()
+        axis.imshow(share.T, origin="lower", cmap="gray_r", vmin=0, vmax=share.max(), interpolation="none")
+        axis.set(xticks=[], yticks=[])
+        for spine in axis.spines.values():
+            spine.set(color="#999999", linewidth=0.6)
+        panels.heading(axis, title)
+    panels.save(figure, path)

@@ -1,0 +1,54 @@
+"""The four figures that say most, large, with the paper's beside them and one sentence that says what they mean."""
+
+import math
+
+import pandas as pd
+
+from clothkit.report.html.elements import Html, element
+from clothkit.report.html.tables import better
+from clothkit.report.markdown import number
+from clothkit.report.page import Contents
+
+FIGURES = (
+    ("Seeing", "table_2", "kind", "dmr", "all", "how far a mesh estimated from voxels is from the true one"),
+    ("Foreseeing", "table_3", "system", "main", "3/all", "how far the state foreseen after three manipulations is off"),
+    ("Folding in one", "table_6", "system", "main", "1/all", "how far from its goal a one-step plan leaves the cloth"),
+    ("Folding in three", "table_6", "system", "main", "3/all", "how far from its goal a three-step plan leaves it"),
+)
+"""Title, table, by what its rows are told apart, the row, its column, and what the figure says."""
+
+
+def headline(contents: Contents) -> Html:
+    """A card for each of FIGURES that was measured: test set, means [cloth length]."""
+    return element("div", *(_card(contents, *figure) for figure in FIGURES), class_="cards")
+
+
+def _card(contents: Contents, title: str, table: str, by: str, name: str, column: str, meaning: str) -> Html:
+    rows: pd.DataFrame = getattr(contents, table)
+    rows = rows[(rows["split"] == "test") & (rows["statistic"] == "mean")]
+    own, paper, none = (
+        _figure(rows, "clothkit", by, name, column),
+        _figure(rows, "paper", by, name, column),
+        _figure(rows, "clothkit", by, "no action", column),
+    )
+    best = better(own, paper)
+    if best == "clothkit":
+        held = "better than the paper's"
+    elif best == "paper":
+        held = "the paper's is better:"
+    else:
+        held = "the paper's:"
+    text = f"{meaning[0].upper()}{meaning[1:]}; doing nothing would be {number(none)} off."
+    return element(
+        "div",
+        element("p", title, class_="title"),
+        element("p", number(own), class_="big"),
+        element("p", f"{held} ", element("b", number(paper)), class_="against"),
+        element("p", text, class_="meaning"),
+        class_={"clothkit": "card won", "paper": "card lost"}.get(best or "", "card"),
+    )
+
+
+def _figure(rows: pd.DataFrame, source: str, by: str, name: str, column: str) -> float:
+    found = rows.loc[(rows["source"] == source) & (rows[by] == name), column]
+    return float(found.iloc[0]) if len(found) else math.nan

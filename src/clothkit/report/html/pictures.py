@@ -1,0 +1,50 @@
+"""Pictures inside the page: the bytes of a PNG as a data URI, in a frame that scrolls where the screen is narrow."""
+
+import base64
+import struct
+from pathlib import Path
+
+from clothkit.report import captions
+from clothkit.report.html.elements import Html, element, inline, joined, unmarked
+
+TITLES = {
+    "sessions_1": "Figure 12, one step",
+    "sessions_2": "Figure 12, two steps",
+    "sessions_3": "Figure 12, three steps",
+    "scatter": "Figure 11",
+    "largest": "Largest errors",
+    "predictions": "Figure 10",
+    "estimates": "Figure 9",
+    "calibration": "Calibration",
+    "sequences": "Simulated sequences",
+    "curves": "Learning curves",
+    "meshes": "Figures 2 and 3",
+    "voxels": "Figure 4",
+    "trajectories": "Figure 5",
+    "equivalents": "Figure 7",
+}
+"""The paper's numbers where the figure is the paper's."""
+
+LEAST = (0.55, 860)
+"""What a picture is shrunk to at the most: a share of its width, and pixels of the page if that is less."""
+
+
+def picture(name: str, file: Path) -> Html:
+    """A figure with its title and caption; `file` is the PNG, which lies as `figures/<name>.png` beside the page."""
+    data = file.read_bytes()
+    width, height = struct.unpack(">II", data[16:24])
+    image = element(
+        "img",
+        src=f"data:image/png;base64,{base64.b64encode(data).decode()}",
+        alt=unmarked(captions.CAPTIONS[name]),
+        width=width,
+        height=height,
+        style=f"min-width:{min(round(LEAST[0] * width), LEAST[1])}px",
+    )
+    title = element("strong", f"{TITLES[name]}.")
+    link = element("a", "PNG", href=f"figures/{name}.png")
+    caption = element("figcaption", title, " ", inline(captions.CAPTIONS[name]), " ", link)
+    frame = element(
+        "div", image, class_="frame scroll", tabindex=0, role="region", aria_label=f"{TITLES[name]}, picture"
+    )
+    return element("figure", joined(frame, caption), id=f"figure-{name}")

@@ -1,0 +1,167 @@
+"""Tables as HTML: in each cell our figure above the paper's, the better one marked."""
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from itertools import groupby
+
+import pandas as pd
+
+from clothkit.report import captions
+from clothkit.report.html.elements import Html, element, joined
+from clothkit.report.markdown import number
+from clothkit.report.planning_tables import HIGH, LOW
+from clothkit.report.tables import NO_ACTION
+
+IDEAL_RATIO = 0.798
+"""Of sigma ratios."""
+
+JUDGED = ("mean", "median")
+"""Statistics of which less is better; a spread is neither better nor worse."""
+
+STATISTICS = {"std": "st.dev.", LOW: "95 % of mean"}
+
+_PAIR = ("clothkit", "paper")
+
+
+def better(own: float, paper: float, *, ideal: float = -math.inf) -> str | None:
+    """Which of the two is nearer to the ideal as they are printed, "clothkit" or "paper"; None if neither is.
+
+    By default less is better.
+    """
+    if math.isnan(own) or math.isnan(paper):
+        return None
+    shown = [float(number(value)) for value in (own, paper)]
+    distances = shown if math.isinf(ideal) else [abs(value - ideal) for value in shown]
+    if math.isclose(*distances):
+        return None
+    return _PAIR[distances[1] < distances[0]]
+
+
+def paired(
+    data: pd.DataFrame,
+    keys: Sequence[str],
+    *,
+    label: str,
+    heads: Mapping[str, str] | None = None,
+    unit: str = "",
+    judged: Collection[str] = JUDGED,
+    ideal: float = -math.inf,
+) -> Html:
+    """A table whose rows are told apart by `keys`: under a heading for each value of the first, if there are two.
+
+    The columns source (clothkit, paper) and `keys` aside, all are figures; `heads` names them. Rows whose last key is
+    in `judged` have the better of two figures marked, see `better`.
+    """
+    columns = [column for column in data.columns if column not in (*keys, "source")]
+    found: dict[tuple[str, ...], dict[str, dict]] = {}
+    for row in data.to_dict("records"):
+        found.setdefault(tuple(str(row[key]) for key in keys), {})[str(row["source"])] = dict(row)
+    # A system's rows stay together, whoever has them.
+    places = list(dict.fromkeys(key[0] for key in found))
+    ordered = sorted(found, key=lambda key: places.index(key[0]))
+    bodies = []
+    for system, own_keys in groupby(ordered, key=lambda key: key[0] if len(keys) > 1 else ""):
+        lines = [_system(system, len(columns))] if len(keys) > 1 else []
+        for key in own_keys:
+            if key[-1] != HIGH:
+                high = found.get((*key[:-1], HIGH)) if key[-1] == LOW else None
+                lines.append(_line(key[-1], found[key], columns, high, ideal if key[-1] in judged else None))
+        bodies.append(element("tbody", *lines))
+    said = f"{unit}; clothkit above, the paper below; " if unit else "clothkit above, the paper below; "
+    caption = element("caption", said, _mark(), " the better")
+    head = _two_heads(columns) if any("/" in column for column in columns) else _head(columns, heads or {})
+    return _scrolling(element("table", caption, head, *bodies, class_="paired"), label)
+
+
+def plain(data: pd.DataFrame, *, label: str) -> Html:
+    """A table column by column and row by row as it stands; the first column heads its rows."""
+    words = [bool(data[column].map(lambda value: isinstance(value, str)).any()) for column in data.columns]
+    heads = [
+        element("th", column.replace("_", " "), scope="col", class_="word" if word else None)
+        for column, word in zip(data.columns, words, strict=True)
+    ]
+    lines = []
+    for first, *rest in data.itertuples(index=False):
+        cells = [element("td", _text(value), class_="word" if isinstance(value, str) else None) for value in rest]
+        lines.append(element("tr", element("th", _text(first), scope="row"), *cells))
+    parts = (element("thead", element("tr", *heads)), element("tbody", *lines))
+    return _scrolling(element("table", *parts, class_="plain"), label)
+
+
+def named(name: str) -> Html:
+    """A system or kind, and in words what it is."""
+    words = captions.SYSTEMS.get(name)
+    return joined(element("b", name), " ", element("span", words, class_="words")) if words else element("b", name)
+
+
+def _scrolling(table: Html, label: str) -> Html:
+    # Focusable, so that a keyboard can scroll it.
+    return element("div", table, class_="scroll", tabindex=0, role="region", aria_label=label)
+
+
+def _mark() -> Html:
+    return element("b", "●", class_="mark", aria_hidden="true")
+
+
+def _system(name: str, columns: int) -> Html:
+    return element(
+        "tr", element("th", element("span", named(name)), scope="rowgroup", colspan=columns + 1), class_="of"
+    )
+
+
+def _line(
+    name: str, sources: dict[str, dict], columns: Sequence[str], high: dict[str, dict] | None, ideal: float | None
+) -> Html:
+    """A row; nothing is marked in it without an `ideal`, and with `high` it holds intervals."""
+    cells = []
+    for column in columns:
+        own, paper = (float(sources.get(source, {}).get(column, math.nan)) for source in _PAIR)
+        if high is not None:
+            # One below the other, as narrow as the other rows.
+            ends = (f"{number(own)} to", number(float(high["clothkit"][column])))
+            cells.append(element("td", *(element("span", end, class_="own") for end in ends)))
+            continue
+        best = None if ideal is None else better(own, paper, ideal=ideal)
+        lines = [_figure(own, "own", best == "clothkit")] if "clothkit" in sources else []
+        lines += [_figure(paper, "paper", best == "paper")] if "paper" in sources else []
+        cells.append(element("td", *lines))
+    strong = ideal is not None and name != "median" and not name.startswith(NO_ACTION)
+    return element(
+        "tr", element("th", STATISTICS.get(name, name), scope="row"), *cells, class_="mean" if strong else None
+    )
+
+
+def _figure(value: float, source: str, marked: bool) -> Html:
+    said = element("span", "clothkit: " if source == "own" else "paper: ", class_="said")
+    after = element("span", " (better)", class_="said") if marked else ""
+    return element(
+        "span",
+        said,
+        *([_mark()] if marked else []),
+        number(value),
+        after,
+        class_=f"{source} better" if marked else source,
+    )
+
+
+def _head(columns: Sequence[str], heads: Mapping[str, str]) -> Html:
+    cells = [element("th", heads.get(column, column), scope="col") for column in columns]
+    return element("thead", element("tr", element("td"), *cells))
+
+
+def _two_heads(columns: Sequence[str]) -> Html:
+    """Columns named length / start: the lengths above, the starts below."""
+    lengths = [(length, list(of_length)) for length, of_length in groupby(columns, key=lambda column: column[0])]
+    upper = [
+        element("th", f"{length} manipulation{'s' * (length != '1')}", scope="colgroup", colspan=len(of_length))
+        for length, of_length in lengths
+    ]
+    starts = [column.partition("/")[2] for column in columns]
+    lower = [element("th", start if start == "all" else f"from {start}", scope="col") for start in starts]
+    return element("thead", element("tr", element("td"), *upper), element("tr", element("td"), *lower))
+
+
+def _text(value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return number(value) if isinstance(value, float) else str(value)
