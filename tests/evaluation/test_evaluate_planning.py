@@ -131,7 +131,7 @@ def write_systems(folder: Path) -> pd.DataFrame:
 
 def test_rows_of_the_systems_in_params_are_read(tmp_path: Path) -> None:
     tidy = write_systems(tmp_path)
-    found = planning.read(tmp_path, EvaluatePlanningConfig())
+    found = planning.read(tmp_path, EvaluatePlanningConfig(systems=SYSTEMS))
     assert set(found["system"]) == set(SYSTEMS)
     assert len(found) == len(tidy)
     assert set(planning.read(tmp_path, EvaluatePlanningConfig(systems=("b2",)))["system"]) == {"b2"}
