@@ -32,10 +32,11 @@ from clothkit.planning.evaluate import evaluate
 from clothkit.planning.forward import MESH
 from clothkit.planning.loss import Weights
 from clothkit.planning.normalisation import normalise
+from clothkit.planning.planner import Planner
 from clothkit.planning.rows import rows
 from clothkit.planning.search import SearchConfig
-from clothkit.planning.session import Planner
 from clothkit.planning.settings import NormaliseConfig, PlanConfig
+from clothkit.planning.sight import MeshSight
 from clothkit.planning.systems import system
 from clothkit.report.build import build
 from clothkit.report.inputs import Inputs
@@ -112,8 +113,9 @@ def test_the_chain_runs_on_from_arcsims_runs(tmp_path: Path) -> None:
     normalisation = normalise(MESH, (nets["a"], nets["b"]), validation, NormaliseConfig(draws=1))
     weights, candidates = Weights(1.0, 5.0, 1.25), CandidateConfig()
     both = (nets["a"], nets["b"])
-    planner = Planner(system("main"), both, 0, vtm, normalisation, weights, PLAN, candidates)
-    sessions = evaluate(dataset, planner, toy.execute, work=tmp_path / "plan")
+    sight = MeshSight(vtm, PLAN.refine)
+    planner = Planner(system("main"), sight, both, 0, normalisation, weights, PLAN, candidates)
+    sessions, _ = evaluate(dataset, planner, toy.execute, work=tmp_path / "plan")
 
     of_meshes = prediction.rows(dataset, given, nets, "a", settings)
     of_voxels = voxel_prediction.rows(dataset, given.sequence, {"a": voxel_net}, "a", settings)

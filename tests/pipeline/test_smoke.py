@@ -150,7 +150,7 @@ def test_alpha_reruns_what_plans_with_it(finished: Checkout) -> None:
 def test_killed_anywhere_it_goes_on_to_the_same_bytes(finished: Checkout, tmp_path: Path) -> None:
     checkout = Checkout(tmp_path)
     for stage in LONG_STAGES:
-        process = checkout.start("dvc", "repro", "plan@main")
+        process = checkout.start("dvc", "repro", stage)
         pieces = wait_for_pieces(checkout.folder / ".work" / stage, process)
         os.killpg(process.pid, signal.SIGKILL)
         process.communicate()
