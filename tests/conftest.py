@@ -9,10 +9,11 @@ os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
 OWN_CACHE = None
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     OWN_CACHE = os.environ["JAX_COMPILATION_CACHE_DIR"] = tempfile.mkdtemp(prefix="clothkit-tests-")
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 
 import hypothesis
 import jaxtyping
+import pytest
 
 FLOORS = (
     "cloth",
@@ -32,6 +33,11 @@ HOOK = jaxtyping.install_import_hook([f"clothkit.{floor}" for floor in FLOORS], 
 
 hypothesis.settings.register_profile("clothkit", max_examples=20, deadline=None, derandomize=True)
 hypothesis.settings.load_profile("clothkit")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The chain first: it takes longest, and the other files fit beside it."""
+    items.sort(key=lambda item: "pipeline" not in item.path.parts)
 
 
 def pytest_unconfigure() -> None:
