@@ -21,7 +21,7 @@ from clothkit.planning.record import Tasks, join, load, save, tasks_of_dataset
 from clothkit.planning.rows import rows
 from clothkit.planning.search import Problem
 from clothkit.planning.session import best_of_restarts, run_sessions
-from clothkit.planning.sight import MeshSight, mesh_candidates
+from clothkit.planning.sight import MeshSight, View, mesh_candidates
 from tests.planning import toy
 
 MANIPULATIONS = np.array([[-1, -1, -1, -1, 0.6, 0.5], [1, 1, 1, 1, -0.7, -0.3], [-1, 1, -1, 1, 0.5, -0.6]], np.float32)
@@ -68,11 +68,30 @@ def test_true_meshes_reach_the_goal_in_known_labels() -> None:
     assert (tidy.voxel_error < 0.02).all()
 
 
+def test_hands_go_where_the_cloth_was_seen() -> None:
+    """A cloth that is seen off its centre is grasped as if it lay there."""
+    off = np.array([0.2, -0.1], np.float32)
+    grasped = []
+
+    def seen(sight: MeshSight, truth: np.ndarray, expected: np.ndarray | None) -> View:
+        return View(truth, np.repeat(off[None], len(truth), axis=0))
+
+    def execute(meshes: np.ndarray, grasps: np.ndarray, *rest: np.ndarray) -> np.ndarray:
+        grasped.append(grasps)
+        return toy.execute(meshes, grasps, *rest)
+
+    planner, given = toy.planner("b1"), tasks(Task(0, 0, 1), Task(1, 0, 1))
+    run_sessions(given, planner, execute)
+    with mock.patch.object(MeshSight, "see", seen):
+        run_sessions(given, planner, execute)
+    np.testing.assert_allclose(grasped[1], grasped[0] + off, atol=1e-5)
+
+
 def test_estimates_in_any_labels_reach_the_goals_shape() -> None:
     """Two steps, each estimate in labels of its own as VtM may give them: later ones follow the prediction's."""
     labels = {0: 5, 1: 6}
 
-    def seen(sight: MeshSight, truth: np.ndarray, expected: np.ndarray | None) -> np.ndarray:
+    def seen(sight: MeshSight, truth: np.ndarray, expected: np.ndarray | None) -> View:
         found = [np.asarray(relabel(mesh, labels[i])) for i, mesh in enumerate(truth)]
         if expected is not None:
             near = [
@@ -81,7 +100,7 @@ def test_estimates_in_any_labels_reach_the_goals_shape() -> None:
                 for k in range(8)
             ]
             found = [np.asarray(relabel(m, int(np.argmin(near[8 * i : 8 * i + 8])))) for i, m in enumerate(truth)]
-        return np.stack(found)
+        return View(np.stack(found), np.zeros((len(found), 2)))
 
     planner = toy.planner("main")
     given = tasks(Task(0, 0, 2), Task(1, 0, 1))

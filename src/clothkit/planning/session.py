@@ -40,13 +40,16 @@ class _Carried:
     expected: Float[np.ndarray, "task *state"]
     """The better net's mean for the state after the manipulation that was executed."""
     traces: tuple[Float[np.ndarray, "task labels latent"], ...]
+    shift: Float[np.ndarray, "task 2"]
+    """From the true centre of the current state to the observed one."""
 
 
 def run_sessions(tasks: Tasks, planner: Planner, execute: Execute) -> tuple[Sessions, Clock]:
     """The sessions of a batch of tasks, side by side; manipulations of all of them are executed together."""
     sessions, clock = blank(tasks, planner.sizes), defaultdict[str, list[tuple[int, float]]](list)
     goals = planner.sight.goals(sessions.goal)
-    carried = _Carried(np.zeros_like(sessions.estimate[:, 0]), no_traces(planner, len(sessions)))
+    nowhere = np.zeros((len(sessions), 2), np.float32)
+    carried = _Carried(np.zeros_like(sessions.estimate[:, 0]), no_traces(planner, len(sessions)), nowhere)
     for step in range(int(sessions.length.max())):
         acting = np.flatnonzero(sessions.length > step)
         with _timed(clock["estimates"], len(acting)):
@@ -57,7 +60,7 @@ def run_sessions(tasks: Tasks, planner: Planner, execute: Execute) -> tuple[Sess
                 _plan(sessions, goals, carried, chosen, step, length, planner, clock)
         if step == 0 and tasks.recorded is not None:
             note_recorded(sessions, goals, tasks.recorded, planner)
-        _act(sessions, acting, step, planner, execute)
+        _act(sessions, carried, acting, step, planner, execute)
     return sessions, dict(clock)
 
 
@@ -84,7 +87,7 @@ def _observe(sessions: Sessions, carried: _Carried, acting: np.ndarray, step: in
     moved = np.setdiff1d(acting, idle)
     if not len(moved):
         return
-    sessions.estimate[moved, step] = planner.sight.see(
+    sessions.estimate[moved, step], carried.shift[moved] = planner.sight.see(
         sessions.state[moved, step], carried.expected[moved] if step else None
     )
     for task in moved:
@@ -227,7 +230,9 @@ def _carry(
         trace[chosen[done]] = prediction.traces[done]
 
 
-def _act(sessions: Sessions, acting: np.ndarray, step: int, planner: Planner, execute: Execute) -> None:
+def _act(
+    sessions: Sessions, carried: _Carried, acting: np.ndarray, step: int, planner: Planner, execute: Execute
+) -> None:
     """Execute what is not null: grasp points go through the estimate to where the silhouette was observed.
 
     What the null check has cancelled is executed on the side, to tell whether it was right.
@@ -243,6 +248,7 @@ def _act(sessions: Sessions, acting: np.ndarray, step: int, planner: Planner, ex
     meshes[..., :2] += centre[:, None, None]
     manipulation = sessions.plan[tried, step, 0]
     places = planner.sight.places(sessions.estimate[tried, step], manipulation[:, :4].reshape(-1, 2, 2))
+    places = places + carried.shift[tried, None]
     outcomes = execute(meshes, places + centre[:, None], manipulation[:, 4:], np.asarray(is_single(manipulation)))
     if not np.isfinite(outcomes).all():
         raise InputError(f"simulation: a manipulation of step {step} of a session has an outcome that is not finite")

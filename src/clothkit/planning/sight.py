@@ -4,7 +4,7 @@ What a system sees of a state, `[*state]`, is what its forward models encode. A 
 """
 
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import numpy as np
@@ -34,6 +34,14 @@ Meshes = Float[np.ndarray, "task u v 3"]
 States = Shaped[np.ndarray, "task *state"]
 
 
+class View(NamedTuple):
+    """What is seen of cloths, and where."""
+
+    states: States
+    shift: Float[np.ndarray, "task 2"]
+    """From their true centres to those that were observed [normalised]."""
+
+
 @runtime_checkable
 class Sight(Protocol):
     """What planning needs of a representation, beside a forward model."""
@@ -53,8 +61,8 @@ class Sight(Protocol):
         """Whether states come in the labels of their goals, so that none have to be found."""
         ...
 
-    def see(self, truth: Meshes, expected: States | None) -> States:
-        """What is seen of true states; `expected` are the means that were predicted for them."""
+    def see(self, truth: Meshes, expected: States | None) -> View:
+        """What is seen of true, centred states; `expected` are the means that were predicted for them."""
         ...
 
     def goals(self, meshes: Meshes) -> States:
@@ -109,18 +117,22 @@ class MeshSight:
     def labelled(self) -> bool:
         return self.vtm is None
 
-    def see(self, truth: Meshes, expected: States | None) -> States:
+    def see(self, truth: Meshes, expected: States | None) -> View:
         if self.vtm is None:
-            return truth
+            return _well_centred(truth)
+        return _well_centred(self.estimates(np.asarray(voxels.observe(truth)), expected))
+
+    def estimates(self, seen: Shaped[np.ndarray, "task x y z"], expected: Meshes | None) -> Meshes:
+        """The meshes that voxels show."""
+        assert self.vtm is not None, "a sight that estimates has a net for it"
         vtm, settings = self.vtm, self.refinement
-        seen = np.asarray(voxels.observe(truth))
         if not self.refine:
             return in_batches(lambda *given: estimate_unrefined(vtm, *given), TOGETHER, seen, *_if_given(expected))
 
-        def estimates(seen: np.ndarray, *predicted: np.ndarray) -> jax.Array:
+        def refined(seen: np.ndarray, *predicted: np.ndarray) -> jax.Array:
             return estimate(vtm, seen, settings, predicted=predicted[0] if predicted else None).mesh
 
-        return in_batches(estimates, TOGETHER, seen, *_if_given(expected))
+        return in_batches(refined, TOGETHER, seen, *_if_given(expected))
 
     def goals(self, meshes: Meshes) -> States:
         return meshes
@@ -160,8 +172,8 @@ class VoxelSight:
     labelled: bool = True
     """One labelling is all that there are."""
 
-    def see(self, truth: Meshes, expected: States | None) -> States:
-        return np.asarray(voxels.observe(truth))
+    def see(self, truth: Meshes, expected: States | None) -> View:
+        return _well_centred(np.asarray(voxels.observe(truth)))
 
     def goals(self, meshes: Meshes) -> States:
         return np.asarray(voxels.observe(meshes))
@@ -189,6 +201,10 @@ class VoxelSight:
 
     def labels(self, seen: States, truth: Meshes) -> np.ndarray:
         return np.zeros(len(seen), np.int64)
+
+
+def _well_centred(states: States) -> View:
+    return View(states, np.zeros((len(states), 2), np.float32))
 
 
 def _if_given(expected: np.ndarray | None) -> tuple[np.ndarray, ...]:
