@@ -12,6 +12,7 @@ from clothkit.app.settings import AppConfig
 from clothkit.dataset.augment import AugmentConfig
 from clothkit.dataset.regularise import RegulariseConfig
 from clothkit.errors import InputError
+from clothkit.evaluation.camera_settings import EvaluateCameraConfig
 from clothkit.evaluation.settings import EvaluateEstimationConfig, EvaluatePlanningConfig, EvaluatePredictionConfig
 from clothkit.networks.settings import TrainEMDVoxelConfig, TrainPEMDConfig, TrainVtMConfig
 from clothkit.planning.settings import NormaliseConfig, PlanConfig
@@ -36,6 +37,7 @@ class StageParams(pydantic.BaseModel, frozen=True, extra="forbid"):
     evaluate_estimation: EvaluateEstimationConfig
     evaluate_prediction: EvaluatePredictionConfig
     plan: PlanConfig
+    evaluate_camera: EvaluateCameraConfig
     evaluate_planning: EvaluatePlanningConfig
     report: ReportConfig
 

@@ -5,9 +5,10 @@ import pandas as pd
 
 from clothkit.dataset.store import Dataset
 from clothkit.dataset.tasks import TASKS
-from clothkit.evaluation import planning
+from clothkit.evaluation import camera_planning, planning
 from clothkit.evaluation.comparisons import of_predictions
-from clothkit.report import page, planning_tables, tables
+from clothkit.report import camera_tables, page, planning_tables, tables
+from tests.evaluation import camera_rows
 from tests.evaluation.planning_rows import planning_rows
 
 
@@ -88,6 +89,9 @@ def contents_of(planners: tuple[str, ...], figures: list[str]) -> page.Contents:
         table_7=planning_tables.planning_voxels(planned, intervals, planners),
         planning_comparisons=planning_tables.comparisons(planning.comparisons(planned), planners),
         failures=planning_tables.failures(planning.failures(planned), planners),
+        camera_estimation=camera_tables.estimation(camera_rows.estimation()),
+        camera_planning=camera_tables.planning(camera_rows.planning()),
+        camera_comparisons=camera_tables.comparisons(camera_planning.comparisons(camera_rows.planning())),
         largest=planning_tables.largest(planned, planners[0], 3),
         sigma_ratio=tables.sigma_ratio(tidy_estimates(), tidy),
         splits=tables.splits(dataset()),

@@ -10,7 +10,7 @@ import pytest
 from clothkit.cloth import grid
 from clothkit.dataset.store import Dataset
 from clothkit.dataset.tasks import TASKS, Task
-from clothkit.evaluation import calibration, planning
+from clothkit.evaluation import calibration, camera_planning, planning
 from clothkit.evaluation.comparisons import of_predictions
 from clothkit.planning.record import Sessions, Sizes, blank, tasks_of_dataset
 from clothkit.report import timings
@@ -20,6 +20,7 @@ from clothkit.report.figures.sessions import of_record, sessions
 from clothkit.report.html import page as html
 from clothkit.report.inputs import Inputs
 from clothkit.report.settings import ReportConfig
+from tests.evaluation import camera_rows
 from tests.evaluation.planning_rows import planning_rows
 from tests.report.web import tree
 
@@ -121,6 +122,16 @@ def inputs(dataset: Dataset) -> Inputs:
             "shift": np.full((2, 3, 2), 0.1, np.float32),
         },
         sessions=recorded_sessions(dataset),
+        camera_estimation=camera_rows.estimation(),
+        camera_planning=camera_rows.planning(),
+        camera_comparisons=camera_planning.comparisons(camera_rows.planning()),
+        pictures={
+            "sequence": np.array([0, 1]),
+            "shown": np.array([1, 2]),
+            "height": np.zeros((2, 2, 12, 16), np.float32),
+            "voxels": np.zeros((2, 2, 32, 32, 16), bool),
+            "mesh": np.repeat(dataset.vertices[:, 1:2], 2, axis=1),
+        },
     )
 
 
@@ -139,6 +150,7 @@ def test_a_report_is_complete(inputs: Inputs, tmp_path: Path) -> None:
             "estimates",
             "predictions",
             "calibration",
+            "camera",
             "scatter",
             "largest",
             "curves",

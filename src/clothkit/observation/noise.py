@@ -4,6 +4,7 @@ Of the size that Nguyen, Izadi and Lovell, "Modeling Kinect sensor noise for imp
 (3DIMPVT 2012), measured at a first-generation Kinect. Noise is independent from pixel to pixel.
 """
 
+import dataclasses
 from typing import Annotated
 
 import numpy as np
@@ -42,6 +43,20 @@ class NoiseConfig:
     """Round spots of the image that are not measured."""
     hole_radius: NotNegative = 3.0
     """Their radius [pixels]."""
+
+    def times(self, factor: float) -> "NoiseConfig":
+        """All that is measured wrong by so much, and all that is not measured so often; what counts as grazing and as
+        an edge stays."""
+        return dataclasses.replace(
+            self,
+            axial=self.axial * factor,
+            axial_growth=self.axial_growth * factor,
+            lateral=self.lateral * factor,
+            step=self.step * factor,
+            edge_dropout=min(1.0, self.edge_dropout * factor),
+            dropout=min(1.0, self.dropout * factor),
+            holes=round(self.holes * factor),
+        )
 
 
 def noisy(image: DepthImage, settings: NoiseConfig, *, seed: int) -> DepthImage:

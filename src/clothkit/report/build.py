@@ -8,8 +8,9 @@ import pandas as pd
 
 from clothkit.cloth.equivalents import relabel
 from clothkit.dataset.tasks import Task, tasks_of
-from clothkit.report import metrics, page, planning_tables, tables
+from clothkit.report import camera_tables, metrics, page, planning_tables, tables
 from clothkit.report.figures.calibration import calibration
+from clothkit.report.figures.camera import camera
 from clothkit.report.figures.curves import curves
 from clothkit.report.figures.equivalents import equivalents
 from clothkit.report.figures.estimates import estimates
@@ -38,6 +39,9 @@ TABLES = (
     "planning_comparisons",
     "failures",
     "largest",
+    "camera_estimation",
+    "camera_planning",
+    "camera_comparisons",
     "sigma_ratio",
     "splits",
     "attempts",
@@ -67,6 +71,9 @@ def build(folder: Path, inputs: Inputs, settings: ReportConfig, *, scale: str) -
         planning_comparisons=planning_tables.comparisons(inputs.planning_comparisons, settings.planners),
         failures=planning_tables.failures(inputs.failures, settings.planners),
         largest=errors,
+        camera_estimation=camera_tables.estimation(inputs.camera_estimation),
+        camera_planning=camera_tables.planning(inputs.camera_planning),
+        camera_comparisons=camera_tables.comparisons(inputs.camera_comparisons),
         sigma_ratio=tables.sigma_ratio(inputs.estimation, inputs.prediction),
         splits=tables.splits(inputs.dataset),
         attempts=tables.attempts(inputs.attempts),
@@ -102,7 +109,17 @@ def draw_figures(folder: Path, inputs: Inputs, errors: pd.DataFrame, settings: R
     predictions(dataset, inputs.predictions, inputs.prediction, folder / "predictions.png", count=settings.predictions)
     calibration(inputs.calibration, folder / "calibration.png")
     curves({net: inputs.histories[net] for net in NETS}, inputs.histories["vtm"], folder / "curves.png")
-    names = ["sequences", "estimates", "predictions", "calibration", "curves", *representations(folder, inputs)]
+    conditions = list(dict.fromkeys(inputs.camera_comparisons["system"]))
+    camera(dataset, inputs.pictures, inputs.estimates, conditions, folder / "camera.png")
+    names = [
+        "camera",
+        "sequences",
+        "estimates",
+        "predictions",
+        "calibration",
+        "curves",
+        *representations(folder, inputs),
+    ]
     if not PREDICTOR_OF.keys().isdisjoint(settings.planners):
         scatter(inputs.planning, inputs.prediction, PREDICTOR_OF, settings.planners, folder / "scatter.png")
         names.append("scatter")

@@ -9,13 +9,15 @@ import pandas as pd
 
 from clothkit.dataset import store
 from clothkit.dataset.store import Dataset
-from clothkit.evaluation import arrays
+from clothkit.evaluation import arrays, tidy
 from clothkit.planning import record
 from clothkit.planning.record import Sessions
 from clothkit.report import rows
 from clothkit.report.settings import ReportConfig
 
 NETS = ("a", "b")
+
+PICTURES = ("sequence", "shown", "height", "voxels", "mesh")
 
 
 @dataclass(frozen=True)
@@ -36,10 +38,15 @@ class Inputs:
     intervals: pd.DataFrame
     """Of mean errors of planning."""
     failures: pd.DataFrame
+    camera_estimation: pd.DataFrame
+    camera_planning: pd.DataFrame
+    camera_comparisons: pd.DataFrame
     estimates: Mapping[str, np.ndarray]
     predictions: Mapping[str, np.ndarray]
     sessions: Sessions
     """Of the first planner."""
+    pictures: Mapping[str, np.ndarray]
+    """What depth cameras show."""
 
 
 def paths(data: Path, settings: ReportConfig) -> list[Path]:
@@ -59,6 +66,8 @@ def paths(data: Path, settings: ReportConfig) -> list[Path]:
         *(evaluation / f"planning/{system}.parquet" for system in settings.planners),
         *(evaluation / f"planning/{name}.parquet" for name in ("comparisons", "intervals", "failures")),
         evaluation / f"planning/sessions_{settings.planners[0]}.zarr",
+        *(evaluation / f"camera/{name}.parquet" for name in ("estimation", "planning", "comparisons")),
+        evaluation / "camera/pictures.zarr",
     ]
 
 
@@ -81,4 +90,8 @@ def read(data: Path, settings: ReportConfig) -> Inputs:
         estimates=arrays.load(evaluation / "estimates.zarr", ("sequence", "mean", "std", "mesh", "label")),
         predictions=arrays.load(evaluation / "predictions.zarr", ("sequence", "start", "mean", "std", "shift")),
         sessions=record.load(evaluation / f"planning/sessions_{settings.planners[0]}.zarr"),
+        camera_estimation=tidy.read(evaluation / "camera/estimation.parquet", rows.CAMERA_ESTIMATION),
+        camera_planning=rows.read(evaluation / "camera/planning.parquet", rows.CAMERA_PLANNING),
+        camera_comparisons=rows.read_comparisons(evaluation / "camera/comparisons.parquet"),
+        pictures=arrays.load(evaluation / "camera/pictures.zarr", PICTURES),
     )

@@ -24,6 +24,9 @@ class Contents:
     planning_comparisons: pd.DataFrame
     failures: pd.DataFrame
     largest: pd.DataFrame
+    camera_estimation: pd.DataFrame
+    camera_planning: pd.DataFrame
+    camera_comparisons: pd.DataFrame
     sigma_ratio: pd.DataFrame
     splits: pd.DataFrame
     attempts: pd.DataFrame
@@ -79,6 +82,13 @@ def page(contents: Contents) -> str:
         "## Estimation\n",
         _figure(contents, "estimates"),
         _block("Table 2", "table_2", contents.table_2),
+        "## Before a depth camera\n",
+        captions.CAMERA,
+        _block("Seen and estimated", "camera_estimation", contents.camera_estimation, captions.CAMERA_ESTIMATION),
+        _figure(contents, "camera"),
+        _block("Planned", "camera_planning", contents.camera_planning, captions.CAMERA_PLANNING),
+        captions.CAMERA_COMPARISONS,
+        table("camera_comparisons", contents.camera_comparisons),
         "## Stated and actual uncertainty\n",
         captions.UNCERTAINTY,
         table("sigma_ratio", contents.sigma_ratio),

@@ -60,6 +60,9 @@ FAILURES = (
     "error_estimate_bad",
 )
 
+CAMERA_ESTIMATION = ("condition", "tilt", "noise", "seen", "voxel_error", "centre_error", "iou", "error")
+CAMERA_PLANNING = (*PLANNING, "condition", "tilt", "noise", "iou", "iou_no_action", "iou_seen")
+
 VOXEL_SYSTEMS = ("a2",)
 """Systems that predict voxels: they have no error in cloth lengths."""
 

@@ -46,6 +46,7 @@ def page(contents: Contents, figures: Path, run: Run) -> str:
         ("planning", "Planning", _planning(contents, figures)),
         ("prediction", "Prediction", _prediction(contents, figures)),
         ("estimation", "Estimation", _estimation(contents, figures)),
+        ("camera", "Depth camera", _camera(contents, figures)),
         ("uncertainty", "Uncertainty", _uncertainty(contents, figures)),
         ("data", "Data and training", _data(contents, figures)),
         (
@@ -120,6 +121,19 @@ def _estimation(contents: Contents, figures: Path) -> Html:
     return joined(
         _pictures(contents, figures, "estimates"),
         _table(contents, "table_2", "Table 2: estimated meshes", captions.STATES),
+    )
+
+
+def _camera(contents: Contents, figures: Path) -> Html:
+    compared = element("h3", "Conditions compared", id="camera_comparisons")
+    return joined(
+        paragraph(captions.CAMERA),
+        _plain("camera_estimation", "Seen and estimated", contents.camera_estimation, captions.CAMERA_ESTIMATION),
+        _pictures(contents, figures, "camera"),
+        _plain("camera_planning", "Planned", contents.camera_planning, captions.CAMERA_PLANNING),
+        compared,
+        paragraph(captions.CAMERA_COMPARISONS),
+        tables.plain(contents.camera_comparisons, label="Conditions compared"),
     )
 
 

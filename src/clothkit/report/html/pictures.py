@@ -16,6 +16,7 @@ TITLES = {
     "predictions": "Figure 10",
     "estimates": "Figure 9",
     "calibration": "Calibration",
+    "camera": "Before depth cameras",
     "sequences": "Simulated sequences",
     "curves": "Learning curves",
     "meshes": "Figures 2 and 3",

@@ -1,0 +1,106 @@
+"""What does `clothkit plan` take from a point cloud, and what comes of it?
+
+python benchmarks/plan_on_clouds.py [--sequences N] [--length L]
+
+For a task of each of the first test sequences (5 if not said; plans of one manipulation, the starts in turn, if no
+length is said), the start is given to `clothkit plan` as a user has it: as the point cloud of a tilted, noisy depth
+camera with a mask of the cloth, as noise-free voxels, and as the true mesh. Each plan is executed by `clothkit
+simulate` on the true start, as it stands, without a second look. Prints, for each of the three, seconds from command to
+plan (the first plan, which compiles what no earlier one has, and the mean of the others) and the mean error of the
+outcomes, beside what the plans expected and what there is if nothing is done. Needs data/ (`dvc repro`).
+"""
+
+import argparse
+import dataclasses
+import json
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from tables import show
+
+from clothkit.app.output import write_mesh
+from clothkit.cloth import voxels
+from clothkit.cloth.grid import CLOTH_SIDE
+from clothkit.dataset import store
+from clothkit.observation.camera import CameraConfig, back_project
+from clothkit.observation.picture import PictureConfig, take
+
+PICTURE = PictureConfig(camera=CameraConfig(tilt=0.35), off=0.0)
+SCALE = PICTURE.side / CLOTH_SIDE
+
+
+def clothkit(*arguments: object) -> str:
+    """What a command says; a failed one ends the benchmark with its message."""
+    ended = subprocess.run(
+        [sys.executable, "-m", "clothkit", *map(str, arguments)], capture_output=True, text=True, check=False
+    )
+    if ended.returncode:
+        sys.exit(f"clothkit {' '.join(map(str, arguments))}\n{ended.stderr}")
+    return ended.stdout
+
+
+def give(folder: Path, start: np.ndarray, goal: np.ndarray) -> dict[str, Path]:
+    """The start in three forms, and the goal; in metres where the form has any."""
+    files = {name: folder / file for name, file in (("cloud", "cloud.npz"), ("voxels", "voxels.npy"))}
+    cloud = back_project(take(start, PICTURE).image)
+    np.savez(files["cloud"], points=cloud.points, cloth=cloud.cloth)
+    np.save(files["voxels"], np.asarray(voxels.observe(start)))
+    files["mesh"] = folder / "start.obj"
+    write_mesh(files["mesh"], start.astype(float) * SCALE)
+    write_mesh(folder / "goal.obj", goal.astype(float) * SCALE)
+    # The table's frame of a camera's cloud has its origin below the camera.
+    below = np.append(PICTURE.camera.position()[:2], 0)
+    write_mesh(folder / "start_below_camera.obj", start.astype(float) * SCALE - below)
+    return files
+
+
+def main() -> None:
+    """Plan, execute, print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sequences", type=int, default=5)
+    parser.add_argument("--length", type=int, default=1, choices=(1, 2, 3))
+    asked = parser.parse_args()
+    dataset = store.load(Path("data/meshes.zarr"))
+    found: dict[str, list[dict[str, float]]] = {"cloud": [], "voxels": [], "mesh": []}
+    for number, sequence in enumerate(dataset.indices("test", evaluated=True)[: asked.sequences].tolist()):
+        start = number % (int(dataset.length[sequence]) - asked.length + 1)
+        states = dataset.vertices[sequence, [start, start + asked.length]]
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            plan, goal = folder / "plan.json", folder / "goal.obj"
+            for form, file in give(folder, *states).items():
+                began = time.perf_counter()
+                clothkit("plan", "--state", file, "--goal", goal, "--steps", asked.length, "--out", plan)
+                seconds = time.perf_counter() - began
+                true = folder / ("start_below_camera.obj" if form == "cloud" else "start.obj")
+                said = clothkit(
+                    "simulate", "--state", true, "--plan", plan, "--goal", goal, "--out", folder / "outcome.glb"
+                )
+                expected = json.loads(plan.read_text())["expected"]
+                error = re.search(r"\(([\d.]+) cloth lengths\)", said)
+                assert error, said
+                found[form].append(
+                    {
+                        "seconds": seconds,
+                        "error": float(error[1]),
+                        "expected": expected["error_cloth_lengths"],
+                        "no action": expected["error_no_action_cloth_lengths"],
+                    }
+                )
+    table = []
+    for form, rows in found.items():
+        means = {name: np.mean([row[name] for row in rows]).round(4) for name in ("error", "expected", "no action")}
+        spent = [row["seconds"] for row in rows]
+        later = {"first, s": round(spent[0], 1), "others, s": round(float(np.mean(spent[1:] or spent)), 1)}
+        table.append({"state given as": form, "plans": len(rows), **later, **means})
+    show(f"clothkit plan --steps {asked.length}: seconds from command to plan; cloth lengths", table)
+    print(f"camera: {json.dumps(dataclasses.asdict(PICTURE.camera))}")
+
+
+if __name__ == "__main__":
+    main()

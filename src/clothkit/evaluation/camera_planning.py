@@ -1,0 +1,89 @@
+"""What a depth camera's view and noise cost plans, against planning on noise-free voxels (section 6.5)."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from clothkit.cloth.silhouette import iou, silhouette
+from clothkit.dataset.store import Dataset
+from clothkit.errors import InputError
+from clothkit.evaluation.camera import NO_CAMERA, pictured
+from clothkit.evaluation.camera_settings import Condition, EvaluateCameraConfig
+from clothkit.evaluation.comparisons import COLUMNS, compare
+from clothkit.observation.coverage import goal_iou
+from clothkit.observation.picture import PictureConfig, take
+from clothkit.planning.camera_sight import through_camera
+from clothkit.planning.evaluate import evaluate
+from clothkit.planning.planner import Planner
+from clothkit.planning.record import Sessions
+from clothkit.planning.rows import rows
+from clothkit.planning.session import Execute
+
+
+def planning(
+    dataset: Dataset,
+    planner: Planner,
+    execute: Execute,
+    without: Sessions,
+    settings: EvaluateCameraConfig,
+    *,
+    work: Path,
+) -> pd.DataFrame:
+    """Sessions of the first test sequences under every condition, as tidy rows of planning with more columns.
+
+    condition, tilt [rad], noise; iou (of the outcome's true silhouette and the goal's), iou_no_action, iou_seen (of
+    what a last picture's points cover and the goal's silhouette, missing where it shows no cloth). `without`: the same
+    planner's sessions without a camera; searches draw alike, so tasks are paired. `work` holds what an interrupted run
+    has done. Raises InputError where `without` has fewer test sequences than are asked for.
+    """
+    chosen = dataset.indices("test", evaluated=True)[: settings.planned]
+    missing = np.setdiff1d(chosen, without.sequence[without.split == "test"])
+    if len(missing):
+        raise InputError(
+            f"evaluate_camera.planned: {settings.planned} sequences, but {len(missing)} of them were not planned for "
+            "without a camera (plan.test)"
+        )
+    found = [_scored(_of(without, chosen), NO_CAMERA, None)]
+    asked = dataclasses.replace(planner.settings, test=len(chosen), train=0)
+    for condition in settings.conditions:
+        picture = pictured(settings, condition)
+        eyes = through_camera(dataclasses.replace(planner, settings=asked), picture)
+        sessions, _ = evaluate(dataset, eyes, execute, work=work / condition.name)
+        found.append(_scored(sessions, condition, picture))
+    return pd.concat(found, ignore_index=True)
+
+
+def comparisons(tidy: pd.DataFrame) -> pd.DataFrame:
+    """`comparisons.compare` of every condition's errors with those without a camera."""
+    named = tidy.assign(system=tidy["condition"])
+    conditions = [name for name in tidy["condition"].unique() if name != NO_CAMERA.name]
+    found = [compare(named, "error", condition, NO_CAMERA.name) for condition in conditions]
+    return pd.concat(found, ignore_index=True) if found else pd.DataFrame(columns=list(COLUMNS))
+
+
+def _of(sessions: Sessions, sequences: np.ndarray) -> Sessions:
+    """The sessions of some sequences."""
+    chosen = np.isin(sessions.sequence, sequences)
+    return Sessions(**{name: values[chosen] for name, values in vars(sessions).items()})
+
+
+def _scored(sessions: Sessions, condition: Condition, picture: PictureConfig | None) -> pd.DataFrame:
+    outcome = sessions.state[np.arange(len(sessions)), sessions.length]
+    goals = [silhouette(goal) for goal in sessions.goal]
+    seen = np.full(len(sessions), np.nan)
+    for number, mesh in enumerate(outcome if picture is not None else ()):
+        assert picture is not None
+        try:
+            seen[number] = goal_iou(sessions.goal[number], take(mesh, picture).observation.points)
+        except InputError:
+            continue
+    return rows(sessions, "main").assign(
+        condition=condition.name,
+        tilt=condition.tilt,
+        noise=condition.noise,
+        iou=[iou(silhouette(mesh), goal) for mesh, goal in zip(outcome, goals, strict=True)],
+        iou_no_action=[iou(silhouette(mesh), goal) for mesh, goal in zip(sessions.state[:, 0], goals, strict=True)],
+        iou_seen=seen,
+    )

@@ -1,0 +1,74 @@
+"""A simulated cloth as a depth camera pictures it: rendered, made noisy, and looked at as a user's cloud is."""
+
+import dataclasses
+import zlib
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge, Gt
+from jaxtyping import Float
+
+from clothkit.cloth.grid import CLOTH_SIDE, triangles
+from clothkit.config import config
+from clothkit.errors import InputError
+from clothkit.observation.camera import CameraConfig, DepthImage, back_project, render
+from clothkit.observation.cloud import Observation, observe_cloud
+from clothkit.observation.noise import NoiseConfig, noisy
+from clothkit.observation.settings import CloudConfig
+
+_OFF = 1 << 16
+"""Between the seeds of pictures of one cloth."""
+
+
+@config
+class PictureConfig:
+    """A camera, what it does wrong, and what is made of its clouds."""
+
+    camera: CameraConfig = CameraConfig()
+    noise: NoiseConfig | None = NoiseConfig()
+    """None: it measures what there is."""
+    cloud: CloudConfig = CloudConfig()
+    side: Annotated[float, Gt(0)] = 0.4
+    """Of the flat cloth [m]."""
+    off: Annotated[float, Ge(0)] = 0.05
+    """How far from the point that the camera aims at the cloth's centre may lie, along x and y [m]."""
+    attempts: Annotated[int, Gt(0)] = 5
+    """Pictures that are taken until one shows a cloth on a table."""
+    seed: Annotated[int, Ge(0)] = 0
+
+
+@dataclasses.dataclass(frozen=True)
+class Picture:
+    """A depth image of a cloth and what was made of it."""
+
+    image: DepthImage
+    observation: Observation
+    shift: Float[np.ndarray, "2"]
+    """From the cloth's true centre to the observed one [normalised]."""
+    attempts: int
+    """Pictures that were taken."""
+
+
+def take(mesh: Float[np.ndarray, "u v 3"], settings: PictureConfig) -> Picture:
+    """A picture of a normalised, centred mesh that lies somewhere before the camera. Same mesh, same picture.
+
+    The table is not told, but found. Raises InputError when none of the attempts shows a cloth on a table.
+    """
+    base = zlib.crc32(np.ascontiguousarray(mesh, np.float32).tobytes())
+    scale = settings.side / CLOTH_SIDE
+    place = np.random.default_rng([settings.seed, base]).uniform(-settings.off, settings.off, 2)
+    clean = render(mesh.astype(float) * scale + [*place, 0.0], triangles(), settings.camera)
+    for attempt in range(1, settings.attempts + 1):
+        seed = base + _OFF * (settings.seed + attempt)
+        image = clean if settings.noise is None else noisy(clean, settings.noise, seed=seed)
+        cloud = back_project(image)
+        try:
+            found = observe_cloud(cloud, cloth_side=settings.side, settings=settings.cloud, name="picture")
+        except InputError:
+            if settings.noise is None or attempt == settings.attempts:
+                raise
+            continue
+        camera = settings.camera
+        centre = found.pose.normalised_to_camera(np.zeros(3)) @ camera.axes() + camera.position()
+        return Picture(image, found, ((centre[:2] - place) / scale).astype(np.float32), attempt)
+    raise AssertionError("unreachable: the last attempt returns or raises")

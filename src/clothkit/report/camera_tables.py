@@ -1,0 +1,52 @@
+"""What a depth camera's view and noise cost: group-bys of tidy rows, the condition without a camera first."""
+
+import numpy as np
+import pandas as pd
+
+from clothkit.report import tables
+
+KEYS = ["condition", "tilt", "noise"]
+
+NOTHING = "no action"
+"""The row of what there is if nothing is done."""
+
+
+def estimation(tidy: pd.DataFrame) -> pd.DataFrame:
+    """How states are seen and estimated: means by condition.
+
+    condition, tilt [degrees], noise, states, seen (share), voxel_error, centre_error and estimate [cloth length], iou.
+    """
+    groups = tidy.assign(seen=tidy["seen"].astype(float)).groupby(KEYS, sort=False)
+    found = groups[["seen", "voxel_error", "centre_error", "iou", "error"]].mean()
+    found.insert(0, "states", groups.size())
+    return _degrees(found.reset_index().rename(columns={"error": "estimate"}))
+
+
+def planning(tidy: pd.DataFrame) -> pd.DataFrame:
+    """What became of the same tasks: means by condition, and what they are if nothing is done.
+
+    condition, tilt [degrees], noise, tasks; 1, 2, 3 (error of outcomes by plan length [cloth length]); iou, iou_seen.
+    """
+    lengths = sorted(tidy["length"].unique())
+    groups = tidy.groupby(KEYS, sort=False)
+    found = pd.DataFrame({"tasks": groups.size()})
+    for length in lengths:
+        found[str(length)] = tidy[tidy["length"] == length].groupby(KEYS, sort=False)["error"].mean()
+    found[["iou", "iou_seen"]] = groups[["iou", "iou_seen"]].mean()
+    first = tidy[tidy["condition"] == tidy["condition"].iloc[0]]
+    nothing: dict[str, object] = {"condition": NOTHING, "tilt": np.nan, "noise": np.nan, "tasks": len(first)}
+    for length in lengths:
+        nothing[str(length)] = first.loc[first["length"] == length, "error_no_action"].mean()
+    nothing |= {"iou": first["iou_no_action"].mean(), "iou_seen": np.nan}
+    return _degrees(pd.concat([found.reset_index(), pd.DataFrame([nothing])], ignore_index=True))
+
+
+def comparisons(tidy: pd.DataFrame) -> pd.DataFrame:
+    """Every condition against none, by length: condition, column, sequences, difference, low, high, p."""
+    chosen = tidy[tidy["column"].isin([f"{length}/all" for length in tables.LENGTHS])]
+    named = chosen.rename(columns={"system": "condition"})
+    return named[["condition", "column", "sequences", "difference", "low", "high", "p"]].reset_index(drop=True)
+
+
+def _degrees(table: pd.DataFrame) -> pd.DataFrame:
+    return table.assign(tilt=np.degrees(table["tilt"]))

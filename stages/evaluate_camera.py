@@ -1,0 +1,47 @@
+"""Looks at test cloths through depth cameras, plans on what they show: `python stages/evaluate_camera.py`."""
+
+import hashlib
+from functools import partial
+from pathlib import Path
+
+from clothkit.dataset import store
+from clothkit.dataset.rows import write_rows
+from clothkit.evaluation import arrays, camera, camera_planning
+from clothkit.networks.store import load
+from clothkit.planning import record
+from clothkit.planning.loss import Weights
+from clothkit.planning.planner import artifacts, assemble
+from clothkit.planning.systems import SYSTEMS
+from clothkit.simulation.executor import execute
+from clothkit.stage import stage
+
+DATA = Path("data")
+MESHES, SESSIONS = DATA / "meshes.zarr", DATA / "evaluation/planning/sessions_main.zarr"
+OUT = DATA / "evaluation/camera"
+
+
+def main() -> None:
+    """Write estimation.parquet, planning.parquet, comparisons.parquet and pictures.zarr in data/evaluation/camera."""
+    with stage("evaluate_camera") as s:
+        system = SYSTEMS["main"]
+        found = artifacts(system, DATA)
+        work = s.work(inputs=[MESHES, SESSIONS, *found.values()])
+        weights = Weights(s.shared.alpha, s.shared.beta, s.shared.gamma)
+        plan, simulate = s.shared.stages.plan, s.shared.stages.simulate
+        dataset = store.load(MESHES)
+        estimation = camera.estimation(dataset, load(found["vtm"]), s.params, plan.refine)
+        planner = assemble(system, DATA, weights, plan, simulate.candidates)
+        made_with = hashlib.sha256(repr((weights, plan, simulate)).encode()).hexdigest()[:16]
+        simulator = partial(execute, settings=simulate.simulation)
+        without = record.load(SESSIONS)
+        planning = camera_planning.planning(dataset, planner, simulator, without, s.params, work=work / made_with)
+        arrays.save(work / "pictures.zarr", estimation.arrays, s.attributes)
+        write_rows(work / "estimation.parquet", estimation.rows, s.attributes)
+        write_rows(work / "planning.parquet", planning, s.attributes)
+        write_rows(work / "comparisons.parquet", camera_planning.comparisons(planning), s.attributes)
+        for name in ("pictures.zarr", "estimation.parquet", "planning.parquet", "comparisons.parquet"):
+            s.publish(work / name, OUT / name)
+
+
+if __name__ == "__main__":
+    main()

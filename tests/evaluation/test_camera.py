@@ -1,0 +1,147 @@
+"""Cloths before depth cameras: rows, what noise costs in them, and sessions held against those without a camera."""
+
+import dataclasses
+from pathlib import Path
+from unittest import mock
+
+import jax
+import numpy as np
+import pytest
+
+from clothkit.cloth import voxels
+from clothkit.cloth.grid import flat
+from clothkit.dataset.store import SPLITS, Dataset
+from clothkit.errors import InputError
+from clothkit.estimation.estimate import estimate
+from clothkit.estimation.refine import RefineConfig
+from clothkit.evaluation import camera, camera_planning
+from clothkit.evaluation.camera_settings import UNMEASURED, Condition, EvaluateCameraConfig
+from clothkit.networks import vtm
+from clothkit.networks.net import Net
+from clothkit.networks.settings import VtMConfig
+from clothkit.observation.picture import Picture, PictureConfig, take
+from clothkit.planning.camera_sight import CameraSight, through_camera
+from clothkit.planning.evaluate import evaluate
+from clothkit.planning.record import Sessions
+from clothkit.planning.sight import MeshSight
+from tests.evaluation import camera_rows
+from tests.observation.scenes import SMALL, folded
+from tests.planning import toy
+from tests.planning.test_session import dataset as toy_dataset
+
+REFINE = RefineConfig(iterations=5)
+PICTURE = PictureConfig(camera=SMALL)
+SETTINGS = EvaluateCameraConfig(
+    conditions=(Condition(name="above"), Condition(name="noisy", tilt=0.3, noise=4.0)),
+    picture=PICTURE,
+    estimated=2,
+    planned=1,
+    stored=2,
+)
+
+
+@pytest.fixture(scope="module")
+def net() -> Net:
+    """A VtM that has learned nothing."""
+    return Net(VtMConfig(hidden=16), vtm.initial(VtMConfig(hidden=16), key=jax.random.key(0)))
+
+
+@pytest.fixture(scope="module")
+def dataset() -> Dataset:
+    """Two test sequences of folded cloths, the second of two manipulations, and one that is not for evaluation."""
+    states = np.stack([flat(), folded(along=0.4), folded(along=0.2, angle=0.5), folded(along=0.0)])
+    return Dataset(
+        np.stack([states] * 3),
+        np.zeros((3, 4, 2), np.float32),
+        np.zeros((3, 3, 6), np.float32),
+        np.ones((3, 3), np.int8),
+        np.array([3, 2, 3], np.int8),
+        np.full(3, SPLITS.index("test"), np.int8),
+        np.array([True, True, False]),
+    )
+
+
+def test_states_are_seen_and_estimated_under_every_condition(dataset: Dataset, net: Net) -> None:
+    found = camera.estimation(dataset, net, SETTINGS, REFINE)
+    rows = found.rows
+    assert rows["condition"].drop_duplicates().tolist() == ["voxels", "above", "noisy"]
+    assert rows.groupby("condition").size().tolist() == [5, 5, 5]
+    assert rows["seen"].all()
+    errors = rows.groupby("condition")["voxel_error"].mean()
+    assert errors["voxels"] == 0
+    assert 0 < errors["above"] < errors["noisy"] < 0.1
+    assert (rows.loc[rows["condition"] == "above", "iou"] > 0.9).all()
+    # By hand: what is estimated from a picture of the second state of the first sequence.
+    truth = dataset.vertices[0, 2]
+    seen = take(truth, PictureConfig(camera=SMALL, noise=None)).observation.voxels
+    mesh = np.asarray(estimate(net, seen[None], REFINE).mesh[0])
+    by_hand = float(camera.errors(mesh[None], truth[None])[0])
+    row = rows[(rows["condition"] == "above") & (rows["sequence"] == 0) & (rows["state"] == 2)]
+    assert row["error"].item() == pytest.approx(by_hand, rel=1e-4)
+    assert row["voxel_error"].item() == (seen != np.asarray(voxels.observe(truth))).mean()
+    shapes = {name: array.values.shape for name, array in found.arrays.items()}
+    assert shapes["height"] == (2, 2, SMALL.rows, SMALL.columns)
+    assert shapes["voxels"] == (2, 2, 32, 32, 16)
+    assert found.arrays["shown"].values.tolist() == [1, 2]
+    measured = found.arrays["height"].values[:, 0] != UNMEASURED
+    # Two layers of cloth on a table: millimetres.
+    assert 0.002 < found.arrays["height"].values[:, 0][measured].max() < 0.03
+
+
+def test_what_no_picture_shows_is_missing(dataset: Dataset, net: Net) -> None:
+    away = dataclasses.replace(PICTURE, camera=dataclasses.replace(SMALL, aim=(3.0, 0.0)), off=0.0)
+    with mock.patch.object(camera, "take", lambda mesh, settings: take(mesh + np.float32([50, 0, 0]), settings)):
+        rows = camera.estimation(dataset, net, dataclasses.replace(SETTINGS, picture=away), REFINE).rows
+    before = rows[rows["condition"] != "voxels"]
+    assert not before["seen"].any()
+    assert before[["voxel_error", "centre_error", "iou", "error"]].isna().all(axis=None)
+
+
+def test_a_planner_sees_what_its_camera_shows(net: Net) -> None:
+    planner = dataclasses.replace(toy.planner("main"), sight=MeshSight(net, REFINE))
+    sight = through_camera(planner, PICTURE).sight
+    assert isinstance(sight, CameraSight)
+    truth = np.stack([folded(), folded(along=0.0)])
+    view = sight.see(truth, None)
+    pictures: list[Picture] = [take(mesh, PICTURE) for mesh in truth]
+    np.testing.assert_array_equal(view.shift, [picture.shift for picture in pictures])
+    seen = np.stack([picture.observation.voxels for picture in pictures])
+    np.testing.assert_allclose(view.states, estimate(net, seen, REFINE).mesh, atol=1e-5)
+    # What can't be seen is taken for what was expected.
+    with mock.patch("clothkit.planning.camera_sight.take", side_effect=InputError("no cloth")):
+        blind = sight.see(truth, truth[::-1])
+    assert not blind.shift.any()
+    np.testing.assert_allclose(blind.states, sight.estimates(np.asarray(voxels.observe(truth[::-1])), truth[::-1]))
+
+
+def test_sessions_before_a_camera_are_held_against_those_without(tmp_path: Path) -> None:
+    data = toy_dataset()
+    data = dataclasses.replace(data, length=np.ones_like(data.length))
+    planner = toy.planner("b1")
+    without, _ = evaluate(data, planner, toy.execute, work=tmp_path / "without")
+    # Toy cloths fit no camera: eyes that are as good without one.
+    with mock.patch.object(camera_planning, "through_camera", lambda planner, picture: planner):
+        tidy = camera_planning.planning(data, planner, toy.execute, without, SETTINGS, work=tmp_path / "with")
+    assert tidy["condition"].tolist() == ["voxels", "above", "noisy"]
+    # The same eyes and the same draws: the same outcomes.
+    assert tidy["error"].nunique() == 1
+    assert (tidy["iou"] > tidy["iou_no_action"]).all()
+    assert (tidy["iou"] > 0.9).all()
+    assert np.isnan(tidy["iou_seen"].iloc[0])
+    two = dataclasses.replace(SETTINGS, planned=2)
+    with pytest.raises(InputError, match="1 of them were not planned for"):
+        camera_planning.planning(data, planner, toy.execute, first(without), two, work=tmp_path / "more")
+
+
+def first(sessions: Sessions) -> Sessions:
+    """The first session alone."""
+    return Sessions(**{name: values[:1] for name, values in vars(sessions).items()})
+
+
+def test_conditions_are_compared_task_by_task() -> None:
+    found = camera_planning.comparisons(camera_rows.planning())
+    assert set(found["system"]) == {"tilted", "noise"}
+    assert set(found["against"]) == {"voxels"}
+    by = found[found["column"] == "1/all"].set_index("system")["difference"]
+    assert by["tilted"] == pytest.approx(0.01)
+    assert by["noise"] == pytest.approx(0.02)
