@@ -48,7 +48,7 @@ def give(folder: Path, start: np.ndarray, goal: np.ndarray) -> dict[str, Path]:
     """The start in three forms, and the goal; in metres where the form has any."""
     files = {name: folder / file for name, file in (("cloud", "cloud.npz"), ("voxels", "voxels.npy"))}
     cloud = back_project(take(start, PICTURE).image)
-    np.savez(files["cloud"], points=cloud.points, cloth=cloud.cloth)
+    np.savez(files["cloud"], points=cloud.points, cloth=np.asarray(cloud.cloth))
     np.save(files["voxels"], np.asarray(voxels.observe(start)))
     files["mesh"] = folder / "start.obj"
     write_mesh(files["mesh"], start.astype(float) * SCALE)
