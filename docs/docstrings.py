@@ -1,11 +1,12 @@
 """The reference's docstrings and annotations, as they stand in the source.
 
-Docstrings are plain text, whose equations become links. Where a setting has none, the comment behind it takes its place.
-Strings in annotations are shapes: `"n *batch"` is no product.
+Docstrings are plain text, whose equations become links. Where a setting has none, the comment behind it takes its
+place. Strings in annotations are shapes: `"n *batch"` is no product.
 """
 
 import ast
 import re
+from pathlib import Path
 from typing import Any
 
 import griffe
@@ -38,6 +39,7 @@ class Docstrings(griffe.Extension):
             attr.annotation = annotation(node.annotation, attr.parent)
         if attr.docstring or attr.lineno is None or attr.lineno != attr.endlineno:
             return
+        assert isinstance(attr.filepath, Path)
         found = _COMMENT.match(attr.lines_collection[attr.filepath][attr.lineno - 1])
         if found:
             attr.docstring = griffe.Docstring(found[1], parent=attr)

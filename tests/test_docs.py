@@ -7,8 +7,10 @@ stages, settings and files are there. Sources and the reference are taken from t
 import importlib.util
 import re
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -34,19 +36,18 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def here(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def here(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A current directory that a page may fill. What a page adds to the library is forgotten after it."""
     for name in ("params.yaml", "data"):
         (tmp_path / name).symlink_to(root / name)
     (tmp_path / "reports").symlink_to(ROOT / "reports")
     monkeypatch.chdir(tmp_path)
-    for registry in (FABRICS, SYSTEMS):
-        for name in ("fleece", "b6"):
-            # Noted as absent, and so deleted afterwards.
-            monkeypatch.delitem(registry, name, raising=False)
-            monkeypatch.setitem(registry, name, None)  # type: ignore[misc]
-            del registry[name]  # type: ignore[attr-defined]
-    return tmp_path
+    registries: list[dict[str, Any]] = [FABRICS, SYSTEMS]
+    kept = [registry.copy() for registry in registries]
+    yield tmp_path
+    for registry, before in zip(registries, kept, strict=True):
+        registry.clear()
+        registry.update(before)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
@@ -94,7 +95,7 @@ def test_readme_names_what_there_is(tmp_path: Path) -> None:
 
 
 def test_readme_shows_where_everything_is() -> None:
-    """The list of files has every module, and nothing that isn't there."""
+    """The list of files has every package, and nothing that isn't there."""
     listing = (ROOT / "README.md").read_text().split("## Where things are")[1]
     above: dict[int, Path] = {}
     listed = set()
@@ -102,13 +103,14 @@ def test_readme_shows_where_everything_is() -> None:
         indent = len(line) - len(line.lstrip())
         if not 4 <= indent <= 12:
             continue
-        name = line.split()[0]
-        path = next((above[i] for i in sorted(above, reverse=True) if i < indent), ROOT) / name
-        above = {i: p for i, p in above.items() if i < indent} | ({indent: path} if name.endswith("/") else {})
-        assert path.exists(), f"README.md lists {path}"
-        listed.add(path)
-        listed |= {path.parent / other for other in re.findall(r"\b(\w+\.py)\b", line)}
-    packages = {path for path in (ROOT / "src/clothkit").rglob("*/") if (path / "__init__.py").exists()}
+        name = line.split()[0].rstrip(",")
+        folder = next((above[i] for i in sorted(above, reverse=True) if i < indent), ROOT)
+        above = {i: path for i, path in above.items() if i < indent}
+        if name.endswith("/"):
+            above[indent] = folder / name
+        assert (folder / name).exists(), f"README.md lists {folder / name}"
+        listed |= {folder / name, *(folder / other for other in re.findall(r"\b\w+\.py\b", line))}
+    packages = {init.parent for init in (ROOT / "src/clothkit").glob("*/__init__.py")}
     assert packages <= listed
 
 
@@ -127,7 +129,11 @@ def test_nothing_is_forgotten() -> None:
 
 def test_the_columns_of_tidy_rows_are_those_that_are_told(root: Path) -> None:
     told = (ROOT / "docs/data-formats.md").read_text()
-    for file, name in (("estimation", "estimation"), ("prediction", "prediction"), ("planning/main", "planning/SYSTEM")):
+    for file, name in (
+        ("estimation", "estimation"),
+        ("prediction", "prediction"),
+        ("planning/main", "planning/SYSTEM"),
+    ):
         row = next(line for line in told.splitlines() if line.startswith(f"| `{name}.parquet`"))
         columns = set(re.findall(r"`(\w+)`", row.split("|")[3]))
         assert columns == set(pd.read_parquet(root / f"data/evaluation/{file}.parquet").columns)
