@@ -1,0 +1,175 @@
+"""Small artifacts of the real formats, for tests that only read them: nets that have learned nothing, cloths in files,
+a dozen sequences that nobody simulated."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pandas as pd
+from ruamel.yaml import YAML
+
+from clothkit.app.output import write_mesh
+from clothkit.cloth import voxels
+from clothkit.cloth.grid import flat, triangles
+from clothkit.dataset import store as meshes
+from clothkit.dataset.augment import augment
+from clothkit.dataset.regularise import regularise
+from clothkit.dataset.rows import write_rows
+from clothkit.dataset.tasks import tasks_of
+from clothkit.evaluation import arrays, estimation, prediction
+from clothkit.networks import emd_voxel, pemd, store, vtm
+from clothkit.networks.net import Net
+from clothkit.networks.settings import EMDVoxelConfig, PEMDConfig, VtMConfig
+from clothkit.observation.camera import back_project
+from clothkit.params import Params, load_params
+from clothkit.planning import normalisation, record
+from clothkit.planning.record import Sessions, Sizes, tasks_of_dataset
+from clothkit.planning.rows import rows
+from clothkit.simulation.attempts import Attempts
+from clothkit.simulation.records import write_raw
+from tests.observation.scenes import SCALE, SMALL, folded, image_of
+from tests.planning import toy
+
+ROOT = Path(__file__).parents[1]
+AT = (0.05, -0.03)
+"""Where the cloth lies on the table [m]."""
+
+
+def write_params(path: Path) -> None:
+    """params.yaml at the smallest scale, with searches in voxels that take no time."""
+    params = YAML(typ="safe").load(ROOT / "params.yaml")
+    params["scale"] = "smoke"
+    params["scales"]["smoke"]["plan"]["voxel_search"] = {"strains": 8, "base_iterations": 2, "iterations_per_step": 0}
+    path.write_text(json.dumps(params))
+
+
+def write_nets(folder: Path) -> None:
+    """Nets and reference values, under `folder`."""
+    history = pd.DataFrame({"iteration": [1], "score": [0.1]})
+    small = PEMDConfig(latent=8, encoder=(16,), manipulation=8, decoder=(16,))
+    coarse = EMDVoxelConfig(latent=8, manipulation=8, width=0.05)
+    seer = VtMConfig(hidden=16)
+    # One program each: op by op takes much longer.
+    of_meshes = jax.jit(lambda key: pemd.initial(small, key=key))
+    of_voxels = jax.jit(lambda key: emd_voxel.initial(coarse, key=key))
+    sees = jax.jit(lambda key: vtm.initial(seer, key=key))
+    for k, name in enumerate("ab"):
+        score = {"validation_score": 0.1 + 0.01 * k}
+        store.save(folder / f"nets/pemd_{name}", Net(small, of_meshes(jax.random.key(k))), history, score)
+        store.save(folder / f"nets/emd_voxel_{name}", Net(coarse, of_voxels(jax.random.key(k))), history, score)
+    store.save(folder / "nets/vtm", Net(seer, sees(jax.random.key(2))), history, {})
+    (folder / "normalisation").mkdir()
+    for kind in ("mesh", "voxel"):
+        normalisation.save(folder / f"normalisation/{kind}.json", toy.NORMALISATION, {})
+
+
+def write_files(folder: Path) -> None:
+    """A cloth as mesh, voxels and cloud, goals, and what tells the cloth from the table."""
+    bent = folded(angle=0.3)
+    write_mesh(folder / "start.obj", flat().astype(float) * SCALE + [*AT, 0])
+    write_mesh(folder / "bent.obj", bent.astype(float) * SCALE + [*AT, 0])
+    write_mesh(folder / "goal.glb", folded(along=0.0).astype(float) * SCALE)
+    np.save(folder / "voxels.npy", np.asarray(voxels.observe(bent)))
+    cloud = back_project(image_of(bent, SMALL, at=AT))
+    assert cloud.cloth is not None
+    np.savez(folder / "cloud.npz", points=cloud.points, cloth=cloud.cloth)
+    np.savez(folder / "cloth_alone.npz", points=cloud.points[cloud.cloth])
+    np.save(folder / "points.npy", cloud.points)
+    np.save(folder / "mask.npy", cloud.cloth)
+    other = np.random.default_rng(0).permutation(1024)
+    faces = np.argsort(other)[triangles()]
+    rows = (flat().astype(float) * SCALE).reshape(-1, 3)[other]
+    text = [f"v {x} {y} {z}" for x, y, z in rows.tolist()]
+    text += [f"f {a} {b} {c}" for a, b, c in (faces + 1).tolist()]
+    (folder / "surface.obj").write_text("\n".join(text) + "\n")
+
+
+def write_data(folder: Path, params: Path) -> None:
+    """Everything that stages leave under data/, as far as it is told of: nets included."""
+    given = load_params(params)
+    write_nets(folder)
+    simulation = given.stages.simulate.simulation
+    tried = attempts()
+    write_raw(
+        folder / "raw", tried, [tried.states[tried.accepted]], simulation, seed=0, attributes=_about(given, "simulate")
+    )
+    dataset = regularise(folder / "raw", given.stages.regularise)
+    meshes.save(folder / "meshes.zarr", dataset, _about(given, "regularise"))
+    training = augment(dataset.of_split("train"), given.stages.augment)
+    meshes.save(folder / "augmented.zarr", training, _about(given, "augment"))
+    evaluations = folder / "evaluation"
+    (evaluations / "planning").mkdir(parents=True)
+    found = estimation.estimates(dataset, store.load(folder / "nets/vtm"), given.stages.evaluate_estimation)
+    about = _about(given, "evaluate_estimation")
+    arrays.save(evaluations / "estimates.zarr", found.arrays(), about)
+    write_rows(evaluations / "estimation.parquet", estimation.rows(dataset, found), about)
+    stored = arrays.load(evaluations / "estimates.zarr", ("sequence", "mesh", "label"))
+    nets = {name: store.load(folder / f"nets/pemd_{name}") for name in "ab"}
+    starts, settings = prediction.starts(dataset, stored), given.stages.evaluate_prediction
+    about = _about(given, "evaluate_prediction")
+    write_rows(evaluations / "prediction.parquet", prediction.rows(dataset, starts, nets, "a", settings), about)
+    arrays.save(evaluations / "predictions.zarr", prediction.stored(dataset, starts, nets["a"], settings), about)
+    for system in ("main", "b1"):
+        done = sessions(dataset)
+        record.save(evaluations / f"planning/sessions_{system}.zarr", done, _about(given, "plan"))
+        write_rows(evaluations / f"planning/{system}.parquet", rows(done, system), _about(given, "plan"))
+
+
+def _about(params: Params, stage: str) -> dict[str, Any]:
+    return {"stage": stage, "scale": params.scale, "params": params.section(stage)}
+
+
+def attempts(accepted: int = 10) -> Attempts:
+    """Tried sequences, of which the last was rejected: the flat cloth, with a strip of it folded over and over."""
+    count = accepted + 1
+    states = np.zeros((count, 4, 32, 32, 3), np.float32)
+    for k in range(count):
+        shapes = [flat(), *(folded(along=0.5 - 0.2 * i, angle=0.1 * k) for i in range(3))]
+        states[k] = np.stack(shapes) * SCALE + np.float32([0.002 * k, 0, 0.001])
+    measured = np.full((count, 4), 0.001, np.float32)
+    manipulation = np.tile(np.float32([1, -1, 1, 1, -0.8, 0.1]), (count, 3, 1))
+    manipulation[::3, :, 2:4] = manipulation[::3, :, :2]
+    return Attempts(
+        attempt=np.arange(count),
+        accepted=np.arange(count) < accepted,
+        reason=np.array([""] * accepted + ["height"]),
+        reached=np.full(count, 4),
+        states=states,
+        manipulation=manipulation,
+        hands=np.where(np.arange(count)[:, None] % 3 == 0, 1, 2) * np.ones((1, 3), int),
+        releases=np.zeros((count, 3, 2, 2), np.float32),
+        settle_time=np.full((count, 3), 0.4, np.float32),
+        residual_speed=measured,
+        height=measured,
+        strain_p99=measured,
+        strain_worst=measured,
+        intersections=np.zeros((count, 4), int),
+        gap=measured,
+        area=np.full((count, 4), 0.7, np.float32),
+        folds=np.ones((count, 4), int),
+    )
+
+
+def sessions(dataset: meshes.Dataset) -> Sessions:
+    """Sessions of a test sequence in which all that is recorded came about, and nothing was searched for."""
+    sequence = int(dataset.indices("test", evaluated=True)[0])
+    tasks = tasks_of_dataset(dataset, tasks_of(sequence, 3), "test")
+    assert tasks.recorded is not None
+    sizes = Sizes(state=(32, 32, 3), probabilistic=True, candidate=12, net=2, iteration=10, strain=8, restart=3)
+    done = record.blank(tasks, sizes)
+    for row, (task, way) in enumerate(zip(tasks.task, tasks.recorded, strict=True)):
+        for step in range(task.length):
+            left = task.length - step
+            done.state[row, step + 1] = way.states[step + 1]
+            done.centre[row, step + 1] = dataset.centre[sequence, task.start + step + 1]
+            done.estimate[row, step] = way.states[step]
+            done.plan[row, step, :left] = way.manipulations[step:]
+            done.prediction_mean[row, step, :left] = way.states[step + 1 :][:, None]
+            done.prediction_std[row, step, :left] = 0.02
+            done.refined[row, step] = way.states[-1]
+            done.loss[row, step], done.terms[row, step], done.common[row, step] = 0.5, 0.2, 0
+            done.relative[row, step], done.expected[row, step] = 0, 0.05
+        done.loss_recorded[row], done.offered[row] = 0.4, True
+    return done
