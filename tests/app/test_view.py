@@ -23,7 +23,7 @@ from clothkit.app.viewer.canvas import finer, two_sided
 from clothkit.app.viewer.colours import Scale, legend, round_up
 from clothkit.app.viewer.recorded import entries, session_of, systems_in
 from clothkit.app.viewer.scene import Cloth, View, cubes, hand_paths, scale_of, scene_of, to_show
-from clothkit.app.viewer.session import disagreement, error_of, facts, places, unlikely
+from clothkit.app.viewer.session import Look, disagreement, error_of, facts, matched, places, unlikely
 from clothkit.app.viewer.tasks import test_tasks as tasks_in
 from clothkit.app.viewer.watched import AT_ONCE, Progress, find_watched
 from clothkit.cloth import voxels
@@ -138,6 +138,24 @@ def test_what_there_is_to_look_at() -> None:
     assert scene_of(session, 0, View(paths=False)).paths == ()
     # A name of another step's falls back to the state.
     assert scene_of(session, 2, View("net b, after 2")).captions[0].text.startswith("outcome")
+
+
+def test_voxels_are_shown_as_cubes() -> None:
+    session = played.session()
+    seen = np.asarray(voxels.observe(session.states[0])).astype(np.float32)
+    plan = session.steps[0].plan
+    assert plan is not None
+    plan = plan._replace(means=np.broadcast_to(seen, (2, 2, *seen.shape)), sigmas=None)
+    step = session.steps[0]._replace(look=Look(seen, None, 0.5 * played.CANDIDATES), plan=plan)
+    session = session._replace(steps=(step, *session.steps[1:]))
+    assert matched(step, session.states[0]) is step
+    assert disagreement(plan) is None
+    for mode in colours.MODES:
+        scene = scene_of(session, 0, View(mode=mode, abreast=True))
+        # The state and the goal are meshes.
+        assert len(scene.cloths) == 2
+        assert sum(dots.cubes for dots in scene.dots) == 5
+    assert "expected error" not in facts(session, 0)
 
 
 def test_facts_say_what_is_expected_and_when_nothing_good_is() -> None:
@@ -335,6 +353,7 @@ def test_tasks_are_those_of_the_test_split(folder: Path, tmp_path: Path) -> None
         (("--state", "a.obj"), "--goal: missing"),
         (("--goal", "a.obj"), "--state: missing"),
         (("--data", "nowhere"), "nowhere: not found"),
+        (("--state", "none.obj", "--goal", "a.obj"), "none.obj: not found"),
         (("--box", 5, 5, 5, 1, 1, 1), "--box"),
     ],
 )

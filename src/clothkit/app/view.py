@@ -13,9 +13,9 @@ from typing import Any
 import click
 import viser
 
-from clothkit.app.given import looking, seeing, settings
-from clothkit.app.viewer.live_panel import Ask
+from clothkit.app.given import look, looking, seeing, settings
 from clothkit.app.viewer.page import build
+from clothkit.app.viewer.tasks import Ask
 from clothkit.errors import InputError
 from clothkit.planning.systems import SYSTEMS
 
@@ -83,6 +83,9 @@ def command(
     if not data.is_dir():
         raise InputError(f"{data}: not found, expected the folder that dvc repro fills")
     how = seeing(given.app, **options)
+    if own is not None:
+        # What is wrong with a file is told here, and not on a page that nobody has opened yet.
+        look(own.state, how, mask=mask), look(own.goal, how)
     with contextlib.redirect_stdout(io.StringIO()):  # viser tells its address whether asked or not
         server = viser.ViserServer(host=host, port=port, verbose=False)
     try:

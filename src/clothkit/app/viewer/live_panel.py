@@ -3,7 +3,6 @@
 import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import NamedTuple
 
 import viser
 
@@ -12,21 +11,12 @@ from clothkit.app.planner import planner_of
 from clothkit.app.viewer.live import Live, begin, perform, plan, with_progress
 from clothkit.app.viewer.player import Player, assign, by_hand
 from clothkit.app.viewer.session import unlikely
+from clothkit.app.viewer.tasks import Ask
 from clothkit.app.viewer.watched import Progress
 from clothkit.errors import InputError
 from clothkit.planning.systems import SYSTEMS, system
 
 OWN = "own files"
-
-
-class Ask(NamedTuple):
-    """What a session shall be about."""
-
-    state: str
-    """Files, as the commands take them."""
-    goal: str
-    steps: int
-    mask: str | None = None
 
 
 class LivePanel:
@@ -50,7 +40,7 @@ class LivePanel:
         self._live: Live | None = None
         self._running, self._stopped = threading.Lock(), threading.Event()
         gui = server.gui
-        self._system = gui.add_dropdown("planner", tuple(SYSTEMS), initial_value=chosen, hint="Which system plans")
+        self._system = gui.add_dropdown("system", tuple(SYSTEMS), initial_value=chosen, hint="Which system plans")
         first = [] if own is None else [OWN]
         self._task = gui.add_dropdown("task", tuple(dict.fromkeys([*first, *self._tasks, OWN])))
         with gui.add_folder("Own files", expand_by_default=own is not None or not tasks):

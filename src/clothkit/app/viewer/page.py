@@ -5,11 +5,11 @@ from pathlib import Path
 import viser
 
 from clothkit.app.given import Seeing, Settings
-from clothkit.app.viewer.live_panel import Ask, LivePanel
+from clothkit.app.viewer.live_panel import LivePanel
 from clothkit.app.viewer.player import Player
 from clothkit.app.viewer.recorded import systems_in
 from clothkit.app.viewer.recorded_panel import RecordedPanel
-from clothkit.app.viewer.tasks import test_tasks
+from clothkit.app.viewer.tasks import Ask, test_tasks
 
 
 def build(

@@ -107,7 +107,7 @@ def places(state: Believed, grasps: Float[np.ndarray, "points 2"]) -> Float[np.n
     return np.asarray(to_cartesian(np.broadcast_to(state, (len(grasps), *state.shape)), grasps))[:, :2]
 
 
-def error_of(state: Believed, goal: Believed) -> float | None:
+def error_of(state: Believed, goal: Shaped[np.ndarray, "*goal"]) -> float | None:
     """How far a state is from a goal [cloth length, aligned, whatever the labels]; None unless both are meshes."""
     if not is_mesh(state) or not is_mesh(goal):
         return None

@@ -1,14 +1,25 @@
-"""The test tasks that a session can be made of."""
+"""What a session can be made of: your own files, or test tasks."""
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import zarr
 
-from clothkit.app.viewer.live_panel import Ask
 from clothkit.dataset.store import SPLITS
 from clothkit.dataset.tasks import tasks_of
 from clothkit.errors import InputError
+
+
+class Ask(NamedTuple):
+    """What a session shall be about."""
+
+    state: str
+    """Files, as the commands take them."""
+    goal: str
+    steps: int
+    mask: str | None = None
+
 
 MOST = 50
 """Sequences that are offered: a list of all would be too long to pick from."""
