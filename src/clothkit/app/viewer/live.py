@@ -2,6 +2,7 @@
 
 As in `planning.session`, with two differences: a person says when, and what is not expected to improve the state is
 executed all the same when asked for.
+What is simulated of a file that holds no mesh is the estimate: one that is tangled is simulated for long.
 """
 
 import dataclasses
