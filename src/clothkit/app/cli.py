@@ -13,6 +13,7 @@ COMMANDS = {
     "predict": "What the nets expect of a plan, as meshes.",
     "simulate": "What a plan comes to in the simulator.",
     "export": "States of a dataset as OBJ, PLY or GLB.",
+    "view": "A local page on which sessions are played.",
 }
 """Each is `command` of a module of its name. Told here, so that help need not import what a search does."""
 

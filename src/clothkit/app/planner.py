@@ -1,6 +1,7 @@
 """One plan from one observation: a session's step for a cloth of which no truth is known (section 5.1)."""
 
 import json
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -8,7 +9,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Shaped
+from jaxtyping import Array, Float, Int, PRNGKeyArray, Shaped
 
 from clothkit.app.given import Seen, Settings
 from clothkit.cloth.equivalents import compose, inverse, relabel, relabel_manipulation
@@ -23,7 +24,7 @@ from clothkit.planning.forward import Forward
 from clothkit.planning.loss import uncertainty
 from clothkit.planning.planner import Planner, artifacts, assemble
 from clothkit.planning.predict import expect
-from clothkit.planning.search import UNKNOWN, Problem
+from clothkit.planning.search import UNKNOWN, Found, Problem
 from clothkit.planning.session import no_traces
 from clothkit.planning.systems import System
 
@@ -146,12 +147,19 @@ def find_plan(
     Whatever the system, the goal may come in any labels: it is reached when some equivalent is. Raises InputError when
     the nets have no reference values for plans of that length.
     """
+    problem = problem_of(planner, state, goal, length, past=past)
+    found = find(planner.finder(length), problem, jax.random.key(seed))
+    return planned_of(planner, problem, found)
+
+
+def problem_of(planner: Planner, state: Believed, goal: Believed, length: int, *, past: Past | None = None) -> Problem:
+    """What a search is asked. Raises InputError when the nets have no reference values for plans of that length."""
     planner.normalisation.reference(length)
     grasps = planner.sight.grasps(state, planner.grasping)
     points = np.zeros((planner.grasping.most, 2), np.float32)
     points[: len(grasps)] = grasps
     voxels, traces = planner.system.voxels, past.traces if past else first_traces(planner)
-    problem = Problem(
+    return Problem(
         state=state,
         goal=goal,
         candidates=Candidates(points, len(grasps)),
@@ -160,11 +168,20 @@ def find_plan(
         later=np.array(past is not None),
         carried=past.rest if past else np.zeros((length, 6), np.float32),
     )
+
+
+def find(finder: Callable[[Problem, jax.Array], Found], problem: Problem, key: PRNGKeyArray) -> Found:
+    """What one search finds, as NumPy."""
     problems = jax.tree.map(lambda leaf: np.asarray(leaf)[None], problem)
-    found = jax.tree.map(
-        lambda leaf: np.asarray(leaf)[0], planner.finder(length)(problems, jax.random.key(seed).reshape(1))
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[0], finder(problems, key.reshape(1)))
+
+
+def planned_of(planner: Planner, problem: Problem, found: Found) -> Planned:
+    """A found plan, and what the nets expect of it."""
+    traces = tuple(np.asarray(trace) for trace in problem.traces)
+    planned = predicted(
+        planner, np.asarray(problem.state), np.asarray(found.plan), common=int(found.common), traces=traces
     )
-    planned = predicted(planner, state, found.plan, common=int(found.common), traces=traces)
     return planned._replace(relative=int(found.relative), loss=float(found.loss))
 
 

@@ -1,0 +1,107 @@
+"""`clothkit view`: a local page on which sessions are played, and made."""
+
+import contextlib
+import io
+import os
+import sys
+import tempfile
+import threading
+import webbrowser
+from pathlib import Path
+from typing import Any
+
+import click
+import viser
+
+from clothkit.app.given import look, looking, seeing, settings
+from clothkit.app.viewer.page import build
+from clothkit.app.viewer.tasks import Ask
+from clothkit.errors import InputError
+from clothkit.planning.systems import SYSTEMS
+
+
+@click.command(short_help="A local page on which sessions are played.")
+@click.option(
+    "--data",
+    type=click.Path(path_type=Path),
+    default=Path("data"),
+    show_default=True,
+    metavar="FOLDER",
+    help="Where meshes.zarr, nets/, normalisation/ and evaluation/planning/ are, as dvc repro makes them.",
+)
+@click.option(
+    "--system",
+    "name",
+    type=click.Choice(list(SYSTEMS)),
+    default="main",
+    show_default=True,
+    help="What plans when you press plan; as in clothkit plan.",
+)
+@click.option("--state", metavar="FILE", help="Your own cloth; needs --goal.")
+@click.option("--goal", metavar="FILE", help="The shape that it shall have.")
+@click.option(
+    "--steps", type=click.IntRange(1, 3), default=1, show_default=True, help="Manipulations on the way there."
+)
+@click.option("--host", default="127.0.0.1", show_default=True, help="Who may open the page: 0.0.0.0 lets others.")
+@click.option(
+    "--port", type=click.IntRange(0, 65535), default=8080, show_default=True, help="The next free one from here on."
+)
+@click.option("--no-browser", is_flag=True, help="Only tell the page's address.")
+@looking
+def command(
+    *,
+    data: Path,
+    name: str,
+    state: str | None,
+    goal: str | None,
+    steps: int,
+    host: str,
+    port: int,
+    no_browser: bool,
+    mask: str | None,
+    **options: Any,
+) -> None:
+    """Open a page on which sessions are played: the cloth in 3D, plans as arcs, grasp candidates as points.
+
+    On the tab Recorded are the sessions that the pipeline has planned and executed, worst first if you like. On the tab
+    Live a session is made: of a test task, or of your own files, which the page takes as uploads, too. "plan" searches,
+    and shows the best plan while it does; "execute" simulates the plan's first manipulation, after which the next can
+    be planned. Files are what clothkit plan takes.
+
+    Nothing leaves this machine. Ctrl-C ends it.
+
+    \b
+    clothkit view
+    clothkit view --state start.obj --goal goal.obj --steps 2
+    """
+    given = settings()
+    if (state is None) != (goal is None):
+        raise InputError(
+            f"--{'goal' if goal is None else 'state'}: missing, expected both or neither of state and goal"
+        )
+    own = Ask(state, goal, steps, mask) if state and goal else None
+    if not data.is_dir():
+        raise InputError(f"{data}: not found, expected the folder that dvc repro fills")
+    how = seeing(given.app, **options)
+    if own is not None:
+        # What is wrong with a file is told here, and not on a page that nobody has opened yet.
+        look(own.state, how, mask=mask), look(own.goal, how)
+    with contextlib.redirect_stdout(io.StringIO()):  # viser tells its address whether asked or not
+        server = viser.ViserServer(host=host, port=port, verbose=False)
+    try:
+        with tempfile.TemporaryDirectory(prefix="clothkit-view-") as uploads:
+            address = f"http://{'localhost' if host in ('127.0.0.1', '0.0.0.0') else host}:{server.get_port()}"
+            click.echo(f"{address} (Ctrl-C ends it)")
+            build(server, data=data, chosen=name, own=own, settings=given, seeing=how, uploads=Path(uploads))
+            if not no_browser and _has_screen():
+                webbrowser.open(address)
+            threading.Event().wait()
+    except KeyboardInterrupt:
+        click.echo("")
+    finally:
+        server.stop()
+
+
+def _has_screen() -> bool:
+    """Whether a browser would be a window, and not take over the terminal."""
+    return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

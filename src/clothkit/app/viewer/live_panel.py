@@ -1,0 +1,160 @@
+"""The tab on which a session is made: pick a test task or your own files, plan, execute, plan again."""
+
+import threading
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import viser
+
+from clothkit.app.given import Seeing, Settings, keep_compiled_programs, look
+from clothkit.app.planner import planner_of
+from clothkit.app.viewer.live import Live, begin, perform, plan, with_progress
+from clothkit.app.viewer.player import Player, assign, by_hand
+from clothkit.app.viewer.session import unlikely
+from clothkit.app.viewer.tasks import Ask
+from clothkit.app.viewer.watched import Progress
+from clothkit.errors import InputError
+from clothkit.planning.systems import SYSTEMS, system
+
+OWN = "own files"
+
+
+class LivePanel:
+    """Makes a session; one search or simulation at a time."""
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        player: Player,
+        tasks: Mapping[str, Ask],
+        own: Ask | None,
+        *,
+        chosen: str,
+        data: Path,
+        settings: Settings,
+        seeing: Seeing,
+        uploads: Path,
+    ) -> None:
+        self._player, self._data, self._settings, self._seeing, self._uploads = player, data, settings, seeing, uploads
+        self._tasks, self._mask = dict(tasks), own.mask if own else None
+        self._live: Live | None = None
+        self._running, self._stopped = threading.Lock(), threading.Event()
+        gui = server.gui
+        self._system = gui.add_dropdown("system", tuple(SYSTEMS), initial_value=chosen, hint="Which system plans")
+        first = [] if own is None else [OWN]
+        self._task = gui.add_dropdown("task", tuple(dict.fromkeys([*first, *self._tasks, OWN])))
+        with gui.add_folder("Own files", expand_by_default=own is not None or not tasks):
+            self._state = gui.add_text("state", own.state if own else "", hint="A file of this machine, or upload one")
+            self._goal = gui.add_text("goal", own.goal if own else "", hint="Likewise")
+            self._steps = gui.add_slider("steps", 1, 3, 1, own.steps if own else 1)
+            upload_state = gui.add_upload_button("upload state")
+            upload_goal = gui.add_upload_button("upload goal")
+        self._seed = gui.add_number("seed", 0, min=0, step=1, hint="Another seed, another search")
+        self._load = gui.add_button("load", color="gray", hint="Look at the cloth; nothing is planned yet")
+        self._plan = gui.add_button("plan", color="violet", disabled=True)
+        self._stop = gui.add_button("stop the search", visible=False, color="gray")
+        self._execute = gui.add_button("execute", color="green", disabled=True)
+        self._bar = gui.add_progress_bar(0.0, visible=False)
+        self._said = gui.add_markdown("Pick a task or your own files and *load* them.")
+        upload_state.on_upload(lambda event: self._uploaded(self._state, event.target.value))
+        upload_goal.on_upload(lambda event: self._uploaded(self._goal, event.target.value))
+        self._load.on_click(lambda _: self._work("looking at the cloth", self._begin))
+        self._plan.on_click(lambda _: self._work("searching", self._search))
+        self._execute.on_click(lambda _: self._work("simulating", self._perform))
+        self._stop.on_click(lambda _: self._stopped.set())
+        for control in (self._system, self._task):
+            control.on_update(by_hand(self._reload))
+
+    def begin(self) -> None:
+        """Load what is chosen."""
+        self._work("looking at the cloth", self._begin)
+
+    def _reload(self) -> None:
+        if self._task.value != OWN or self._state.value:
+            self.begin()
+
+    def _uploaded(self, field: viser.GuiInputHandle[str], file: viser.UploadedFile) -> None:
+        path = self._uploads / Path(file.name).name
+        path.write_bytes(file.content)
+        assign(field, str(path))
+        assign(self._task, OWN)
+        self._mask = None
+        self._said.content = f"{path.name} is here; *load* when state and goal are."
+
+    def _work(self, what: str, job: Callable[[], str]) -> None:
+        """Do one thing, and nothing else meanwhile; bad input is told on the page."""
+        if not self._running.acquire(blocking=False):
+            return
+        try:
+            for control in (self._load, self._plan, self._execute, self._system, self._task):
+                control.disabled = True
+            self._said.content = f"{what} .."
+            self._said.content = job()
+        except InputError as error:
+            self._said.content = f"⚠ {error}"
+        except Exception as error:
+            self._said.content = f"⚠ {what} failed: {type(error).__name__}: {error}"
+            raise
+        finally:
+            for control in (self._load, self._system, self._task):
+                control.disabled = False
+            self._plan.disabled = self._live is None or not self._live.left
+            self._execute.disabled = self._live is None or self._live.planned is None
+            self._running.release()
+
+    def _begin(self) -> str:
+        self._live = None
+        own = Ask(self._state.value, self._goal.value, self._steps.value, self._mask)
+        name, ask = self._task.value, self._tasks.get(self._task.value, own)
+        if not ask.state or not ask.goal:
+            raise InputError("own files: state or goal is missing, expected a file for each")
+        keep_compiled_programs()
+        planner = planner_of(system(self._system.value), self._data, self._settings)
+        start, goal = look(ask.state, self._seeing, mask=ask.mask), look(ask.goal, self._seeing)
+        title = f"{Path(ask.state).name} to {Path(ask.goal).name}" if ask is own else name
+        title = f"{planner.system.name}, {title}"
+        self._live = begin(planner, start, goal, ask.steps, title=title, data=self._data, settings=self._settings)
+        self._player.show(self._live.session)
+        return f"{_count(self._live.left)} to plan."
+
+    def _search(self) -> str:
+        assert self._live is not None
+        live = self._live
+        self._stopped.clear()
+        self._stop.visible = self._bar.visible = True
+        self._player.show(live.session, at=live.at, shown="estimate")
+
+        def watch(progress: Progress) -> bool:
+            self._bar.value = 100.0 * progress.done / progress.strains  # type: ignore[misc]
+            self._said.content = (
+                f"searching: {progress.done} of {progress.strains} strains .."
+                if progress.done
+                else "searching; the first search of its kind is compiled first, which takes its time .."
+            )
+            if progress.best is not None:
+                self._player.show(with_progress(live, progress).session, at=live.at, shown=None)
+            return not self._stopped.is_set()
+
+        try:
+            self._live = plan(live, seed=int(self._seed.value), watch=watch)
+        finally:
+            self._stop.visible = self._bar.visible = False
+        session = self._live.session
+        self._player.show(session, at=live.at)
+        if self._live.planned is None:
+            return "stopped before anything was found."
+        if unlikely(session.steps[live.at], session.goal):
+            return "planned, but it is not expected to help: plan again with another seed, or execute all the same."
+        return "planned: look at it, then *execute* its first manipulation."
+
+    def _perform(self) -> str:
+        assert self._live is not None
+        self._live = perform(self._live)
+        self._player.show(self._live.session, at=self._live.at, shown="state")
+        if not self._live.left:
+            return "executed; the session is over."
+        return f"executed; {_count(self._live.left)} left: plan again from what is seen now."
+
+
+def _count(left: int) -> str:
+    return f"{left} manipulation{'' if left == 1 else 's'}"

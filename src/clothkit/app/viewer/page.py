@@ -1,0 +1,48 @@
+"""The whole page: two tabs to pick a session from, and the player below them."""
+
+from pathlib import Path
+
+import viser
+
+from clothkit.app.given import Seeing, Settings
+from clothkit.app.viewer.live_panel import LivePanel
+from clothkit.app.viewer.player import Player
+from clothkit.app.viewer.recorded import systems_in
+from clothkit.app.viewer.recorded_panel import RecordedPanel
+from clothkit.app.viewer.tasks import Ask, test_tasks
+
+
+def build(
+    server: viser.ViserServer,
+    *,
+    data: Path,
+    chosen: str,
+    own: Ask | None,
+    settings: Settings,
+    seeing: Seeing,
+    uploads: Path,
+) -> None:
+    """Put the page together, and show the first session on it. Raises InputError for artifacts that can't be read."""
+    systems, tasks = systems_in(data), test_tasks(data / "meshes.zarr")
+    gui = server.gui
+    # The share button would send the page through a server elsewhere.
+    gui.configure_theme(control_width="large", show_logo=False, show_share_button=False, brand_color=(111, 66, 193))
+    gui.set_panel_label("clothkit")
+    gui.main_panel.dock_right()
+    tabs = gui.add_tab_group()
+    player = Player(server)
+    recorded = None
+    if systems and own is None:
+        with tabs.add_tab("Recorded"):
+            recorded = RecordedPanel(server, player, data, systems)
+    with tabs.add_tab("Live"):
+        live = LivePanel(
+            server, player, tasks, own, chosen=chosen, data=data, settings=settings, seeing=seeing, uploads=uploads
+        )
+    if systems and own is not None:
+        with tabs.add_tab("Recorded"):
+            RecordedPanel(server, player, data, systems)
+    if recorded is not None:
+        recorded.list_tasks()
+    elif own is not None:
+        live.begin()

@@ -1,0 +1,44 @@
+"""What a session can be made of: your own files, or test tasks."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import zarr
+
+from clothkit.dataset.store import SPLITS
+from clothkit.dataset.tasks import tasks_of
+from clothkit.errors import InputError
+
+
+class Ask(NamedTuple):
+    """What a session shall be about."""
+
+    state: str
+    """Files, as the commands take them."""
+    goal: str
+    steps: int
+    mask: str | None = None
+
+
+MOST = 50
+"""Sequences that are offered: a list of all would be too long to pick from."""
+
+
+def test_tasks(path: Path) -> dict[str, Ask]:
+    """Tasks of test sequences of a store of meshes by name; none where there is no store. Raises InputError."""
+    if not path.exists():
+        return {}
+    try:
+        group = zarr.open_group(path, mode="r")
+        split, length = (np.asarray(group[name][:]) for name in ("split", "length"))  # type: ignore[index]
+    except (OSError, ValueError, RuntimeError, KeyError) as error:
+        raise InputError(f"{path}: can't be read as a store of meshes") from error
+    sequences = np.flatnonzero(split == SPLITS.index("test"))[:MOST]
+    return {
+        f"sequence {s}, state {task.start} to {task.start + task.length}": Ask(
+            f"{path}:{s}/{task.start}", f"{path}:{s}/{task.start + task.length}", task.length
+        )
+        for s in sequences.tolist()
+        for task in tasks_of(s, int(length[s]))
+    }

@@ -1,0 +1,385 @@
+"""What the viewer shows, as arrays: no browser is needed to tell whether it is right."""
+
+import io
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import numpy as np
+import pytest
+import trimesh
+
+from clothkit.app.given import look, seeing, settings
+from clothkit.app.plan_file import UNLIKELY
+from clothkit.app.planner import Past, first_traces, predicted
+from clothkit.app.viewer import colours, live
+from clothkit.app.viewer.canvas import finer, two_sided
+from clothkit.app.viewer.colours import Scale, legend, round_up
+from clothkit.app.viewer.recorded import entries, session_of, systems_in
+from clothkit.app.viewer.scene import Cloth, View, cubes, hand_paths, scale_of, scene_of, to_show
+from clothkit.app.viewer.session import Look, disagreement, error_of, facts, matched, places, unlikely
+from clothkit.app.viewer.tasks import test_tasks as tasks_in
+from clothkit.app.viewer.watched import AT_ONCE, Progress, find_watched
+from clothkit.cloth import voxels
+from clothkit.cloth.grid import flat, triangles
+from clothkit.errors import InputError
+from clothkit.manipulation.geometry import release_points, to_cartesian
+from clothkit.planning.planner import Planner
+from tests.app import played
+from tests.app.conftest import run
+from tests.planning import toy
+from tests.planning.test_session import MANIPULATIONS
+
+FORWARD = ("--no-browser", "--port", 0)
+
+
+def test_paths_lead_from_grasp_to_release_points() -> None:
+    mesh, manipulation = played.session().states[0], played.PLAN[0]
+    paths = hand_paths(mesh, manipulation)
+    grasps = np.stack([np.asarray(to_cartesian(mesh, uv)) for uv in (manipulation[:2], manipulation[2:4])])
+    releases = release_points(grasps[:, :2], manipulation[4:]).points
+    assert len(paths) == 2
+    for path, grasp, release in zip(paths, grasps, releases, strict=True):
+        np.testing.assert_allclose(path[0], grasp, atol=1e-5)
+        np.testing.assert_allclose(path[-1, :2], release, atol=1e-5)
+        reach = np.linalg.norm(release - grasp[:2])
+        np.testing.assert_allclose(path[-1, 2] - grasp[2], min(0.2, reach / 2), atol=1e-5)
+    assert len(hand_paths(mesh, played.PLAN[1])) == 1
+    assert hand_paths(mesh, np.array([1, 1, 1, 1, 0.2, 0.2], np.float32)) == []
+
+
+def test_paths_in_voxels_start_on_top_of_them() -> None:
+    seen = np.asarray(voxels.observe(flat()))
+    (path,) = hand_paths(seen, np.array([0.5, 0.5, 0.5, 0.5, -0.8, 0], np.float32))
+    np.testing.assert_allclose(path[0, :2], 0.5, atol=1e-6)
+    assert 0 < path[0, 2] < 0.01
+    np.testing.assert_allclose(path[-1, :2], [-0.3, 0.5], atol=1e-5)
+    found = cubes(seen, np.zeros(3, np.float32))
+    assert len(found.points) == seen.sum()
+    np.testing.assert_allclose(np.abs(found.points[:, :2]).max(), 0.7, atol=0.05)
+
+
+def test_disagreement_is_palest_where_the_nets_agree() -> None:
+    session = played.session()
+    step = session.steps[0]
+    assert step.plan is not None
+    means = step.plan.means.copy()
+    # The nets agree on one half of the cloth.
+    means[1, :, :16] = means[0, :, :16]
+    session = session._replace(steps=(step._replace(plan=step.plan._replace(means=means)), *session.steps[1:]))
+    plan = session.steps[0].plan
+    assert plan is not None
+    apart = disagreement(plan)
+    assert apart is not None
+    assert (apart[:, :16] == 0).all()
+    assert (apart[:, 16:] > 0).any()
+    scene = scene_of(session, 0, View("net a, after 1", "disagreement", "hidden"))
+    scale = scale_of(session, "disagreement")
+    (cloth,) = scene.cloths
+    palest = colours.colours(np.zeros(1, np.float32), scale)[0]
+    np.testing.assert_array_equal(cloth.front[:16], np.broadcast_to(palest, (16, 32, 3)))
+    far = np.unravel_index(apart[0].argmax(), apart[0].shape)
+    assert cloth.front[far].sum() < palest.sum() - 0.1
+    np.testing.assert_array_equal(cloth.front, cloth.back)
+
+
+def test_colours_tell_side_height_and_sigma() -> None:
+    session = played.session()
+    (cloth,) = scene_of(session, 0, View(ghost="hidden")).cloths
+    np.testing.assert_allclose(cloth.front[0, 0], colours.FRONT, atol=1e-6)
+    np.testing.assert_allclose(cloth.back[0, 0], colours.BACK, atol=1e-6)
+    (cloth,) = scene_of(session, 0, View("state", "height", "hidden")).cloths
+    height = session.states[0][..., 2]
+    light = cloth.front.sum(-1)
+    assert light.ravel()[height.argmax()] < light.ravel()[height.argmin()]
+    # Nothing is known of the true state, and of an estimate only where it is told.
+    for shown in ("state", "estimate"):
+        (cloth,) = scene_of(session, 0, View(shown, "sigma", "hidden")).cloths
+        np.testing.assert_allclose(cloth.front[3, 3], colours.UNKNOWN, atol=1e-6)
+    sigma = np.linspace(0.001, 0.03, 32 * 32 * 3, dtype=np.float32).reshape(32, 32, 3)
+    unsure = played.with_sigma(session, sigma)
+    (cloth,) = scene_of(unsure, 0, View("estimate", "sigma", "hidden")).cloths
+    assert (np.diff(cloth.front.reshape(-1, 3).sum(-1)[::40]) < 0).all()
+    assert scale_of(unsure, "sigma").highest >= sigma.max() * 0.99
+
+
+def test_the_reports_colours_are_the_viewers() -> None:
+    from clothkit.report import draw
+
+    np.testing.assert_allclose(colours.FRONT, draw._FRONT, atol=1e-6)
+    np.testing.assert_allclose(colours.BACK, draw._BACK, atol=1e-6)
+
+
+def test_what_there_is_to_look_at() -> None:
+    session = played.session()
+    names = [shown.name for shown in to_show(session, 0)]
+    assert names == [
+        "state",
+        "estimate",
+        *(f"net {net}, after {i}" for net in "ab" for i in (1, 2)),
+    ]
+    # A prediction shows what is to be done to it next, the last one nothing.
+    assert [shown.manipulation is not None for shown in to_show(session, 0)] == [True, True, True, False, True, False]
+    assert [shown.name for shown in to_show(session, 2)] == ["outcome"]
+    abreast = scene_of(session, 0, View(abreast=True))
+    assert len(abreast.cloths) == len(names) + 1
+    assert len(set(abreast.middles)) == len(names) + 1
+    assert [caption.text for caption in abreast.captions][-1] == "goal"
+    assert len(scene_of(session, 0, View()).cloths) == 2
+    assert scene_of(session, 0, View()).cloths[-1].opacity < 1
+    assert len(scene_of(session, 0, View(ghost="hidden")).cloths) == 1
+    assert scene_of(session, 0, View(candidates=False)).dots == ()
+    assert scene_of(session, 0, View(paths=False)).paths == ()
+    # A name of another step's falls back to the state.
+    assert scene_of(session, 2, View("net b, after 2")).captions[0].text.startswith("outcome")
+
+
+def test_voxels_are_shown_as_cubes() -> None:
+    session = played.session()
+    seen = np.asarray(voxels.observe(session.states[0])).astype(np.float32)
+    plan = session.steps[0].plan
+    assert plan is not None
+    plan = plan._replace(means=np.broadcast_to(seen, (2, 2, *seen.shape)), sigmas=None)
+    step = session.steps[0]._replace(look=Look(seen, None, 0.5 * played.CANDIDATES), plan=plan)
+    session = session._replace(steps=(step, *session.steps[1:]))
+    assert matched(step, session.states[0]) is step
+    assert disagreement(plan) is None
+    for mode in colours.MODES:
+        scene = scene_of(session, 0, View(mode=mode, abreast=True))
+        # The state and the goal are meshes.
+        assert len(scene.cloths) == 2
+        assert sum(dots.cubes for dots in scene.dots) == 5
+    assert "expected error" not in facts(session, 0)
+
+
+def test_facts_say_what_is_expected_and_when_nothing_good_is() -> None:
+    session = played.session()
+    first, second = (facts(session, at) for at in (0, 1))
+    assert not unlikely(session.steps[0], session.goal)
+    assert UNLIKELY not in first
+    assert "epistemic uncertainty u = 0.1" in first
+    # Its only manipulation is too short to be one.
+    assert unlikely(session.steps[1], session.goal)
+    assert UNLIKELY in second
+    assert "error **0.000**" in facts(session, 2)
+    assert "no plan yet" in facts(session._replace(steps=(session.steps[0]._replace(plan=None),)), 0)
+
+
+def test_legends_and_scales() -> None:
+    assert [round_up(v) for v in (0.0, 0.011, 0.02, 0.3, 0.7)] == [0.001, 0.02, 0.02, 0.5, 1.0]
+    assert "front" in legend(Scale("side", 1.0))
+    assert "0.1 cloth lengths" in legend(Scale("sigma", 0.14))
+    assert "not known" in legend(Scale("disagreement", 0.14))
+
+
+def test_a_cloth_is_drawn_from_both_sides() -> None:
+    mesh = played.session().states[0]
+    front, back = (np.broadcast_to(np.array(side, np.float32), mesh.shape) for side in (colours.FRONT, colours.BACK))
+    loaded = trimesh.load(io.BytesIO(two_sided(Cloth(mesh, front, back))), file_type="glb")
+    a, b = (loaded.geometry[name] for name in ("front", "back"))
+    assert not a.visual.material.doubleSided
+    np.testing.assert_array_equal(a.faces[:, ::-1], b.faces)
+    np.testing.assert_allclose(a.face_normals, -b.face_normals, atol=1e-4)
+    assert len(a.faces) == len(triangles(63))
+    np.testing.assert_allclose(finer(mesh, degree=3)[::2, ::2], mesh, atol=1e-5)
+
+
+@pytest.fixture(scope="module")
+def folder(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return played.fill(tmp_path_factory.mktemp("played") / "data", data)
+
+
+def test_recorded_sessions_are_read_one_by_one(folder: Path) -> None:
+    assert systems_in(folder) == ["main"]
+    found = entries(folder, "main")
+    assert [(e.split, e.sequence, e.start, e.length) for e in found] == [("test", 0, 0, 2), ("test", 1, 1, 1)]
+    session = session_of(folder, "main", found[0])
+    kept = played.recorded(played.Task(0, 0, 2))
+    assert session.length == 2
+    assert len(session.states) == 3
+    np.testing.assert_array_equal(session.states[1], kept.state[0, 1])
+    assert found[0].error == pytest.approx(error_of(session.states[2], session.goal), abs=1e-4)
+    assert f"error {found[0].error:.3f}" in found[0].label
+    # What came under other labels is under those of the truth, and lies where it lay.
+    look, plan = session.steps[0]
+    assert plan is not None
+    np.testing.assert_allclose(look.estimate, kept.state[0, 0], atol=1e-5)
+    np.testing.assert_allclose(plan.manipulations, played.PLAN, atol=1e-6)
+    np.testing.assert_allclose(plan.means[0], played.after(kept.state[0, 0], played.PLAN), atol=2e-3)
+    uv = kept.candidates[0, 0, : len(played.CANDIDATES)]
+    np.testing.assert_allclose(places(look.estimate, look.candidates), places(kept.estimate[0, 0], uv), atol=1e-5)
+    assert plan.uncertainty == 0.25
+    np.testing.assert_array_equal(plan.progress, [4, 3, 2, 1.5])
+    assert "executed" in plan.note
+
+
+def test_a_broken_record_is_told(folder: Path, tmp_path: Path) -> None:
+    shutil.copytree(folder / "evaluation", tmp_path / "evaluation")
+    shutil.rmtree(tmp_path / "evaluation/planning/sessions_main.zarr/plan")
+    (entry, *_) = entries(tmp_path, "main")
+    with pytest.raises(InputError, match=r"sessions_main.zarr: has no array plan"):
+        session_of(tmp_path, "main", entry)
+    (tmp_path / "evaluation/planning/main.parquet").unlink()
+    assert entries(tmp_path, "main")[0].error is None
+    with pytest.raises(InputError, match=r"sessions_b1.zarr: can't be read"):
+        entries(tmp_path, "b1")
+
+
+def test_a_search_in_lots_tells_how_far_it_is_and_can_be_stopped() -> None:
+    planner = toy.planner("b1")
+    session = played.session()
+    told: list[Progress] = []
+    found = find_watched(planner, session.states[0], session.states[1], 1, seed=0, watch=lambda p: not told.append(p))
+    strains = toy.SEARCH.strains
+    assert [progress.done for progress in told] == [*range(0, strains, AT_ONCE), strains]
+    assert found.best is not None
+    assert (np.diff(found.lowest) <= 0).all()
+    assert len(found.lowest) == strains // AT_ONCE * toy.SEARCH.iterations(1)
+    losses = [progress.best.loss for progress in told if progress.best]
+    assert losses == sorted(losses, reverse=True)
+    mean = np.asarray(found.best.predictions[0].mean[-1])
+    reached, before = error_of(mean, session.states[1]), error_of(session.states[0], session.states[1])
+    assert reached is not None
+    assert before is not None
+    assert reached < 0.5 * before
+    stopped = find_watched(
+        planner, session.states[0], session.states[1], 1, seed=0, watch=lambda progress: progress.done == 0
+    )
+    assert stopped.done == AT_ONCE
+    # A later search of a session starts from what is left of the last plan: here it is found at once.
+    way = played.PLAN[:1]
+    past = Past(session.states[0], first_traces(planner), 0, way)
+    first: list[Progress] = []
+    find_watched(
+        planner,
+        session.states[0],
+        session.states[1],
+        1,
+        seed=0,
+        past=past,
+        watch=lambda progress: not first.append(progress) and progress.done == 0,
+    )
+    assert first[-1].done == AT_ONCE
+    assert first[-1].lowest[-1] <= stopped.lowest[-1]
+    nothing = find_watched(planner, session.states[0], session.states[1], 1, seed=0, watch=lambda _: False)
+    assert nothing.best is None
+
+
+def under_way(folder: Path, monkeypatch: pytest.MonkeyPatch) -> live.Live:
+    """A live session of the toy world, before its first plan."""
+    monkeypatch.chdir(folder)  # without params.yaml
+    how = seeing(settings().app, side=None, table=None, table_colour=None, box=None)
+    start, goal = (look(f"{folder}/meshes.zarr:0/{state}", how) for state in (0, 2))
+    return live.begin(toy.planner("b1"), start, goal, 2, title="toy", data=folder, settings=settings())
+
+
+def finds(plan: np.ndarray) -> Any:
+    """A search that always finds the same plan."""
+
+    def find(planner: Planner, state: np.ndarray, *_: Any, past: Past | None, **__: Any) -> Progress:
+        traces = past.traces if past else first_traces(planner)
+        best = predicted(planner, state, plan, common=0, traces=traces)
+        return Progress(8, 8, best, np.array([2.0, 1.0], np.float32), 8)
+
+    return mock.patch.object(live, "find_watched", find)
+
+
+def test_a_live_session_goes_from_plan_to_plan(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    session = under_way(folder, monkeypatch)
+    with pytest.raises(InputError, match="has no plan"):
+        live.perform(session)
+    with mock.patch.object(live, "execute", lambda *given, **_: toy.execute(*given)):
+        for left in (2, 1):
+            assert session.left == left
+            with finds(recorded_plan()[-left:]):
+                session = live.plan(session, seed=0, watch=lambda _: True)
+            plan = session.session.steps[-1].plan
+            assert plan is not None
+            assert plan.means.shape == (2, left, 32, 32, 3)
+            session = live.perform(session)
+            assert session.past is not None
+            # A toy trace counts the manipulations that were executed.
+            assert (session.past.traces[0] == 3 - left).all()
+            np.testing.assert_allclose(session.past.rest, recorded_plan()[-left:][1:])
+    shown = session.session
+    assert shown.over
+    assert len(shown.steps) == 2
+    assert "executed, error after it" in facts(shown, 0)
+    before, end = (error_of(shown.states[i], shown.goal) for i in (0, 2))
+    assert before is not None
+    assert end is not None
+    assert end < 0.1 * before
+    with pytest.raises(InputError, match="is over"):
+        live.plan(session, seed=0, watch=lambda _: True)
+
+
+def recorded_plan() -> np.ndarray:
+    """What leads from state 0 to state 2 of the toy dataset."""
+    return MANIPULATIONS[:2]
+
+
+def test_a_null_manipulation_changes_nothing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    short = recorded_plan().copy()
+    short[0, 4:] = 0.1
+    with finds(short):
+        planned = live.plan(under_way(folder, monkeypatch), seed=0, watch=lambda _: True)
+    done = live.perform(planned)
+    np.testing.assert_array_equal(done.session.states[1], done.session.states[0])
+    assert done.past is not None
+    assert (done.past.traces[0] == 0).all()
+    assert "too short" in facts(done.session, 0)
+
+
+def test_tasks_are_those_of_the_test_split(folder: Path, tmp_path: Path) -> None:
+    found = tasks_in(folder / "meshes.zarr")
+    assert len(found) == 12
+    ask = found["sequence 1, state 1 to 3"]
+    assert (ask.state, ask.goal, ask.steps) == (f"{folder}/meshes.zarr:1/1", f"{folder}/meshes.zarr:1/3", 2)
+    assert tasks_in(tmp_path / "meshes.zarr") == {}
+    (tmp_path / "meshes.zarr").mkdir()
+    with pytest.raises(InputError, match="can't be read as a store of meshes"):
+        tasks_in(tmp_path / "meshes.zarr")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("--state", "a.obj"), "--goal: missing"),
+        (("--goal", "a.obj"), "--state: missing"),
+        (("--data", "nowhere"), "nowhere: not found"),
+        (("--state", "none.obj", "--goal", "a.obj"), "none.obj: not found"),
+        (("--box", 5, 5, 5, 1, 1, 1), "--box"),
+    ],
+)
+def test_bad_input_is_told_in_one_sentence(here: Path, arguments: tuple[object, ...], says: str) -> None:
+    result = run("view", *FORWARD, *arguments)
+    assert result.exit_code == 1
+    (sentence,) = result.stderr.splitlines()
+    assert sentence.startswith("view: ")
+    assert says in sentence
+
+
+def test_the_command_serves_a_page_until_it_is_interrupted(folder: Path) -> None:
+    arguments = [sys.executable, "-m", "clothkit", "view", *(str(argument) for argument in FORWARD)]
+    with subprocess.Popen(
+        arguments,
+        cwd=folder.parent,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONUNBUFFERED": "1"},
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        address = process.stdout.readline().split()[0]
+        with urllib.request.urlopen(address, timeout=30) as answer:
+            assert b"<html" in answer.read(2000)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=60) == 0
+        assert "Traceback" not in process.stderr.read()
