@@ -127,7 +127,7 @@ def test_the_chain_ends_with_tables_pictures_and_metrics(finished: Checkout) -> 
         "no action",
     }
     ours = table[(table["source"] == "clothkit") & (table["system"] == "main") & (table["statistic"] == "mean")]
-    assert set(ours["split"]) == {"test", "train"}
+    assert set(ours["split"]) == {"test"}
     assert (ours[["1/0", "2/1", "3/all"]].to_numpy() > 0).all()
     table = pd.read_csv(report / "tables" / "table_4.csv")
     ours = table[(table["source"] == "clothkit") & (table["statistic"] == "mean")]

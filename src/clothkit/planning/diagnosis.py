@@ -19,6 +19,8 @@ from clothkit.planning.record import Sessions, Stretch
 from clothkit.planning.search import UNKNOWN, Problem, Reference, fix, planning_loss
 from clothkit.planning.sight import Sight
 
+_relabelled = jax.jit(relabel_manipulation_batch)
+
 NEAR = 0.05 * CLOTH_SIDE
 """A recorded grasp point was offered if a candidate lies this near [normalised]."""
 
@@ -34,7 +36,7 @@ def note_recorded(sessions: Sessions, goals: np.ndarray, recorded: list[Stretch]
         chosen = np.flatnonzero(sessions.length == length)
         states, manipulations = (np.stack(parts) for parts in zip(*(recorded[task] for task in chosen), strict=True))
         plan = sight.recorded(states, manipulations).plan
-        plan = np.asarray(relabel_manipulation_batch(plan, labels[chosen]))
+        plan = np.asarray(_relabelled(plan, labels[chosen]))
         sessions.loss_recorded[chosen] = in_batches(
             partial(
                 losses,
@@ -57,9 +59,10 @@ def note_recorded(sessions: Sessions, goals: np.ndarray, recorded: list[Stretch]
 
 
 def _places(sight: Sight, seen: np.ndarray, candidates: Float[np.ndarray, "c 2"]) -> Float[np.ndarray, "present 2"]:
-    present = candidates[np.isfinite(candidates[:, 0])]
-    pairs = np.repeat(present[:, None], 2, axis=1)
-    return sight.places(np.repeat(seen[None], len(present), axis=0), pairs)[:, 0]
+    present = np.isfinite(candidates[:, 0])
+    # As many as there may be, so that one program serves all states.
+    pairs = np.repeat(np.nan_to_num(candidates)[:, None], 2, axis=1)
+    return sight.places(np.repeat(seen[None], len(candidates), axis=0), pairs)[present, 0]
 
 
 def offered(wanted: Float[np.ndarray, "2 2"], offers: Float[np.ndarray, "c 2"]) -> Bool[np.ndarray, ""]:

@@ -12,6 +12,8 @@ from clothkit.planning.record import Sessions
 
 _error = jax.jit(lambda mesh, truth: error(mesh, truth, aligned=True))
 _unaligned = jax.jit(error)
+_labelled = jax.jit(distance_aligned)
+_differing = jax.jit(lambda a, b: (voxels.of_mesh(a) != voxels.of_mesh(b)).mean((-3, -2, -1)))
 
 
 def rows(sessions: Sessions, system: str) -> pd.DataFrame:
@@ -41,7 +43,7 @@ def rows(sessions: Sessions, system: str) -> pd.DataFrame:
             "start": sessions.start.astype(np.int64),
             "length": sessions.length.astype(np.int64),
             "error": np.asarray(_error(outcome, goal)),
-            "error_labelled": np.asarray(distance_aligned(outcome, goal)),
+            "error_labelled": np.asarray(_labelled(outcome, goal)),
             "error_no_action": staying[:, 0],
             "voxel_error": voxel_error(outcome, goal),
             "voxel_error_no_action": voxel_error(sessions.state[:, 0], goal),
@@ -66,5 +68,4 @@ def voxel_error(
     outcome: Float[np.ndarray, "task u v 3"], goal: Float[np.ndarray, "task u v 3"]
 ) -> Float[np.ndarray, " task"]:
     """Mean absolute difference of voxel values; both meshes lie with their silhouettes' centres at (0, 0)."""
-    differing = voxels.of_mesh(outcome) != voxels.of_mesh(goal)
-    return np.asarray(differing.mean((-3, -2, -1)))
+    return np.asarray(_differing(outcome, goal))

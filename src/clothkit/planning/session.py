@@ -168,14 +168,19 @@ def _problems(
 def _keys(sessions: Sessions, chosen: np.ndarray, step: int, seed: int) -> jax.Array:
     """A key for each search, from what it is about and nothing else."""
 
-    def key(sequence: Any, start: Any, length: Any) -> Any:
+    numbers = (sessions.sequence[chosen], sessions.start[chosen], sessions.length[chosen])
+    return _folded(np.uint32(seed), *(np.asarray(n, np.uint32) for n in numbers), np.uint32(step))
+
+
+@jax.jit
+def _folded(seed: Any, sequence: Any, start: Any, length: Any, step: Any) -> jax.Array:
+    def key(*parts: Any) -> jax.Array:
         key = jax.random.key(seed)
-        for part in (sequence, start, length, step):
+        for part in (*parts, step):
             key = jax.random.fold_in(key, part)
         return key
 
-    numbers = (sessions.sequence[chosen], sessions.start[chosen], sessions.length[chosen])
-    return jax.vmap(key)(*(np.asarray(n, np.uint32) for n in numbers))
+    return jax.vmap(key)(sequence, start, length)
 
 
 def _note(

@@ -30,6 +30,9 @@ CORNERS = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]], np.float32)
 TOGETHER = 24
 """States that are estimated as one program."""
 
+_observe, _to_cartesian, _relabel_batch = jax.jit(voxels.observe), jax.jit(to_cartesian), jax.jit(relabel_batch)
+_distance_aligned, _best_label = jax.jit(distance_aligned), jax.jit(best_label)
+
 Meshes = Float[np.ndarray, "task u v 3"]
 States = Shaped[np.ndarray, "task *state"]
 
@@ -120,7 +123,7 @@ class MeshSight:
     def see(self, truth: Meshes, expected: States | None) -> View:
         if self.vtm is None:
             return _well_centred(truth)
-        return _well_centred(self.estimates(np.asarray(voxels.observe(truth)), expected))
+        return _well_centred(self.estimates(np.asarray(_observe(truth)), expected))
 
     def estimates(self, seen: Shaped[np.ndarray, "task x y z"], expected: Meshes | None) -> Meshes:
         """The meshes that voxels show."""
@@ -142,16 +145,16 @@ class MeshSight:
 
     def places(self, states: States, grasps: np.ndarray) -> np.ndarray:
         believed = np.repeat(states[:, None], 2, axis=1)
-        return np.asarray(to_cartesian(believed, grasps))[..., :2]
+        return np.asarray(_to_cartesian(believed, grasps))[..., :2]
 
     def relabelled(self, states: States, k: np.ndarray) -> States:
-        return np.asarray(relabel_batch(states, k))
+        return np.asarray(_relabel_batch(states, k))
 
     def means(self, predictions: ProbabilisticMesh) -> np.ndarray:
         return np.asarray(predictions.mean)
 
     def misses(self, states: States, goals: States) -> np.ndarray:
-        return np.asarray(distance_aligned(states, goals))
+        return np.asarray(_distance_aligned(states, goals))
 
     def refined(self, outcomes: ProbabilisticMesh) -> Meshes:
         return in_batches(lambda outcome: refine(outcome, outcome.mean, self.refinement), TOGETHER, outcomes)
@@ -160,7 +163,7 @@ class MeshSight:
         return in_meshes(states, plan)
 
     def labels(self, seen: States, truth: Meshes) -> np.ndarray:
-        return np.asarray(best_label(seen, truth))
+        return np.asarray(_best_label(seen, truth))
 
 
 @dataclass(frozen=True)
@@ -173,10 +176,10 @@ class VoxelSight:
     """One labelling is all that there are."""
 
     def see(self, truth: Meshes, expected: States | None) -> View:
-        return _well_centred(np.asarray(voxels.observe(truth)))
+        return _well_centred(np.asarray(_observe(truth)))
 
     def goals(self, meshes: Meshes) -> States:
-        return np.asarray(voxels.observe(meshes))
+        return np.asarray(_observe(meshes))
 
     def grasps(self, state: np.ndarray, settings: CandidateConfig) -> np.ndarray:
         return voxel_candidates(state > 0, settings)
