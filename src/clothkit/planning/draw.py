@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from clothkit.manipulation.geometry import release_points
+from clothkit.manipulation.vector import is_null
 
 REACH = 1.4
 """Displacements are drawn from -REACH..REACH in x and y [normalised]."""
@@ -21,6 +22,14 @@ SINGLE_SHARE = 1 / 3
 
 FIRST_STEP_DRAWS = 16
 """Draws of a first manipulation among which the first valid one is taken."""
+
+FOLD_POINT = 0.8
+"""Where along the displacement q lies (section 4.4)."""
+
+RASTER, EXTENT = 64, 1.1
+"""Pixels a side, and half the side [normalised], of the square in which it is told what a cloth covers."""
+
+Covered = Bool[Array, "x y"] | Bool[np.ndarray, "x y"]
 
 
 class Candidates(NamedTuple):
@@ -46,20 +55,27 @@ def random_plans(
     candidates: Candidates,
     xy: Float[Array, "candidates 2"],
     *,
+    covered: Covered | None = None,
     key: PRNGKeyArray,
 ) -> Float[Array, "strains n 6"]:
     """Random plans whose first grasp points are candidates; these lie at `xy`.
 
-    Two hands of a first manipulation never fall on different sides of m (unless 16 draws failed).
+    Two hands of a first manipulation never fall on different sides of m (unless 16 draws failed). Where it is told what
+    the cloth covers, the first q is on it.
     """
     key_first, key_later = jax.random.split(key)
-    first = _first_manipulations(strains, candidates, xy, key=key_first)
+    first = _first_manipulations(strains, candidates, xy, covered, key=key_first)
     later = random_manipulations((strains, steps - 1), key=key_later)
     return jnp.concatenate([first[:, None], later], axis=1)
 
 
 def _first_manipulations(
-    strains: int, candidates: Candidates, xy: Float[Array, "candidates 2"], *, key: PRNGKeyArray
+    strains: int,
+    candidates: Candidates,
+    xy: Float[Array, "candidates 2"],
+    covered: Covered | None,
+    *,
+    key: PRNGKeyArray,
 ) -> Float[Array, "strains 6"]:
     key_hands, key_grasps, key_displacement = jax.random.split(key, 3)
     single = (jax.random.uniform(key_hands, (strains, 1)) < SINGLE_SHARE) | (candidates.present < 2)
@@ -67,10 +83,15 @@ def _first_manipulations(
     one = jnp.floor(chance[0] * candidates.present).astype(jnp.int32)
     other = jnp.floor(chance[1] * (candidates.present - 1)).astype(jnp.int32)
     other = jnp.where(single, one, other + (other >= one))
-    displacement = jax.random.uniform(key_displacement, (strains, FIRST_STEP_DRAWS, 2), minval=-REACH, maxval=REACH)
+    places = jnp.stack([xy[one], xy[other]], axis=-2)
+    if covered is None:
+        displacement = jax.random.uniform(key_displacement, (strains, FIRST_STEP_DRAWS, 2), minval=-REACH, maxval=REACH)
+    else:
+        q = _points_on(jnp.asarray(covered), (strains, FIRST_STEP_DRAWS), key=key_displacement)
+        displacement = (q - places.mean(-2)) / FOLD_POINT
 
     grasps = jnp.asarray(candidates.grasps)
-    valid = release_points(jnp.stack([xy[one], xy[other]], axis=-2), displacement).same_side
+    valid = release_points(places, displacement).same_side
     drawn = jnp.concatenate([grasps[one], grasps[other], displacement], axis=-1)
     return _first_valid(drawn, jnp.asarray(valid))
 
@@ -78,6 +99,31 @@ def _first_manipulations(
 def _first_valid(drawn: Float[Array, "strains draws 6"], valid: Bool[Array, "strains draws"]) -> Array:
     chosen = jnp.argmax(valid, axis=-1)
     return jnp.take_along_axis(drawn, chosen[:, None, None], axis=1)[:, 0]
+
+
+def _points_on(covered: Bool[Array, "x y"], shape: tuple[int, ...], *, key: PRNGKeyArray) -> Float[Array, "*shape 2"]:
+    """Points drawn uniformly from what a cloth covers."""
+    key_pixel, key_within = jax.random.split(key)
+    so_far = jnp.cumsum(covered.ravel())
+    pixel = jnp.searchsorted(so_far, jax.random.uniform(key_pixel, shape) * so_far[-1], side="right")
+    corner = jnp.stack(jnp.divmod(pixel, covered.shape[1]), axis=-1)
+    within = jax.random.uniform(key_within, (*shape, 2))
+    return (corner + within) * (2 * EXTENT / covered.shape[0]) - EXTENT
+
+
+def folds(
+    covered: Covered, places: Float[Array, "*batch 2 2"], manipulation: Float[Array, "*batch 6"]
+) -> Bool[Array, "*batch"]:
+    """Whether manipulations of grasp points at `places` [normalised] are of the kind that the data hold (section 4.4).
+
+    The point q lies on what the cloth covers, the square -EXTENT..EXTENT; or it is a null manipulation, whatever its q.
+    """
+    covered = jnp.asarray(covered)
+    q = places.mean(-2) + FOLD_POINT * manipulation[..., 4:]
+    pixel = jnp.floor((q + EXTENT) * (covered.shape[0] / (2 * EXTENT))).astype(jnp.int32)
+    inside = jnp.all((pixel >= 0) & (pixel < covered.shape[0]), axis=-1)
+    x, y = jnp.clip(pixel[..., 0], 0, covered.shape[0] - 1), jnp.clip(pixel[..., 1], 0, covered.shape[1] - 1)
+    return (inside & covered[x, y]) | jnp.asarray(is_null(manipulation))
 
 
 def snap(

@@ -18,7 +18,7 @@ from clothkit.cloth.grid import SIDE
 from clothkit.config import config
 from clothkit.manipulation.geometry import release_points
 from clothkit.manipulation.vector import is_single
-from clothkit.planning.draw import Candidates, random_plans, snap
+from clothkit.planning.draw import Candidates, folds, random_plans, snap
 from clothkit.planning.forward import Forward, unroll
 from clothkit.planning.irprop import IRpropConfig, irprop_minus
 from clothkit.planning.loss import Range, Spread, Weights, uncertainty
@@ -43,6 +43,8 @@ class SearchConfig:
     """A strain that has not improved for so many iterations starts anew."""
     every: Annotated[int, Gt(0), Predicate(lambda every: SIDE % every == 0)] = 1
     """The strains' losses run over each `every`-th vertex along u and v; the choice among their best plans over all."""
+    fold: bool = False
+    """Whether first manipulations must be of the kind that was recorded: with q on the cloth (section 4.4)."""
     irprop: IRpropConfig = IRpropConfig()
 
     def iterations(self, length: int) -> int:
@@ -71,6 +73,8 @@ class Problem(NamedTuple):
     """Whether `carried` holds what is left of a session's last plan; if so each common equivalent gets an eighth of the
     strains, of which one starts from it."""
     carried: Float[Array | np.ndarray, "n 6"]
+    covered: Bool[Array | np.ndarray, "x y"] | None = None
+    """What the state covers, for searches with `fold`: pixels of the square that `draw.folds` tells of."""
 
 
 class Found(NamedTuple):
@@ -169,13 +173,12 @@ def _search_one(
     def iterate(state: _State, key: PRNGKeyArray) -> tuple[_State, tuple[Array, Array]]:
         strains = _choose(state.restart, _start(forward, problem, length, settings, key=key), state.strains)
         gradient, (loss, relative) = jax.grad(total, has_aux=True)(strains.plan, strains.common, strains.relative)
-        # No recorded manipulation has its hands on different sides of m, so the nets' word on such a plan is worthless.
-        apart = ~jnp.asarray(release_points(strains.grasps, strains.plan[:, 0, 4:]).same_side)
-        loss = jnp.where(apart, jnp.inf, loss)
+        strange = _strange(strains, problem, settings)
+        loss = jnp.where(strange, jnp.inf, loss)
         now = _Best(strains.plan, strains.common, relative, loss)
         best = _choose(loss < state.best.loss, now, state.best)
         stale = jnp.where(loss < strains.lowest, 0, strains.stale + 1)
-        restart = apart | (stale >= settings.patience)
+        restart = strange | (stale >= settings.patience)
         strains = _move(strains, gradient, settings.irprop)
         strains = strains._replace(lowest=jnp.minimum(loss, strains.lowest), stale=stale)
         return _State(strains, best, restart), (loss, restart)
@@ -185,8 +188,8 @@ def _search_one(
     if settings.screen > 1:
         drawn = _start(forward, problem, length, settings, draws=settings.screen, key=key_first)
         loss, _, _ = losses_of(drawn.plan, drawn.common, drawn.relative, every=settings.every)
-        apart = ~jnp.asarray(release_points(drawn.grasps, drawn.plan[:, 0, 4:]).same_side)
-        screened = _least(jnp.where(apart, jnp.inf, loss), drawn, settings.screen)
+        strange = _strange(drawn, problem, settings)
+        screened = _least(jnp.where(strange, jnp.inf, loss), drawn, settings.screen)
         state = state._replace(
             strains=_choose(state.restart, screened, state.strains), restart=jnp.zeros_like(state.restart)
         )
@@ -198,6 +201,16 @@ def _search_one(
     plan, common, relative = best.plan[winner], best.common[winner], best.relative[winner]
     plan = relabel_manipulation(plan, jnp.asarray(INVERSE)[common])
     return Found(plan, loss[winner], terms[winner], common, relative, losses, restarts)
+
+
+def _strange(strains: _Strains, problem: Problem, settings: SearchConfig) -> Bool[Array, " strains"]:
+    """Strains whose first manipulation is of a kind that was never recorded: the nets' word on it is worthless, and
+    they agree on it. Their hands are on different sides of m, or q is off the cloth."""
+    strange = ~jnp.asarray(release_points(strains.grasps, strains.plan[:, 0, 4:]).same_side)
+    if settings.fold:
+        assert problem.covered is not None, "a search with `fold` is told what the cloth covers"
+        strange |= ~folds(problem.covered, strains.grasps, strains.plan[:, 0])
+    return strange
 
 
 def fix(forward: Forward, nets: tuple[Any, ...], problem: Problem) -> Fixed:
@@ -260,7 +273,9 @@ def _start(
     drawn = jax.random.randint(key_common, (count,), 0, forward.labels)
     common = jnp.where(problem.later, jnp.arange(count) // draws % forward.labels, drawn)
     xy = forward.points(problem.state, jnp.asarray(problem.candidates.grasps))
-    return _fresh(forward, random_plans(count, length, problem.candidates, xy, key=key_plan), common, problem, settings)
+    covered = problem.covered if settings.fold else None
+    plans = random_plans(count, length, problem.candidates, xy, covered=covered, key=key_plan)
+    return _fresh(forward, plans, common, problem, settings)
 
 
 def _first_state(forward: Forward, problem: Problem, length: int, settings: SearchConfig) -> _State:

@@ -154,6 +154,9 @@ def _problems(
     else:
         relative = np.full(len(chosen), 0 if planner.sight.labelled else UNKNOWN, np.int32)
         rest = np.zeros((len(chosen), length, 6), np.float32)
+    covered = None
+    if planner.settings.search.fold:
+        covered = np.stack([planner.sight.covered(state) for state in sessions.estimate[chosen, step]])
     return Problem(
         state=sessions.estimate[chosen, step],
         goal=goals[chosen],
@@ -162,6 +165,7 @@ def _problems(
         relative=relative,
         later=np.full(len(chosen), step > 0),
         carried=rest,
+        covered=covered,
     )
 
 

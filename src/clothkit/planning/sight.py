@@ -8,18 +8,20 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import numpy as np
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 
 from clothkit.cloth import voxels
 from clothkit.cloth.equivalents import relabel_batch
 from clothkit.cloth.grid import SIDE
 from clothkit.cloth.mesh import ProbabilisticMesh, best_label, distance_aligned
+from clothkit.cloth.silhouette import pixel_centres, silhouette
 from clothkit.estimation.estimate import estimate, estimate_unrefined
 from clothkit.estimation.refine import RefineConfig, refine
 from clothkit.manipulation.candidates import CandidateConfig, candidates, voxel_candidates
 from clothkit.manipulation.geometry import to_cartesian, to_geodesic
 from clothkit.networks.net import Net
 from clothkit.planning.batches import in_batches
+from clothkit.planning.draw import EXTENT, RASTER
 from clothkit.planning.forward import MESH, Forward
 from clothkit.planning.recorded import Recorded, in_meshes, in_voxels
 from clothkit.planning.voxel_forward import VOXEL
@@ -74,6 +76,10 @@ class Sight(Protocol):
 
     def grasps(self, state: Shaped[np.ndarray, "*state"], settings: CandidateConfig) -> Float[np.ndarray, "c 2"]:
         """Candidates, as the nets take grasp points."""
+        ...
+
+    def covered(self, state: Shaped[np.ndarray, "*state"]) -> Bool[np.ndarray, "x y"]:
+        """What a state covers, seen from above, for `draw.folds`."""
         ...
 
     def places(self, states: States, grasps: Float[np.ndarray, "task 2 2"]) -> Float[np.ndarray, "task 2 2"]:
@@ -143,6 +149,9 @@ class MeshSight:
     def grasps(self, state: np.ndarray, settings: CandidateConfig) -> np.ndarray:
         return mesh_candidates(state, settings)
 
+    def covered(self, state: np.ndarray) -> np.ndarray:
+        return silhouette(state, resolution=RASTER, extent=EXTENT)
+
     def places(self, states: States, grasps: np.ndarray) -> np.ndarray:
         believed = np.repeat(states[:, None], 2, axis=1)
         return np.asarray(_to_cartesian(believed, grasps))[..., :2]
@@ -183,6 +192,12 @@ class VoxelSight:
 
     def grasps(self, state: np.ndarray, settings: CandidateConfig) -> np.ndarray:
         return voxel_candidates(state > 0, settings)
+
+    def covered(self, state: np.ndarray) -> np.ndarray:
+        columns = np.asarray((state > 0).any(-1))
+        column = np.floor((pixel_centres(RASTER, EXTENT) + 1) / 2 * len(columns)).astype(int)
+        inside = (column >= 0) & (column < len(columns))
+        return np.where(inside[:, None] & inside, columns[np.ix_(column % len(columns), column % len(columns))], False)
 
     def places(self, states: States, grasps: np.ndarray) -> np.ndarray:
         return grasps
