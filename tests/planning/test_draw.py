@@ -3,10 +3,17 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from clothkit.cloth.grid import flat
-from clothkit.planning.draw import Candidates, random_manipulations, random_plans, snap
+from clothkit.cloth.silhouette import iou, silhouette
+from clothkit.cloth.voxels import double, observe
+from clothkit.estimation.refine import RefineConfig
+from clothkit.planning.draw import EXTENT, RASTER, Candidates, folds, random_manipulations, random_plans, snap
 from clothkit.planning.forward import points
+from clothkit.planning.sight import MeshSight, VoxelSight
+from tests.observation.scenes import folded
 
 POINTS = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1], [1, 0], [0, 0], [0, 0]], np.float32)
 CANDIDATES = Candidates(POINTS, 5)
@@ -52,3 +59,57 @@ def test_snapping_takes_the_nearest_candidate_in_xy() -> None:
     wanted, xy = (points(jnp.asarray(mesh), uv) for uv in (manipulation[:4].reshape(2, 2), candidates.grasps))
     snapped = snap(manipulation, wanted, candidates, xy)
     np.testing.assert_allclose(snapped, [-1, 1, -1, -1, 0.5, 0.6])
+
+
+def test_starts_fold_the_cloth_where_it_is_told_what_it_covers() -> None:
+    """q of section 4.4, by hand, lies on covered pixels, and everywhere on them."""
+    covered = np.zeros((RASTER, RASTER), bool)
+    covered[10:20, 30:34] = covered[40, 5] = True
+    plans = np.asarray(random_plans(4000, 2, CANDIDATES, FLAT, covered=covered, key=jax.random.key(3)))
+    first = plans[:, 0]
+    q = 0.7 * first[:, :4].reshape(-1, 2, 2).mean(1) + 0.8 * first[:, 4:]
+    pixel = np.floor((q + EXTENT) / (2 * EXTENT / RASTER)).astype(int)
+    # Rounding may put a point on the border of its pixel.
+    assert covered[pixel[:, 0], pixel[:, 1]].mean() > 0.995
+    counts = np.zeros(covered.shape, int)
+    np.add.at(counts, tuple(pixel.T), 1)
+    assert (counts[covered] > 40).all()
+    # Later manipulations are drawn as before.
+    assert np.abs(plans[:, 1, 4:]).max() > 1.3
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10_000))
+def test_a_fold_has_its_q_on_the_silhouette(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    mesh = folded(along=random.uniform(-0.2, 0.5), angle=random.uniform(0, 3))
+    sight = MeshSight(None, RefineConfig())
+    covered = sight.covered(mesh)
+    vertices = mesh.reshape(-1, 3)[random.integers(1024, size=2), :2]
+    d = random.uniform(-1.4, 1.4, 2)
+    manipulation = np.array([0, 0, 1, 1, *d], np.float32)
+    q = vertices.mean(0) + 0.8 * d
+    found = bool(folds(covered, jnp.asarray(vertices), jnp.asarray(manipulation)))
+    # The cloth as finely as vertices tell: farther than half a diagonal of quad and pixel there is none.
+    fine = np.asarray(double(mesh)).reshape(-1, 3)[:, :2]
+    away = np.linalg.norm(fine - q, axis=-1).min()
+    null = np.linalg.norm(d) < 0.49
+    if null or away < 0.004:
+        assert found or (not null and not silhouette(mesh, resolution=RASTER, extent=EXTENT)[_pixel(q)])
+    elif away > 0.05:
+        assert not found
+
+
+def _pixel(q: np.ndarray) -> tuple[int, int]:
+    i, j = np.floor((q + EXTENT) / (2 * EXTENT / RASTER)).astype(int)
+    return int(i), int(j)
+
+
+def test_voxels_cover_what_the_mesh_covers() -> None:
+    mesh = folded(along=0.2, angle=0.4)
+    of_mesh = MeshSight(None, RefineConfig()).covered(mesh)
+    of_voxels = VoxelSight().covered(np.asarray(observe(mesh)))
+    # A voxel is twice as wide as a pixel, so the border differs.
+    assert iou(of_mesh, of_voxels) > 0.85
+    assert of_voxels.shape == of_mesh.shape == (RASTER, RASTER)
+    assert not of_voxels[0].any()

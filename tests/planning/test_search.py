@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 
 from clothkit.cloth.equivalents import COUNT, compose, equivalents, inverse, relabel, relabel_manipulation
 from clothkit.cloth.mesh import error, whiten
+from clothkit.cloth.silhouette import pixel_centres
 from clothkit.manipulation.geometry import release_points, to_cartesian
 from clothkit.networks.net import Net
 from clothkit.networks.pemd import PEMDConfig, decode, initial
-from clothkit.planning.draw import Candidates
+from clothkit.planning.draw import EXTENT, FOLD_POINT, RASTER, Candidates
 from clothkit.planning.forward import MESH, decode_thinned
 from clothkit.planning.loss import Weights, accuracy, diff, uncertainty
 from clothkit.planning.search import (
@@ -79,6 +80,26 @@ def test_finds_a_known_manipulation() -> None:
     assert found.losses.shape == (35, 64)
     assert found.restarts.any()
     assert not np.isnan(found.losses).any()
+
+
+def test_a_search_for_folds_keeps_the_first_q_on_the_cloth() -> None:
+    """The best plan's q is off what is said to be covered: the best of the others is found, and never that one."""
+    mesh = toy.bent()
+    goal = np.asarray(toy.dragged(jnp.asarray(mesh), BEST))
+    corner = padded(CORNERS[:1])
+    place = to_cartesian(jnp.asarray(mesh), jnp.asarray(CORNERS[0]))[:2]
+    beyond = place + FOLD_POINT * BEST[4:]
+    axis = pixel_centres(RASTER, EXTENT)
+    covered = np.broadcast_to((axis < beyond[0] - 0.2)[:, None], (RASTER, RASTER))
+    size = dataclasses.replace(toy.SEARCH, fold=True, screen=2)
+    found = first(find(problem(mesh, goal, relative=np.int32(0), candidates=corner, covered=covered), size=size))
+    q = place + FOLD_POINT * found.plan[0, 4:]
+    assert q[0] < beyond[0] - 0.2 + 2 * EXTENT / RASTER
+    free = first(find(problem(mesh, goal, relative=np.int32(0), candidates=corner)))
+    assert found.loss > free.loss
+    # As near as it may come: the displacement along x is as long as is allowed, that along y is right.
+    assert q[0] > beyond[0] - 0.35
+    assert abs(found.plan[0, 5] - BEST[5]) < 0.15
 
 
 @settings(max_examples=4, deadline=None)
