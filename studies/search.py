@@ -1,11 +1,12 @@
 """How much search does a plan need?  python studies/search.py [SEQUENCES] [options]
 
 Plans and executes every task of the first validation sequences (5 if not said) with system main and searches of
-different sizes: numbers of strains, and numbers of iterations at the strains in force. A row per size and task goes to
+different sizes: numbers of strains, and numbers of iterations at the strains in force; and with first manipulations
+that must fold the cloth or need not, whichever is not in force. A row per size and task goes to
 reports/<scale>/studies/search.csv, with the seconds per plan of that length; what is there already is not done again.
-search.png shows, for each plan length, error, search failures (the recorded plan has the lower loss) and the first
-plan's loss against seconds per plan. Prints also how the loss falls from restart to restart. Needs the nets, the
-normalisation and the dataset (`dvc repro normalise`).
+search.png shows, for the kind in force, for each plan length, error, search failures (the recorded plan has the lower
+loss) and the first plan's loss against seconds per plan. Prints also how the loss falls from restart to restart. Needs
+the nets, the normalisation and the dataset (`dvc repro normalise`).
 
 `--strains N ..` (16 32 64 128 256 512), `--iterations F ..` (0.5 2: multiples of those in force).
 """
@@ -30,7 +31,7 @@ from clothkit.planning.systems import SYSTEMS
 from clothkit.report.figures.studies import search as draw
 from clothkit.simulation.executor import execute
 
-KEYS = ["strains", "base_iterations", "iterations_per_step"]
+KEYS = ["strains", "base_iterations", "iterations_per_step", "fold"]
 
 
 def sizes(usual: SearchConfig, strains: list[int], factors: list[float]) -> list[SearchConfig]:
@@ -39,6 +40,7 @@ def sizes(usual: SearchConfig, strains: list[int], factors: list[float]) -> list
     for factor in factors:
         base, more = round(factor * usual.base_iterations), round(factor * usual.iterations_per_step)
         found.append(dataclasses.replace(usual, base_iterations=base, iterations_per_step=more))
+    found.append(dataclasses.replace(usual, fold=not usual.fold))
     return found if usual in found else [*found, usual]
 
 
@@ -81,7 +83,7 @@ def main() -> None:
             table.to_csv(path, index=False, lineterminator="\n", float_format="%.5g")
             print(f"{numbers}: loss by restart {by_restart(sessions)}", flush=True)
     print(table.groupby([*KEYS, "length"])[["seconds", "error", "loss"]].mean().round(4).to_string())
-    draw(table, folder / "search.png")
+    draw(table[table["fold"] == plan.search.fold], folder / "search.png")
 
 
 if __name__ == "__main__":
