@@ -3,6 +3,7 @@
 import contextlib
 import io
 import os
+import signal
 import sys
 import tempfile
 import threading
@@ -88,6 +89,8 @@ def command(
         look(own.state, how, mask=mask), look(own.goal, how)
     with contextlib.redirect_stdout(io.StringIO()):  # viser tells its address whether asked or not
         server = viser.ViserServer(host=host, port=port, verbose=False)
+    # So that `kill` ends it as Ctrl-C does, a shell's background job included, which never sees Ctrl-C.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         with tempfile.TemporaryDirectory(prefix="clothkit-view-") as uploads:
             address = f"http://{'localhost' if host in ('127.0.0.1', '0.0.0.0') else host}:{server.get_port()}"
