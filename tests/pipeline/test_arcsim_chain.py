@@ -10,7 +10,17 @@ from clothkit.dataset import store
 from clothkit.dataset.augment import AugmentConfig, augment
 from clothkit.dataset.regularise import RegulariseConfig, assign_splits, regularise
 from clothkit.estimation.refine import RefineConfig
-from clothkit.evaluation import arrays, calibration, estimation, planning, prediction, voxel_prediction
+from clothkit.evaluation import (
+    arrays,
+    calibration,
+    camera,
+    camera_planning,
+    estimation,
+    planning,
+    prediction,
+    voxel_prediction,
+)
+from clothkit.evaluation.camera_settings import Condition, EvaluateCameraConfig
 from clothkit.evaluation.comparisons import of_predictions
 from clothkit.evaluation.settings import EvaluateEstimationConfig, EvaluatePredictionConfig
 from clothkit.manipulation.candidates import CandidateConfig
@@ -27,6 +37,7 @@ from clothkit.networks.settings import (
     VtMConfig,
 )
 from clothkit.networks.vtm_training import train_vtm
+from clothkit.observation.picture import PictureConfig
 from clothkit.planning import record
 from clothkit.planning.evaluate import evaluate
 from clothkit.planning.forward import MESH
@@ -39,10 +50,11 @@ from clothkit.planning.settings import NormaliseConfig, PlanConfig
 from clothkit.planning.sight import MeshSight
 from clothkit.planning.systems import system
 from clothkit.report.build import build
-from clothkit.report.inputs import Inputs
+from clothkit.report.inputs import PICTURES, Inputs
 from clothkit.report.settings import ReportConfig
 from clothkit.simulation.arcsim import import_runs
 from clothkit.simulation.arcsim_runs import read_runs
+from tests.observation.scenes import SMALL
 from tests.planning import toy
 from tests.simulation import arcsim_runs as runs
 
@@ -61,6 +73,13 @@ PLAN = PlanConfig(
     refine=REFINE,
     together=1,
     batch=1,
+)
+CAMERA = EvaluateCameraConfig(
+    conditions=(Condition(name="tilted", tilt=0.3, noise=1.0),),
+    picture=PictureConfig(camera=SMALL),
+    estimated=3,
+    planned=1,
+    stored=2,
 )
 REPORT = ReportConfig(sequences=3, estimates=3, predictions=3, sessions=2, planners=("main",))
 
@@ -117,6 +136,10 @@ def test_the_chain_runs_on_from_arcsims_runs(tmp_path: Path) -> None:
     planner = Planner(system("main"), sight, both, 0, normalisation, weights, PLAN, candidates)
     sessions, _ = evaluate(dataset, planner, toy.execute, work=tmp_path / "plan")
 
+    seen = camera.estimation(dataset, vtm, CAMERA, REFINE)
+    arrays.save(tmp_path / "pictures.zarr", seen.arrays, {})
+    before = camera_planning.planning(dataset, planner, toy.execute, sessions, CAMERA, work=tmp_path / "camera")
+
     of_meshes = prediction.rows(dataset, given, nets, "a", settings)
     of_voxels = voxel_prediction.rows(dataset, given.sequence, {"a": voxel_net}, "a", settings)
     predicted = pd.concat([of_meshes, of_voxels], ignore_index=True)
@@ -136,6 +159,10 @@ def test_the_chain_runs_on_from_arcsims_runs(tmp_path: Path) -> None:
         estimates=estimates,
         predictions=arrays.load(tmp_path / "predictions.zarr", ("sequence", "start", "mean", "std", "shift")),
         sessions=sessions,
+        camera_estimation=seen.rows,
+        camera_planning=before,
+        camera_comparisons=camera_planning.comparisons(before),
+        pictures=arrays.load(tmp_path / "pictures.zarr", PICTURES),
     )
     for tidy in (inputs.estimation, of_meshes, inputs.planning):
         assert np.isfinite(tidy[["error", "error_no_action"]]).all().all()
