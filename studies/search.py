@@ -4,9 +4,9 @@ Plans and executes every task of the first validation sequences (5 if not said) 
 different sizes: numbers of strains, and numbers of iterations at the strains in force; and with first manipulations
 that must fold the cloth or need not, whichever is not in force. A row per size and task goes to
 reports/<scale>/studies/search.csv, with the seconds per plan of that length; what is there already is not done again.
-search.png shows, for the kind in force, for each plan length, error, search failures (the recorded plan has the lower
-loss) and the first plan's loss against seconds per plan. Prints also how the loss falls from restart to restart. Needs
-the nets, the normalisation and the dataset (`dvc repro normalise`).
+search.png shows, for each plan length, error, search failures (the recorded plan has the lower loss) and the first
+plan's loss against seconds per plan; rings are of the kind that is not in force. Prints also how the loss falls from
+restart to restart. Needs the nets, the normalisation and the dataset (`dvc repro normalise`).
 
 `--strains N ..` (16 32 64 128 256 512), `--iterations F ..` (0.5 2: multiples of those in force).
 """
@@ -83,7 +83,7 @@ def main() -> None:
             table.to_csv(path, index=False, lineterminator="\n", float_format="%.5g")
             print(f"{numbers}: loss by restart {by_restart(sessions)}", flush=True)
     print(table.groupby([*KEYS, "length"])[["seconds", "error", "loss"]].mean().round(4).to_string())
-    draw(table[table["fold"] == plan.search.fold], folder / "search.png")
+    draw(table, plan.search.fold, folder / "search.png")
 
 
 if __name__ == "__main__":

@@ -108,13 +108,6 @@ def test_colours_tell_side_height_and_sigma() -> None:
     assert scale_of(unsure, "sigma").highest >= sigma.max() * 0.99
 
 
-def test_the_reports_colours_are_the_viewers() -> None:
-    from clothkit.report import draw
-
-    np.testing.assert_allclose(colours.FRONT, draw._FRONT, atol=1e-6)
-    np.testing.assert_allclose(colours.BACK, draw._BACK, atol=1e-6)
-
-
 def test_what_there_is_to_look_at() -> None:
     session = played.session()
     names = [shown.name for shown in to_show(session, 0)]

@@ -68,7 +68,7 @@ def test_nothing_comes_from_elsewhere(markup: str, document: Node) -> None:
 
 def test_pictures_decode_to_the_size_that_is_told(document: Node) -> None:
     for image in document.all("img"):
-        data = base64.b64decode(image.attributes["src"].removeprefix("data:image/png;base64,"))
+        data = base64.b64decode(image.attributes["src"].removeprefix("data:image/webp;base64,"))
         height, width, _ = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR).shape
         assert (image.attributes["width"], image.attributes["height"]) == (str(width), str(height))
 

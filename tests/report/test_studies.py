@@ -66,10 +66,11 @@ def test_weights_and_search(tmp_path: Path, drawn: list[Figure]) -> None:
     lines = drawn[0].axes[0].lines
     np.testing.assert_allclose(lines[1].get_ydata(), [0.215, 0.165])
     assert [len(axis.lines[0].get_xdata()) for axis in drawn[0].axes] == [2, 2, 2]
-    sizes = [(16, 15), (64, 15), (64, 30)]
+    sizes = [(16, 15, True), (64, 15, True), (64, 30, True), (64, 15, False)]
     table = pd.DataFrame(
         [
             {
+                "fold": fold,
                 "strains": strains,
                 "base_iterations": more,
                 "iterations_per_step": more,
@@ -79,11 +80,12 @@ def test_weights_and_search(tmp_path: Path, drawn: list[Figure]) -> None:
                 "loss": 1.0,
                 "loss_recorded": 0.5 if strains == 16 else 2.0,
             }
-            for strains, more in sizes
+            for strains, more, fold in sizes
             for length in (1, 2, 3)
         ]
     )
-    studies.search(table, tmp_path / "search.png")
+    studies.search(table, True, tmp_path / "search.png")
     failures = drawn[1].axes[1]
     np.testing.assert_allclose(failures.lines[0].get_ydata(), [1, 0])
     np.testing.assert_allclose(failures.lines[1].get_xdata(), [64 * 30 / 100])
+    np.testing.assert_allclose(failures.lines[2].get_xdata(), [64 * 15 / 100])

@@ -1,5 +1,6 @@
 """What a depth camera's view and noise cost plans, against planning on noise-free voxels (section 6.5)."""
 
+import contextlib
 import dataclasses
 from pathlib import Path
 
@@ -73,12 +74,10 @@ def _scored(sessions: Sessions, condition: Condition, picture: PictureConfig | N
     outcome = sessions.state[np.arange(len(sessions)), sessions.length]
     goals = [silhouette(goal) for goal in sessions.goal]
     seen = np.full(len(sessions), np.nan)
-    for number, mesh in enumerate(outcome if picture is not None else ()):
-        assert picture is not None
-        try:
-            seen[number] = goal_iou(sessions.goal[number], take(mesh, picture).observation.points)
-        except InputError:
-            continue
+    if picture is not None:
+        for number, mesh in enumerate(outcome):
+            with contextlib.suppress(InputError):
+                seen[number] = goal_iou(sessions.goal[number], take(mesh, picture).observation.points)
     return rows(sessions, "main").assign(
         condition=condition.name,
         tilt=condition.tilt,

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from clothkit.manipulation.geometry import release_points
+from clothkit.manipulation.sampling import SamplingConfig
 from clothkit.manipulation.vector import is_null
 
 REACH = 1.4
@@ -23,7 +24,7 @@ SINGLE_SHARE = 1 / 3
 FIRST_STEP_DRAWS = 16
 """Draws of a first manipulation among which the first valid one is taken."""
 
-FOLD_POINT = 0.8
+FOLD_POINT = SamplingConfig().fold_point
 """Where along the displacement q lies (section 4.4)."""
 
 RASTER, EXTENT = 64, 1.1

@@ -81,14 +81,14 @@ LARGEST = (
     "and think no better of the recorded manipulations. All of the first plan: what went wrong later is not told.\n"
 )
 CAMERA = (
-    "Test cloths before a simulated depth camera, 0.8 m above the table (section 6.5): straight above, tilted by 20 "
-    "degrees, and with multiples of the noise and holes of a first-generation Kinect. Clouds take the way of a user's: "
+    "Test cloths before a simulated depth camera (section 6.5), tilted from straight down by so many degrees, with "
+    "multiples of the noise and holes of a first-generation Kinect. Clouds take the way of a user's: "
     "the table is found, the cloth cut out, voxels centred where the cloth was seen; *voxels* is the condition of all "
     "other tables, those of the true mesh, free of noise.\n"
 )
 CAMERA_ESTIMATION = (
-    "Means over states after one, two and three manipulations. *seen*: share of states that a picture (of five at "
-    "most) shows; *voxel_error*: mean difference to the noise-free voxels; *centre_error*: how far the observed centre "
+    "Means over states after one, two and three manipulations. *seen*: share of states that some picture "
+    "shows; *voxel_error*: mean difference to the noise-free voxels; *centre_error*: how far the observed centre "
     "is off, and *estimate*: error of the refined estimate, in lengths of the cloth's side; *iou*: of what the cloud "
     "covers and the true silhouette.\n"
 )
@@ -139,7 +139,7 @@ CAPTIONS = {
     "grasp candidates (lilac circles) and the first manipulation of the first plan; the outcome that is predicted "
     "for it (σ lilac); the session's real outcome. Numbers are how far the estimate is off, how far from the goal the "
     "nets expect to end, and how far from it the cloth was in the end.",
-    "camera": "Test states after one and two manipulations, before cameras: the middle of the picture by height above "
+    "camera": "Test states before cameras: the middle of the picture by height above "
     "the table (yellow is the table, dark high, red not measured), the voxels that come of it, and the refined "
     "estimate. On the left the truth, its voxels free of noise, and their estimate.",
     "meshes": "One state of the first test sequence, as a mesh and as the probabilistic mesh that VtM makes of its "

@@ -24,8 +24,8 @@ _OVERSAMPLING = 2
 # Points of the finer mesh a grid spacing in a picture of PIXELS: enough that slanted cloth has no holes between them.
 _FINER = 18
 _INDEX_BITS = 24
-_FRONT = np.array([0.33, 0.53, 0.74], np.float32)
-_BACK = np.array([0.95, 0.71, 0.38], np.float32)
+FRONT = np.array([0.33, 0.53, 0.74], np.float32)
+BACK = np.array([0.95, 0.71, 0.38], np.float32)
 _SPREAD = np.array([0.66, 0.47, 0.85], np.float32)
 # Luminance falls steadily, so that a print in grey reads the same.
 _RELIEF = np.array(
@@ -198,7 +198,7 @@ def _printed(u: np.ndarray, v: np.ndarray, front: np.ndarray, texture: Texture) 
         along_u = np.stack([1 - u, u], -1).astype(np.float32)
         along_v = np.stack([1 - v, v], -1).astype(np.float32)
         return np.einsum("nu,nv,uvc->nc", along_u, along_v, _CORNERS)
-    sides = np.where(front, _FRONT, _BACK)
+    sides = np.where(front, FRONT, BACK)
     if texture == "grid":
         lines = [np.abs(np.round(place * _SQUARES) - place * _SQUARES) < _LINE / 2 for place in (u, v)]
         sides = np.where((lines[0] | lines[1])[:, None], 0.62 * sides, sides)

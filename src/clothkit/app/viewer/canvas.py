@@ -89,21 +89,13 @@ class Canvas:
 
     def _dots(self, name: str, dots: Dots) -> viser.SceneNodeHandle:
         if dots.cubes:
-            box = trimesh.creation.box((dots.size, dots.size, dots.size / 8))
-            return self._server.scene.add_batched_meshes_simple(
-                name,
-                box.vertices,
-                box.faces,
-                batched_wxyzs=np.tile([1.0, 0, 0, 0], (len(dots.points), 1)),
-                batched_positions=dots.points,
-                batched_colors=np.rint(dots.colours * 255).astype(np.uint8),
-                cast_shadow=False,
-            )
-        ball = trimesh.creation.icosphere(subdivisions=2, radius=dots.size)
+            one = trimesh.creation.box((dots.size, dots.size, dots.size / 8))
+        else:
+            one = trimesh.creation.icosphere(subdivisions=2, radius=dots.size)
         return self._server.scene.add_batched_meshes_simple(
             name,
-            ball.vertices,
-            ball.faces,
+            one.vertices,
+            one.faces,
             batched_wxyzs=np.tile([1.0, 0, 0, 0], (len(dots.points), 1)),
             batched_positions=dots.points,
             batched_colors=np.rint(dots.colours * 255).astype(np.uint8),

@@ -6,13 +6,14 @@ import numpy as np
 from jaxtyping import Float
 
 from clothkit.cloth.grid import CLOTH_SIDE
-from clothkit.report.draw import relief_colours
+from clothkit.report.draw import BACK, FRONT, relief_colours
+
+Colour = tuple[float, float, float] | Float[np.ndarray, "3"]
+"""Red, green and blue, 0..1."""
 
 Mode = Literal["side", "height", "sigma", "disagreement"]
 MODES: tuple[Mode, ...] = get_args(Mode)
 
-FRONT, BACK = (0.33, 0.53, 0.74), (0.95, 0.71, 0.38)
-"""The cloth's two sides, as the report's pictures have them."""
 UNKNOWN = (0.72, 0.72, 0.72)
 """Of vertices of which the mode tells nothing."""
 GHOST = (0.25, 0.25, 0.33)
@@ -79,19 +80,19 @@ def legend(scale: Scale) -> str:
 _LEGEND = '<div style="font-size:12px;padding:2px 12px 8px">{body}<div style="opacity:.7">{says}</div></div>'
 
 
-def _swatch(colour: tuple[float, ...], name: str) -> str:
+def _swatch(colour: Colour, name: str) -> str:
     square = (
         f'<span style="display:inline-block;width:11px;height:11px;border-radius:2px;background:{css(colour)}"></span>'
     )
     return f'<span style="margin-right:12px">{square} {name}</span>'
 
 
-def css(colour: tuple[float, ...] | Float[np.ndarray, "3"]) -> str:
+def css(colour: Colour) -> str:
     """A colour as style sheets have it."""
     return "rgb({},{},{})".format(*rgb(colour))
 
 
-def rgb(colour: tuple[float, ...] | Float[np.ndarray, "3"]) -> tuple[int, int, int]:
+def rgb(colour: Colour) -> tuple[int, int, int]:
     """A colour 0..1 as three bytes."""
     red, green, blue = (round(255 * float(channel)) for channel in colour)
     return red, green, blue

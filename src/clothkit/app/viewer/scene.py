@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from clothkit.app.describe import heights
 from clothkit.app.viewer import colours
-from clothkit.app.viewer.colours import Mode, Scale
+from clothkit.app.viewer.colours import Colour, Mode, Scale
 from clothkit.app.viewer.session import Believed, Mesh, Session, disagreement, error_of, is_mesh, places
 from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.cloth.voxels import HEIGHT, RESOLUTION
@@ -181,7 +181,7 @@ def _exhibit(shown: Shown, at: tuple[float, float], scale: Scale, view: View, se
     return scene._replace(captions=(Caption(text, offset + _BEFORE),))
 
 
-def _plain(colour: tuple[float, float, float], shape: tuple[int, ...]) -> np.ndarray:
+def _plain(colour: Colour, shape: tuple[int, ...]) -> np.ndarray:
     return np.broadcast_to(np.array(colour, np.float32), (*shape, 3))
 
 

@@ -51,5 +51,5 @@ def scatter(
         axis.set_xlabel("prediction error [cloth length]", fontsize=8)
     axes[0].set_ylabel("planning error [cloth length]", fontsize=8)
     handles, labels = axes[0].get_legend_handles_labels()
-    axes[0].legend(handles[::-1], labels[::-1], fontsize=8, frameon=False, loc="upper left")
+    axes[0].legend(handles[::-1], labels[::-1], fontsize=8, frameon=False, loc="lower right")
     panels.save(figure, path)

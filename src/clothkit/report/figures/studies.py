@@ -83,11 +83,12 @@ def _mean(rows: pd.DataFrame) -> Float[np.ndarray, "3"]:
     return np.array([total.sum() / count.sum(), *interval(total, count)])
 
 
-def search(table: pd.DataFrame, path: Path) -> None:
+def search(table: pd.DataFrame, fold: bool, path: Path) -> None:
     """Error, search failures and loss of first plans against seconds per plan: a line per plan length.
 
     Columns: strains, base_iterations, iterations_per_step, length, seconds [s], error [cloth length], loss,
-    loss_recorded. Dots are named by their strains; crosses differ in iterations.
+    loss_recorded, fold. The line is over strains; crosses differ in iterations, rings in whether first manipulations
+    must fold the cloth: those of the line do if `fold` says so.
     """
     figure, axes = panels.chart(3, width=3.0, height=2.9)
     table = table.assign(failure=table["loss_recorded"] < table["loss"])
@@ -100,15 +101,20 @@ def search(table: pd.DataFrame, path: Path) -> None:
     for axis, (column, title) in zip(axes, titles.items(), strict=True):
         for length, colour in zip((1, 2, 3), COLOURS, strict=True):
             of_length = table[table["length"] == length]
-            sizes = of_length.groupby(["base_iterations", "iterations_per_step", "strains"])
-            means = sizes[["seconds", column]].mean().reset_index()
+            sizes = of_length.groupby(["fold", "base_iterations", "iterations_per_step", "strains"])
+            every = sizes[["seconds", column]].mean().reset_index()
+            means, rings = every[every["fold"] == fold], every[every["fold"] != fold]
             same = (means["base_iterations"] == usual[0]) & (means["iterations_per_step"] == usual[1])
             line, others = means[same].sort_values("seconds"), means[~same]
             axis.plot(
                 line["seconds"], line[column], "o-", color=colour, linewidth=1.2, markersize=3.5, label=f"{length}"
             )
             axis.plot(others["seconds"], others[column], "x", color=colour, markersize=5)
+            axis.plot(rings["seconds"], rings[column], "o", color=colour, markersize=5, markerfacecolor="none")
         axis.set_xscale("log")
+        axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.xaxis.set_minor_formatter("")
         axis.set_xlabel("seconds per plan", fontsize=8)
         axis.set_ylabel(title, fontsize=8)
         if column != "loss":
