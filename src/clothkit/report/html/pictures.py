@@ -37,6 +37,7 @@ LEAST = (0.55, 860)
 def picture(name: str, file: Path) -> Html:
     """A figure with its title and caption; `file` is the PNG, which lies as `figures/<name>.png` beside the page."""
     image = cv2.imread(str(file))
+    assert image is not None, f"{file} is a picture"
     # A quarter of the PNG's bytes, which the page is kept beside.
     _, data = cv2.imencode(".webp", image, [cv2.IMWRITE_WEBP_QUALITY, QUALITY])
     height, width = image.shape[:2]
