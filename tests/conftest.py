@@ -36,7 +36,7 @@ hypothesis.settings.load_profile("clothkit")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The chain first: it takes longest, and the other files fit beside it (pyproject.toml keeps xdist from reordering)."""
+    """The chain first: it takes longest, and the other files fit beside it (xdist is told to keep the order)."""
     items.sort(key=lambda item: "pipeline" not in item.path.parts)
 
 

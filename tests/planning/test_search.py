@@ -102,6 +102,27 @@ def test_a_search_for_folds_keeps_the_first_q_on_the_cloth() -> None:
     assert abs(found.plan[0, 5] - BEST[5]) < 0.15
 
 
+def test_plans_whose_later_q_is_off_the_predicted_cloth_are_told() -> None:
+    """By hand: what the first net expects of the first manipulation, and the second one's q beside it."""
+    mesh = toy.bent()
+    plan = jnp.stack([BEST, jnp.array([1.0, 1.0, 1.0, 1.0, -0.7, -0.5])])
+    off = plan.at[1, 4:].set(jnp.array([0.9, 0.9]))
+    plans = jnp.stack([plan, off, plan[::-1]])
+    latents = tuple(toy.encode(net, equivalents(mesh)) for net in toy.NETS)
+    fixed = Fixed(latents, tuple(jnp.zeros((COUNT, 3072)) for _ in toy.NETS), whiten(equivalents(mesh)))
+    labels, unknown = jnp.zeros(3, int), jnp.zeros(3, int)
+    expected = toy.dragged(jnp.asarray(mesh), plans[:, 0], toy.NETS[0])
+    place = to_cartesian(expected, plans[:, 1, :2])[:, :2]
+    q = place + FOLD_POINT * plans[:, 1, 4:]
+    beside = jnp.linalg.norm(expected[..., :2].reshape(3, -1, 2) - q[:, None], axis=-1).min(1) > 0.1
+    assert beside.tolist() == [False, True, False]
+    for explicit in (True, False):
+        judge = partial(planning_loss, toy.FORWARD, explicit=explicit)
+        asked = (toy.NETS, fixed, toy.NORMALISATION.reference(2), WEIGHTS, plans, labels, unknown)
+        assert (judge(*asked, fold=True, every=2).strange == beside).all()
+        assert not judge(*asked).strange.any()
+
+
 @settings(max_examples=4, deadline=None)
 @given(st.integers(0, 7), st.integers(0, 7))
 def test_labels_of_estimate_and_goal_do_not_matter(a: int, b: int) -> None:
@@ -130,7 +151,7 @@ def test_the_loss_is_the_same_in_every_common_equivalent() -> None:
     plans = jnp.stack([relabel_manipulation(plan, k) for k in range(COUNT)])
     reference = toy.NORMALISATION.reference(2)
     loss_of = jax.jit(partial(planning_loss, toy.FORWARD, explicit=True), static_argnames="every")
-    loss, terms, _ = loss_of(toy.NETS, fixed, reference, WEIGHTS, plans, labels, jnp.full(8, inverse(3)))
+    loss, terms, _, _ = loss_of(toy.NETS, fixed, reference, WEIGHTS, plans, labels, jnp.full(8, inverse(3)))
     np.testing.assert_allclose(loss, loss[0], rtol=1e-3)
     # Eq. (13), spelled out in the labels of the mesh.
     states = [toy.decode(net, _chain(net, mesh, plan), 1) for net in toy.NETS]
@@ -145,12 +166,12 @@ def test_the_loss_is_the_same_in_every_common_equivalent() -> None:
         sum(accuracy(whiten(relabel(goal, k)), o, s) for o, s in zip(outcomes, reference.spans, strict=True))
         for k in range(8)
     ]
-    best, _, relative = loss_of(toy.NETS, fixed, reference, WEIGHTS, plans, labels, jnp.full(8, UNKNOWN))
+    best, _, relative, _ = loss_of(toy.NETS, fixed, reference, WEIGHTS, plans, labels, jnp.full(8, UNKNOWN))
     assert (relative == int(np.argmin(least))).all()
     np.testing.assert_allclose(best, min(map(float, least)) + u, rtol=1e-3)
     # One net plans with the plain NLL.
     one = Fixed(fixed.latents[:1], fixed.traces[:1], fixed.goals)
-    loss, _, _ = loss_of(toy.NETS[:1], one, reference, WEIGHTS, plans, labels, jnp.full(8, inverse(3)))
+    loss, _, _, _ = loss_of(toy.NETS[:1], one, reference, WEIGHTS, plans, labels, jnp.full(8, inverse(3)))
     np.testing.assert_allclose(loss, accuracy(aimed, outcomes[0]), rtol=1e-3)
 
 

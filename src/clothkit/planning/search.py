@@ -44,7 +44,7 @@ class SearchConfig:
     every: Annotated[int, Gt(0), Predicate(lambda every: SIDE % every == 0)] = 1
     """The strains' losses run over each `every`-th vertex along u and v; the choice among their best plans over all."""
     fold: bool = False
-    """Whether first manipulations must be of the kind that was recorded: with q on the cloth (section 4.4)."""
+    """Whether manipulations must be of the kind that was recorded: with q on the cloth (section 4.4)."""
     irprop: IRpropConfig = IRpropConfig()
 
     def iterations(self, length: int) -> int:
@@ -91,6 +91,18 @@ class Found(NamedTuple):
     losses: Float[Array, "iterations strains"]
     restarts: Bool[Array, "iterations strains"]
     """Where a strain started anew after that iteration: with `losses`, the best of each restart."""
+
+
+class Judged(NamedTuple):
+    """What a loss says of plans."""
+
+    loss: Float[Array, " strains"]
+    terms: Float[Array, "strains terms"]
+    """As in `Found`."""
+    relative: Int[Array, " strains"]
+    """The goal's relative labelling."""
+    strange: Bool[Array, " strains"]
+    """Whether a manipulation after the first has q off the cloth that is predicted for it."""
 
 
 class _Strains(NamedTuple):
@@ -164,18 +176,18 @@ def _search_one(
     key: PRNGKeyArray,
 ) -> Found:
     fixed = fix(forward, nets, problem)
-    losses_of = partial(planning_loss, forward, nets, fixed, reference, weights, explicit=explicit)
+    losses_of = partial(planning_loss, forward, nets, fixed, reference, weights, explicit=explicit, fold=settings.fold)
 
-    def total(plan: Array, common: Array, relative: Array) -> tuple[Array, tuple[Array, Array]]:
-        loss, _, relative = losses_of(plan, common, relative, every=settings.every)
-        return jnp.sum(loss), (loss, relative)
+    def total(plan: Array, common: Array, relative: Array) -> tuple[Array, Judged]:
+        judged = losses_of(plan, common, relative, every=settings.every)
+        return jnp.sum(judged.loss), judged
 
     def iterate(state: _State, key: PRNGKeyArray) -> tuple[_State, tuple[Array, Array]]:
         strains = _choose(state.restart, _start(forward, problem, length, settings, key=key), state.strains)
-        gradient, (loss, relative) = jax.grad(total, has_aux=True)(strains.plan, strains.common, strains.relative)
-        strange = _strange(strains, problem, settings)
-        loss = jnp.where(strange, jnp.inf, loss)
-        now = _Best(strains.plan, strains.common, relative, loss)
+        gradient, judged = jax.grad(total, has_aux=True)(strains.plan, strains.common, strains.relative)
+        strange = _strange(strains, judged, problem, settings)
+        loss = jnp.where(strange, jnp.inf, judged.loss)
+        now = _Best(strains.plan, strains.common, judged.relative, loss)
         best = _choose(loss < state.best.loss, now, state.best)
         stale = jnp.where(loss < strains.lowest, 0, strains.stale + 1)
         restart = strange | (stale >= settings.patience)
@@ -187,26 +199,26 @@ def _search_one(
     state = _first_state(forward, problem, length, settings)
     if settings.screen > 1:
         drawn = _start(forward, problem, length, settings, draws=settings.screen, key=key_first)
-        loss, _, _ = losses_of(drawn.plan, drawn.common, drawn.relative, every=settings.every)
-        strange = _strange(drawn, problem, settings)
-        screened = _least(jnp.where(strange, jnp.inf, loss), drawn, settings.screen)
+        judged = losses_of(drawn.plan, drawn.common, drawn.relative, every=settings.every)
+        strange = _strange(drawn, judged, problem, settings)
+        screened = _least(jnp.where(strange, jnp.inf, judged.loss), drawn, settings.screen)
         state = state._replace(
             strains=_choose(state.restart, screened, state.strains), restart=jnp.zeros_like(state.restart)
         )
     keys = jax.random.split(key_search, settings.iterations(length))
     (_, best, _), (losses, restarts) = jax.lax.scan(iterate, state, keys)
     # Among the strains' best plans the whole mesh decides.
-    loss, terms, _ = losses_of(best.plan, best.common, best.relative)
-    winner = jnp.argmin(jnp.where(jnp.isinf(best.loss), jnp.inf, loss))
+    judged = losses_of(best.plan, best.common, best.relative)
+    winner = jnp.argmin(jnp.where(jnp.isinf(best.loss), jnp.inf, judged.loss))
     plan, common, relative = best.plan[winner], best.common[winner], best.relative[winner]
     plan = relabel_manipulation(plan, jnp.asarray(INVERSE)[common])
-    return Found(plan, loss[winner], terms[winner], common, relative, losses, restarts)
+    return Found(plan, judged.loss[winner], judged.terms[winner], common, relative, losses, restarts)
 
 
-def _strange(strains: _Strains, problem: Problem, settings: SearchConfig) -> Bool[Array, " strains"]:
-    """Strains whose first manipulation is of a kind that was never recorded: the nets' word on it is worthless, and
-    they agree on it. Their hands are on different sides of m, or q is off the cloth."""
-    strange = ~jnp.asarray(release_points(strains.grasps, strains.plan[:, 0, 4:]).same_side)
+def _strange(strains: _Strains, judged: Judged, problem: Problem, settings: SearchConfig) -> Bool[Array, " strains"]:
+    """Strains with a manipulation of a kind that was never recorded: the nets' word on it is worthless, and they agree
+    on it. The first one's hands are on different sides of m, or q is off the cloth."""
+    strange = judged.strange | ~jnp.asarray(release_points(strains.grasps, strains.plan[:, 0, 4:]).same_side)
     if settings.fold:
         assert problem.covered is not None, "a search with `fold` is told what the cloth covers"
         strange |= ~folds(problem.covered, strains.grasps, strains.plan[:, 0])
@@ -234,19 +246,29 @@ def planning_loss(
     relative: Int[Array, " strains"],
     *,
     explicit: bool,
+    fold: bool = False,
     every: int = 1,
-) -> tuple[Float[Array, " strains"], Float[Array, "strains terms"], Int[Array, " strains"]]:
+) -> Judged:
     """Eq. (13) of each strain's plan, its terms, and the goal's relative labelling; with one net the plain NLL.
 
     A relative labelling that is `UNKNOWN` is the one that makes the accuracy terms least, as in eq. (12). Over each
-    `every`-th vertex.
+    `every`-th vertex. With `fold` it is told which plans leave the data after their first manipulation.
     """
     # Intermediate states are decoded, along with the outcome, only where the loss asks for them.
     decoded = slice(None) if explicit else slice(-1, None)
-    states = [
-        forward.decode(net, unroll(forward, net, latent[common], trace[common], plan).latents[decoded], every)
+    latents = [
+        unroll(forward, net, latent[common], trace[common], plan).latents
         for net, latent, trace in zip(nets, fixed.latents, fixed.traces, strict=True)
     ]
+    states = [forward.decode(net, latent[decoded], every) for net, latent in zip(nets, latents, strict=True)]
+    strange = jnp.zeros(len(plan), bool)
+    if fold and plan.shape[1] > 1:
+        # What is asked of the first state is asked of those that the first net expects.
+        before = latents[0][:-1]
+        expected = (
+            jax.tree.map(lambda part: part[:-1], states[0]) if explicit else forward.decode(nets[0], before, every)
+        )
+        strange = ~jnp.all(forward.folds(expected, jnp.moveaxis(plan, 1, 0)[1:]), axis=0)
     outcomes = [jax.tree.map(lambda part: part[-1], predicted) for predicted in states]
     spans = reference.spans if len(nets) > 1 else (None,)
     goals = forward.thinned(fixed.goals, every)
@@ -258,10 +280,10 @@ def planning_loss(
     accuracies = [forward.accuracy(goal, outcome, span) for outcome, span in zip(outcomes, spans, strict=True)]
     u = jnp.zeros(len(plan))
     if len(nets) == 1:
-        return accuracies[0], jnp.stack([accuracies[0], u], axis=-1), relative
+        return Judged(accuracies[0], jnp.stack([accuracies[0], u], axis=-1), relative, strange)
     if explicit:
         u = uncertainty(forward.diff(*states), reference.spread, beta=weights.beta, gamma=weights.gamma)
-    return sum(accuracies) + weights.alpha * u, jnp.stack([*accuracies, u], axis=-1), relative
+    return Judged(sum(accuracies) + weights.alpha * u, jnp.stack([*accuracies, u], axis=-1), relative, strange)
 
 
 def _start(
@@ -274,7 +296,8 @@ def _start(
     common = jnp.where(problem.later, jnp.arange(count) // draws % forward.labels, drawn)
     xy = forward.points(problem.state, jnp.asarray(problem.candidates.grasps))
     covered = problem.covered if settings.fold else None
-    plans = random_plans(count, length, problem.candidates, xy, covered=covered, key=key_plan)
+    where = partial(forward.points, problem.state)
+    plans = random_plans(count, length, problem.candidates, xy, covered=covered, where=where, key=key_plan)
     return _fresh(forward, plans, common, problem, settings)
 
 
