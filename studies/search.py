@@ -1,14 +1,15 @@
 """How much search does a plan need?  python studies/search.py [SEQUENCES] [options]
 
 Plans and executes every task of the first validation sequences (5 if not said) with system main and searches of
-different sizes: numbers of strains, and numbers of iterations at the strains in force; and with first manipulations
-that must fold the cloth or need not, whichever is not in force. A row per size and task goes to
-reports/<scale>/studies/search.csv, with the seconds per plan of that length; what is there already is not done again.
-search.png shows, for each plan length, error, search failures (the recorded plan has the lower loss) and the first
-plan's loss against seconds per plan; rings are of the kind that is not in force. Prints also how the loss falls from
-restart to restart. Needs the nets, the normalisation and the dataset (`dvc repro normalise`).
+different sizes: numbers of strains; and, at the strains in force, numbers of iterations, vertices that the loss runs
+over, and manipulations that must fold the cloth. A row per search and task goes to reports/<scale>/studies/search.csv,
+with the seconds per plan of that length; what is there already is not done again. search.png shows, for each plan
+length, error, search failures (the recorded plan has the lower loss) and the first plan's loss against seconds per
+plan. Prints also how the loss falls from restart to restart. Needs the nets, the normalisation and the dataset
+(`dvc repro normalise`).
 
-`--strains N ..` (16 32 64 128 256 512), `--iterations F ..` (0.5 2: multiples of those in force).
+`--strains N ..` (16 32 64 128 256 512), `--iterations F ..` (0.5 2: multiples of those in force), `--every N ..` (1 4),
+`--fold WHICH ..` (none first).
 """
 
 import argparse
@@ -31,17 +32,17 @@ from clothkit.planning.systems import SYSTEMS
 from clothkit.report.figures.studies import search as draw
 from clothkit.simulation.executor import execute
 
-KEYS = ["strains", "base_iterations", "iterations_per_step", "fold"]
+KEYS = ["strains", "base_iterations", "iterations_per_step", "every", "fold"]
 
 
-def sizes(usual: SearchConfig, strains: list[int], factors: list[float]) -> list[SearchConfig]:
-    """The searches that are compared."""
-    found = [dataclasses.replace(usual, strains=count) for count in strains]
-    for factor in factors:
+def searches(usual: SearchConfig, asked: argparse.Namespace) -> list[SearchConfig]:
+    """The searches that are compared, the one in force first."""
+    found = [usual, *(dataclasses.replace(usual, strains=count) for count in asked.strains)]
+    for factor in asked.iterations:
         base, more = round(factor * usual.base_iterations), round(factor * usual.iterations_per_step)
         found.append(dataclasses.replace(usual, base_iterations=base, iterations_per_step=more))
-    found.append(dataclasses.replace(usual, fold=not usual.fold))
-    return found if usual in found else [*found, usual]
+    found += [dataclasses.replace(usual, every=every) for every in asked.every]
+    return found + [dataclasses.replace(usual, fold=fold) for fold in asked.fold]
 
 
 def by_restart(sessions: Sessions) -> list[float]:
@@ -55,8 +56,10 @@ def main() -> None:
     """Do what is asked and print what each size reaches."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sequences", type=int, nargs="?", default=5)
-    parser.add_argument("--strains", type=int, nargs="+", default=[16, 32, 64, 128, 256, 512])
+    parser.add_argument("--strains", type=int, nargs="*", default=[16, 32, 64, 128, 256, 512])
     parser.add_argument("--iterations", type=float, nargs="*", default=[0.5, 2])
+    parser.add_argument("--every", type=int, nargs="*", default=[1, 4])
+    parser.add_argument("--fold", nargs="*", choices=["none", "first", "all"], default=["none", "first"])
     asked = parser.parse_args()
     params = load_params(Path("params.yaml"))
     simulate, plan = params.stages.simulate, params.stages.plan
@@ -67,9 +70,9 @@ def main() -> None:
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "search.csv"
     table = pd.read_csv(path) if path.exists() else pd.DataFrame(columns=[*KEYS, "sequence"])
-    for size in sizes(plan.search, asked.strains, asked.iterations):
-        numbers = {name: getattr(size, name) for name in KEYS}
-        same = np.all([table[name] == value for name, value in numbers.items()], axis=0)
+    for size in searches(plan.search, asked):
+        of_search = {name: getattr(size, name) for name in KEYS}
+        same = np.all([table[name] == value for name, value in of_search.items()], axis=0)
         missing = [sequence for sequence in sequences if sequence not in set(table.loc[same, "sequence"])]
         if missing:
             settings = dataclasses.replace(plan, search=size)
@@ -77,13 +80,13 @@ def main() -> None:
             simulator = partial(execute, settings=simulate.simulation)
             sessions, clock = try_out(dataset, missing, "validation", planner, simulator)
             seconds = {int(n): spent / count for n, (count, spent) in cost(clock)["plans"].items()}
-            found = rows(sessions, "main").assign(**numbers)
+            found = rows(sessions, "main").assign(**of_search)
             found["seconds"] = found["length"].map(seconds)
             table = pd.concat([table, found], ignore_index=True)
             table.to_csv(path, index=False, lineterminator="\n", float_format="%.5g")
-            print(f"{numbers}: loss by restart {by_restart(sessions)}", flush=True)
+            print(f"{of_search}: loss by restart {by_restart(sessions)}", flush=True)
     print(table.groupby([*KEYS, "length"])[["seconds", "error", "loss"]].mean().round(4).to_string())
-    draw(table, plan.search.fold, folder / "search.png")
+    draw(table, {name: getattr(plan.search, name) for name in KEYS}, folder / "search.png")
 
 
 if __name__ == "__main__":

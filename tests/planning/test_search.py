@@ -91,7 +91,7 @@ def test_a_search_for_folds_keeps_the_first_q_on_the_cloth() -> None:
     beyond = place + FOLD_POINT * BEST[4:]
     axis = pixel_centres(RASTER, EXTENT)
     covered = np.broadcast_to((axis < beyond[0] - 0.2)[:, None], (RASTER, RASTER))
-    size = dataclasses.replace(toy.SEARCH, fold=True, screen=2)
+    size = dataclasses.replace(toy.SEARCH, fold="first", screen=2)
     found = first(find(problem(mesh, goal, relative=np.int32(0), candidates=corner, covered=covered), size=size))
     q = place + FOLD_POINT * found.plan[0, 4:]
     assert q[0] < beyond[0] - 0.2 + 2 * EXTENT / RASTER
@@ -119,7 +119,7 @@ def test_plans_whose_later_q_is_off_the_predicted_cloth_are_told() -> None:
     for explicit in (True, False):
         judge = partial(planning_loss, toy.FORWARD, explicit=explicit)
         asked = (toy.NETS, fixed, toy.NORMALISATION.reference(2), WEIGHTS, plans, labels, unknown)
-        assert (judge(*asked, fold=True, every=2).strange == beside).all()
+        assert (judge(*asked, ahead=True, every=2).strange == beside).all()
         assert not judge(*asked).strange.any()
 
 

@@ -66,26 +66,27 @@ def test_weights_and_search(tmp_path: Path, drawn: list[Figure]) -> None:
     lines = drawn[0].axes[0].lines
     np.testing.assert_allclose(lines[1].get_ydata(), [0.215, 0.165])
     assert [len(axis.lines[0].get_xdata()) for axis in drawn[0].axes] == [2, 2, 2]
-    sizes = [(16, 15, True), (64, 15, True), (64, 30, True), (64, 15, False)]
+    sizes = [(16, 15, 2, "all"), (64, 15, 2, "all"), (64, 30, 2, "all"), (64, 15, 4, "all"), (64, 15, 2, "none")]
     table = pd.DataFrame(
         [
             {
                 "fold": fold,
+                "every": every,
                 "strains": strains,
                 "base_iterations": more,
                 "iterations_per_step": more,
                 "length": length,
-                "seconds": strains * more / 100,
+                "seconds": strains * more / every,
                 "error": 1 / strains,
                 "loss": 1.0,
                 "loss_recorded": 0.5 if strains == 16 else 2.0,
             }
-            for strains, more, fold in sizes
+            for strains, more, every, fold in sizes
             for length in (1, 2, 3)
         ]
     )
-    studies.search(table, True, tmp_path / "search.png")
+    names = ["strains", "base_iterations", "iterations_per_step", "every", "fold"]
+    studies.search(table, dict(zip(names, (64, 15, 15, 2, "all"), strict=True)), tmp_path / "search.png")
     failures = drawn[1].axes[1]
     np.testing.assert_allclose(failures.lines[0].get_ydata(), [1, 0])
-    np.testing.assert_allclose(failures.lines[1].get_xdata(), [64 * 30 / 100])
-    np.testing.assert_allclose(failures.lines[2].get_xdata(), [64 * 15 / 100])
+    assert [line.get_xdata().tolist() for line in failures.lines[1:4]] == [[960], [240], [480]]

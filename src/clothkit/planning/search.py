@@ -5,7 +5,7 @@ the labels of its own common equivalent; whatever leaves this module is back in 
 """
 
 from functools import partial
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -43,8 +43,8 @@ class SearchConfig:
     """A strain that has not improved for so many iterations starts anew."""
     every: Annotated[int, Gt(0), Predicate(lambda every: SIDE % every == 0)] = 1
     """The strains' losses run over each `every`-th vertex along u and v; the choice among their best plans over all."""
-    fold: bool = False
-    """Whether manipulations must be of the kind that was recorded: with q on the cloth (section 4.4)."""
+    fold: Literal["none", "first", "all"] = "none"
+    """Which manipulations of a plan must be of the kind that was recorded: with q on the cloth (section 4.4)."""
     irprop: IRpropConfig = IRpropConfig()
 
     def iterations(self, length: int) -> int:
@@ -176,7 +176,9 @@ def _search_one(
     key: PRNGKeyArray,
 ) -> Found:
     fixed = fix(forward, nets, problem)
-    losses_of = partial(planning_loss, forward, nets, fixed, reference, weights, explicit=explicit, fold=settings.fold)
+    losses_of = partial(
+        planning_loss, forward, nets, fixed, reference, weights, explicit=explicit, ahead=settings.fold == "all"
+    )
 
     def total(plan: Array, common: Array, relative: Array) -> tuple[Array, Judged]:
         judged = losses_of(plan, common, relative, every=settings.every)
@@ -219,7 +221,7 @@ def _strange(strains: _Strains, judged: Judged, problem: Problem, settings: Sear
     """Strains with a manipulation of a kind that was never recorded: the nets' word on it is worthless, and they agree
     on it. The first one's hands are on different sides of m, or q is off the cloth."""
     strange = judged.strange | ~jnp.asarray(release_points(strains.grasps, strains.plan[:, 0, 4:]).same_side)
-    if settings.fold:
+    if settings.fold != "none":
         assert problem.covered is not None, "a search with `fold` is told what the cloth covers"
         strange |= ~folds(problem.covered, strains.grasps, strains.plan[:, 0])
     return strange
@@ -246,13 +248,13 @@ def planning_loss(
     relative: Int[Array, " strains"],
     *,
     explicit: bool,
-    fold: bool = False,
+    ahead: bool = False,
     every: int = 1,
 ) -> Judged:
     """Eq. (13) of each strain's plan, its terms, and the goal's relative labelling; with one net the plain NLL.
 
     A relative labelling that is `UNKNOWN` is the one that makes the accuracy terms least, as in eq. (12). Over each
-    `every`-th vertex. With `fold` it is told which plans leave the data after their first manipulation.
+    `every`-th vertex. With `ahead` it is told which plans leave the kind that was recorded later on.
     """
     # Intermediate states are decoded, along with the outcome, only where the loss asks for them.
     decoded = slice(None) if explicit else slice(-1, None)
@@ -262,7 +264,7 @@ def planning_loss(
     ]
     states = [forward.decode(net, latent[decoded], every) for net, latent in zip(nets, latents, strict=True)]
     strange = jnp.zeros(len(plan), bool)
-    if fold and plan.shape[1] > 1:
+    if ahead and plan.shape[1] > 1:
         # What is asked of the first state is asked of those that the first net expects.
         before = latents[0][:-1]
         expected = (
@@ -295,8 +297,8 @@ def _start(
     drawn = jax.random.randint(key_common, (count,), 0, forward.labels)
     common = jnp.where(problem.later, jnp.arange(count) // draws % forward.labels, drawn)
     xy = forward.points(problem.state, jnp.asarray(problem.candidates.grasps))
-    covered = problem.covered if settings.fold else None
-    where = partial(forward.points, problem.state)
+    covered = problem.covered if settings.fold != "none" else None
+    where = partial(forward.points, problem.state) if settings.fold == "all" else None
     plans = random_plans(count, length, problem.candidates, xy, covered=covered, where=where, key=key_plan)
     return _fresh(forward, plans, common, problem, settings)
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
+from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator
 
 from clothkit.evaluation.comparisons import interval
@@ -83,16 +84,22 @@ def _mean(rows: pd.DataFrame) -> Float[np.ndarray, "3"]:
     return np.array([total.sum() / count.sum(), *interval(total, count)])
 
 
-def search(table: pd.DataFrame, fold: bool, path: Path) -> None:
-    """Error, search failures and loss of first plans against seconds per plan: a line per plan length.
+OTHERS = {
+    "iterations": ("x", ["base_iterations", "iterations_per_step"]),
+    "vertices": ("s", ["every"]),
+    "kinds of manipulations": ("D", ["fold"]),
+}
+"""What, beside the strains, a search differs in: its marker, and its columns."""
 
-    Columns: strains, base_iterations, iterations_per_step, length, seconds [s], error [cloth length], loss,
-    loss_recorded, fold. The line is over strains; crosses differ in iterations, rings in whether first manipulations
-    must fold the cloth: those of the line do if `fold` says so.
+
+def search(table: pd.DataFrame, usual: Mapping[str, Any], path: Path) -> None:
+    """Error, search failures and loss of first plans against seconds per plan: a line per plan length, over strains.
+
+    Columns: strains and those of `OTHERS`, of which `usual` has the values in force; length, seconds [s], error [cloth
+    length], loss, loss_recorded. Markers off the lines stand for searches that differ from the usual one in one thing.
     """
     figure, axes = panels.chart(3, width=3.0, height=2.9)
     table = table.assign(failure=table["loss_recorded"] < table["loss"])
-    usual: Any = table.groupby(["base_iterations", "iterations_per_step"])["strains"].nunique().idxmax()
     titles = {
         "error": "planning error [cloth length]",
         "failure": "share of search failures",
@@ -100,17 +107,15 @@ def search(table: pd.DataFrame, fold: bool, path: Path) -> None:
     }
     for axis, (column, title) in zip(axes, titles.items(), strict=True):
         for length, colour in zip((1, 2, 3), COLOURS, strict=True):
-            of_length = table[table["length"] == length]
-            sizes = of_length.groupby(["fold", "base_iterations", "iterations_per_step", "strains"])
-            every = sizes[["seconds", column]].mean().reset_index()
-            means, rings = every[every["fold"] == fold], every[every["fold"] != fold]
-            same = (means["base_iterations"] == usual[0]) & (means["iterations_per_step"] == usual[1])
-            line, others = means[same].sort_values("seconds"), means[~same]
+            means = table[table["length"] == length].groupby(list(usual))[["seconds", column]].mean().reset_index()
+            line = _differing(means, usual, ["strains"]).sort_values("seconds")
             axis.plot(
                 line["seconds"], line[column], "o-", color=colour, linewidth=1.2, markersize=3.5, label=f"{length}"
             )
-            axis.plot(others["seconds"], others[column], "x", color=colour, markersize=5)
-            axis.plot(rings["seconds"], rings[column], "o", color=colour, markersize=5, markerfacecolor="none")
+            for marker, columns in OTHERS.values():
+                others = _differing(means, usual, columns)
+                others = others[(others[columns] != pd.Series({name: usual[name] for name in columns})).any(axis=1)]
+                axis.plot(others["seconds"], others[column], marker, color=colour, markersize=4.5, fillstyle="none")
         axis.set_xscale("log")
         axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
@@ -120,4 +125,16 @@ def search(table: pd.DataFrame, fold: bool, path: Path) -> None:
         if column != "loss":
             axis.set_ylim(bottom=0)
     axes[0].legend(title="manipulations", fontsize=7, title_fontsize=7, frameon=False)
+    marks = {name: marker for name, (marker, _) in OTHERS.items()}
+    handles = [
+        Line2D([], [], color=QUIET, marker=marker, linestyle="", fillstyle="none", label=name, markersize=4.5)
+        for name, marker in marks.items()
+    ]
+    axes[1].legend(handles=handles, title="other", fontsize=7, title_fontsize=7, frameon=False)
     panels.save(figure, path)
+
+
+def _differing(means: pd.DataFrame, usual: Mapping[str, Any], columns: list[str]) -> pd.DataFrame:
+    """The searches that are as usual but perhaps in these columns."""
+    others = [means[name] == value for name, value in usual.items() if name not in columns]
+    return means[np.all(others, axis=0)]
