@@ -25,8 +25,11 @@ from clothkit.planning.search import (
     Found,
     Problem,
     SearchConfig,
+    _Best,
     _least,
     _move,
+    _some_near,
+    _start,
     _Strains,
     planning_loss,
     search,
@@ -121,6 +124,41 @@ def test_plans_whose_later_q_is_off_the_predicted_cloth_are_told() -> None:
         asked = (toy.NETS, fixed, toy.NORMALISATION.reference(2), WEIGHTS, plans, labels, unknown)
         assert (judge(*asked, ahead=True, every=2).strange == beside).all()
         assert not judge(*asked).strange.any()
+
+
+def test_restarts_near_the_best_plan() -> None:
+    """In the labels of the state: the best of all strains, moved a little; first grasp points its own or candidates."""
+    mesh, count = toy.bent(), 64
+    asked = jax.tree.map(jnp.asarray, problem(mesh, mesh, 2, candidates=padded(CORNERS)))
+    size = dataclasses.replace(toy.SEARCH, strains=count, near=0.75)
+    best_plan = jnp.array([[-1.0, -1.0, -1.0, -1.0, 0.7, 0.4], [0.9, 0.2, -0.3, 0.1, 0.5, -0.6]])
+    labels = jnp.arange(count) % COUNT
+    plans = jax.vmap(relabel_manipulation)(jnp.stack([best_plan] * count), labels)
+    # Only one strain's plan is any good, and it is not the first.
+    plans = jnp.where((jnp.arange(count) == 5)[:, None, None], plans, 9.0)
+    best = _Best(plans, labels, labels, jnp.where(jnp.arange(count) == 5, 0.1, 1.0))
+    drawn = _start(toy.FORWARD, asked, 2, size, key=jax.random.key(0))
+    got = _some_near(toy.FORWARD, best, drawn, asked, size, key=jax.random.key(1))
+    assert (got.common == drawn.common).all()
+    of_state = np.asarray(jax.vmap(relabel_manipulation)(got.plan, jnp.asarray(INVERSE)[got.common]))
+    as_drawn = np.abs(np.asarray(got.plan - drawn.plan)).max((1, 2)) == 0
+    near = np.abs(of_state - np.asarray(best_plan))[..., 4:].max((1, 2)) < 0.75
+    assert (as_drawn | near).all()
+    assert 0.5 < near.mean() < 0.95
+    first, candidates = of_state[near, 0, :4], np.concatenate([CORNERS, [[-1, -1]]])
+    assert (np.abs(first.reshape(-1, 2, 1, 2) - candidates).sum(-1).min(-1) < 1e-6).all()
+    own = (np.abs(first - np.asarray(best_plan[0, :4])).max(1) < 1e-6).mean()
+    assert 0.3 < own < 0.8
+    moved = of_state[near] - np.asarray(best_plan)
+    assert 0.1 < moved[..., 4:].std() < 0.2
+    assert np.abs(got.plan[..., :4]).max() <= 1
+    grasps = got.grasps[near]
+    wanted = to_cartesian(jnp.stack([jnp.asarray(mesh)] * len(first)), jnp.asarray(first[:, :2]))[:, :2]
+    np.testing.assert_allclose(grasps[:, 0], wanted, atol=1e-5)
+    # Nothing is near a best plan that there isn't.
+    none = best._replace(loss=jnp.full(count, jnp.inf))
+    same = _some_near(toy.FORWARD, none, drawn, asked, size, key=jax.random.key(1))
+    jax.tree.map(np.testing.assert_array_equal, same, drawn)
 
 
 @settings(max_examples=4, deadline=None)

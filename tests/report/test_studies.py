@@ -72,6 +72,7 @@ def test_weights_and_search(tmp_path: Path, drawn: list[Figure]) -> None:
             {
                 "fold": fold,
                 "every": every,
+                "near": 0.5,
                 "strains": strains,
                 "base_iterations": more,
                 "iterations_per_step": more,
@@ -85,8 +86,8 @@ def test_weights_and_search(tmp_path: Path, drawn: list[Figure]) -> None:
             for length in (1, 2, 3)
         ]
     )
-    names = ["strains", "base_iterations", "iterations_per_step", "every", "fold"]
-    studies.search(table, dict(zip(names, (64, 15, 15, 2, "all"), strict=True)), tmp_path / "search.png")
+    names = ["strains", "base_iterations", "iterations_per_step", "every", "near", "fold"]
+    studies.search(table, dict(zip(names, (64, 15, 15, 2, 0.5, "all"), strict=True)), tmp_path / "search.png")
     failures = drawn[1].axes[1]
     np.testing.assert_allclose(failures.lines[0].get_ydata(), [1, 0])
-    assert [line.get_xdata().tolist() for line in failures.lines[1:4]] == [[960], [240], [480]]
+    assert [line.get_xdata().tolist() for line in failures.lines[1:5]] == [[960], [240], [], [480]]

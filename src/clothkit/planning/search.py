@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from annotated_types import Ge, Gt, MultipleOf, Predicate
+from annotated_types import Ge, Gt, Le, MultipleOf, Predicate
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
 from clothkit.cloth.equivalents import COUNT, compose, inverse, relabel_manipulation, relabel_manipulation_batch
@@ -25,6 +25,9 @@ from clothkit.planning.loss import Range, Spread, Weights, uncertainty
 
 UNKNOWN = -1
 """A relative labelling that is not known yet: each evaluation takes the one that fits best."""
+
+NEAR = 0.15
+"""Standard deviation of what moves a plan that begins near another, geodesic or normalised."""
 
 COMPOSED = np.array([[compose(j, k) for k in range(COUNT)] for j in range(COUNT)], np.int32)
 INVERSE = np.array([inverse(k) for k in range(COUNT)], np.int32)
@@ -45,6 +48,8 @@ class SearchConfig:
     """The strains' losses run over each `every`-th vertex along u and v; the choice among their best plans over all."""
     fold: Literal["none", "first", "all"] = "none"
     """Which manipulations of a plan must be of the kind that was recorded: with q on the cloth (section 4.4)."""
+    near: Annotated[float, Ge(0), Le(1)] = 0.0
+    """Share of the restarts that begin near the best plan so far, in place of at random."""
     irprop: IRpropConfig = IRpropConfig()
 
     def iterations(self, length: int) -> int:
@@ -185,7 +190,10 @@ def _search_one(
         return jnp.sum(judged.loss), judged
 
     def iterate(state: _State, key: PRNGKeyArray) -> tuple[_State, tuple[Array, Array]]:
-        strains = _choose(state.restart, _start(forward, problem, length, settings, key=key), state.strains)
+        fresh = _start(forward, problem, length, settings, key=key)
+        if settings.near:
+            fresh = _some_near(forward, state.best, fresh, problem, settings, key=jax.random.fold_in(key, 1))
+        strains = _choose(state.restart, fresh, state.strains)
         gradient, judged = jax.grad(total, has_aux=True)(strains.plan, strains.common, strains.relative)
         strange = _strange(strains, judged, problem, settings)
         loss = jnp.where(strange, jnp.inf, judged.loss)
@@ -301,6 +309,27 @@ def _start(
     where = partial(forward.points, problem.state) if settings.fold == "all" else None
     plans = random_plans(count, length, problem.candidates, xy, covered=covered, where=where, key=key_plan)
     return _fresh(forward, plans, common, problem, settings)
+
+
+def _some_near(
+    forward: Forward, best: _Best, drawn: _Strains, problem: Problem, settings: SearchConfig, *, key: PRNGKeyArray
+) -> _Strains:
+    """Strains of which a share begins near the best plan so far: moved a little, every other one with the first grasp
+    points that were drawn for it."""
+    key_share, key_grasps, key_noise = jax.random.split(key, 3)
+    count, inverse_of = len(drawn.plan), jnp.asarray(INVERSE)
+    winner = jnp.argmin(best.loss)
+    plan = relabel_manipulation(best.plan[winner], inverse_of[best.common[winner]])
+    noise = NEAR * jax.random.normal(key_noise, drawn.plan.shape)
+    both = jnp.where(is_single(plan)[..., None], noise[..., :2], noise[..., 2:4])
+    noise = jnp.concatenate([noise[..., :2], both, noise[..., 4:]], axis=-1).at[:, 0, :4].set(0)
+    moved = plan + noise
+    moved = jnp.concatenate([jnp.clip(moved[..., :4], -1, 1), moved[..., 4:]], axis=-1)
+    others = relabel_manipulation_batch(drawn.plan, inverse_of[drawn.common])[:, 0, :4]
+    swap = jax.random.bernoulli(key_grasps, 0.5, (count, 1))
+    moved = moved.at[:, 0, :4].set(jnp.where(swap, others, moved[:, 0, :4]))
+    near = jax.random.bernoulli(key_share, settings.near, (count,)) & jnp.isfinite(best.loss[winner])
+    return _choose(near, _fresh(forward, moved, drawn.common, problem, settings), drawn)
 
 
 def _first_state(forward: Forward, problem: Problem, length: int, settings: SearchConfig) -> _State:

@@ -87,6 +87,7 @@ def _mean(rows: pd.DataFrame) -> Float[np.ndarray, "3"]:
 OTHERS = {
     "iterations": ("x", ["base_iterations", "iterations_per_step"]),
     "vertices": ("s", ["every"]),
+    "restarts": ("^", ["near"]),
     "kinds of manipulations": ("D", ["fold"]),
 }
 """What, beside the strains, a search differs in: its marker, and its columns."""
