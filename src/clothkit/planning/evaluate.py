@@ -54,10 +54,11 @@ def evaluate(dataset: Dataset, planner: Planner, execute: Execute, *, work: Path
 def try_out(
     dataset: Dataset, sequences: list[int], split: str, planner: Planner, execute: Execute
 ) -> tuple[Sessions, Clock]:
-    """The sessions of every task of some sequences, one sequence after another: for studies."""
+    """The sessions of every task of some sequences, as many together as a stage would run: for studies."""
     done, clock = [], defaultdict[str, list[tuple[int, float]]](list)
-    for sequence in sequences:
-        tasks = tasks_of(sequence, int(dataset.length[sequence]))
+    for first in range(0, len(sequences), planner.settings.together):
+        chosen = sequences[first : first + planner.settings.together]
+        tasks = [task for sequence in chosen for task in tasks_of(sequence, int(dataset.length[sequence]))]
         sessions, calls = run_sessions(tasks_of_dataset(dataset, tasks, split), planner, execute)
         done.append(sessions)
         for what, of_sequence in calls.items():
