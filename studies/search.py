@@ -9,7 +9,7 @@ plan's loss against seconds per plan. Prints also how the loss falls from restar
 normalisation and the dataset (`dvc repro normalise`).
 
 `--strains N ..` (16 32 64 128 256 512), `--iterations F ..` (0.5 2: multiples of those in force), `--every N ..` (1 4),
-`--near SHARE ..` (0 0.8), `--fold WHICH ..` (none first).
+`--near SHARE ..` (0 0.8), `--fold WHICH ..` (none all).
 """
 
 import argparse
@@ -61,7 +61,7 @@ def main() -> None:
     parser.add_argument("--iterations", type=float, nargs="*", default=[0.5, 2])
     parser.add_argument("--every", type=int, nargs="*", default=[1, 4])
     parser.add_argument("--near", type=float, nargs="*", default=[0, 0.8])
-    parser.add_argument("--fold", nargs="*", choices=["none", "first", "all"], default=["none", "first"])
+    parser.add_argument("--fold", nargs="*", choices=["none", "first", "all"], default=["none", "all"])
     asked = parser.parse_args()
     params = load_params(Path("params.yaml"))
     simulate, plan = params.stages.simulate, params.stages.plan
