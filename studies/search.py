@@ -2,14 +2,14 @@
 
 Plans and executes every task of the first validation sequences (5 if not said) with system main and searches of
 different sizes: numbers of strains; and, at the strains in force, numbers of iterations, vertices that the loss runs
-over, restarts near the best plan, and manipulations that must fold the cloth. A row per search and task goes to
-reports/<scale>/studies/search.csv, with the seconds per plan of that length; what is there already is not done again.
-search.png shows, for each plan length, error, search failures (the recorded plan has the lower loss) and the first
-plan's loss against seconds per plan. Prints also how the loss falls from restart to restart. Needs the nets, the
+over, restarts near the best plan, and first manipulations that need not fold the cloth. A row per search and task goes
+to reports/<scale>/studies/search.csv, with the seconds per plan of that length; what is there already is not done
+again. search.png shows, for each plan length, error, search failures (the recorded plan has the lower loss) and the
+first plan's loss against seconds per plan. Prints also how the loss falls from restart to restart. Needs the nets, the
 normalisation and the dataset (`dvc repro normalise`).
 
 `--strains N ..` (16 32 64 128 256 512), `--iterations F ..` (0.5 2: multiples of those in force), `--every N ..` (1 4),
-`--near SHARE ..` (0 0.8), `--fold WHICH ..` (none all).
+`--near SHARE ..` (0 0.8).
 """
 
 import argparse
@@ -43,7 +43,7 @@ def searches(usual: SearchConfig, asked: argparse.Namespace) -> list[SearchConfi
         found.append(dataclasses.replace(usual, base_iterations=base, iterations_per_step=more))
     found += [dataclasses.replace(usual, every=every) for every in asked.every]
     found += [dataclasses.replace(usual, near=share) for share in asked.near]
-    return found + [dataclasses.replace(usual, fold=fold) for fold in asked.fold]
+    return [*found, dataclasses.replace(usual, fold=not usual.fold)]
 
 
 def by_restart(sessions: Sessions) -> list[float]:
@@ -61,7 +61,6 @@ def main() -> None:
     parser.add_argument("--iterations", type=float, nargs="*", default=[0.5, 2])
     parser.add_argument("--every", type=int, nargs="*", default=[1, 4])
     parser.add_argument("--near", type=float, nargs="*", default=[0, 0.8])
-    parser.add_argument("--fold", nargs="*", choices=["none", "first", "all"], default=["none", "all"])
     asked = parser.parse_args()
     params = load_params(Path("params.yaml"))
     simulate, plan = params.stages.simulate, params.stages.plan

@@ -66,7 +66,7 @@ def test_weights_and_search(tmp_path: Path, drawn: list[Figure]) -> None:
     lines = drawn[0].axes[0].lines
     np.testing.assert_allclose(lines[1].get_ydata(), [0.215, 0.165])
     assert [len(axis.lines[0].get_xdata()) for axis in drawn[0].axes] == [2, 2, 2]
-    sizes = [(16, 15, 2, "all"), (64, 15, 2, "all"), (64, 30, 2, "all"), (64, 15, 4, "all"), (64, 15, 2, "none")]
+    sizes = [(16, 15, 2, True), (64, 15, 2, True), (64, 30, 2, True), (64, 15, 4, True), (64, 15, 2, False)]
     table = pd.DataFrame(
         [
             {
@@ -87,7 +87,7 @@ def test_weights_and_search(tmp_path: Path, drawn: list[Figure]) -> None:
         ]
     )
     names = ["strains", "base_iterations", "iterations_per_step", "every", "near", "fold"]
-    studies.search(table, dict(zip(names, (64, 15, 15, 2, 0.5, "all"), strict=True)), tmp_path / "search.png")
+    studies.search(table, dict(zip(names, (64, 15, 15, 2, 0.5, True), strict=True)), tmp_path / "search.png")
     failures = drawn[1].axes[1]
     np.testing.assert_allclose(failures.lines[0].get_ydata(), [1, 0])
     assert [line.get_xdata().tolist() for line in failures.lines[1:5]] == [[960], [240], [], [480]]

@@ -167,7 +167,7 @@ def problem_of(planner: Planner, state: Believed, goal: Believed, length: int, *
         relative=np.array(past.relative if past else 0 if voxels else UNKNOWN, np.int32),
         later=np.array(past is not None),
         carried=past.rest if past else np.zeros((length, 6), np.float32),
-        covered=planner.sight.covered(state) if planner.settings.search.fold != "none" else None,
+        covered=planner.sight.covered(state) if planner.settings.search.fold else None,
     )
 
 

@@ -91,7 +91,7 @@ def losses(
         none = Candidates(jnp.zeros((1, 2)), jnp.int32(0))
         problem = Problem(state, goal, none, traces, jnp.int32(UNKNOWN), jnp.asarray(False), plan)
         every = jax.vmap(equivalents_of_manipulation, out_axes=1)(plan)[:count]
-        judged = planning_loss(
+        loss, _, _ = planning_loss(
             forward,
             nets,
             fix(forward, nets, problem),
@@ -102,6 +102,6 @@ def losses(
             jnp.full(count, UNKNOWN),
             explicit=explicit,
         )
-        return jnp.min(judged.loss)
+        return jnp.min(loss)
 
     return jax.vmap(one)(states, goals, plans)

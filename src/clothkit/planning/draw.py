@@ -4,7 +4,6 @@ Grasp points are in the coordinates in which the net takes them: geodesic, or Ca
 where they lie on the table, which is what geometry is about.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -58,22 +57,16 @@ def random_plans(
     xy: Float[Array, "candidates 2"],
     *,
     covered: Covered | None = None,
-    where: Callable[[Array], Array] | None = None,
     key: PRNGKeyArray,
 ) -> Float[Array, "strains n 6"]:
     """Random plans whose first grasp points are candidates; these lie at `xy`.
 
     Two hands of a first manipulation never fall on different sides of m (unless 16 draws failed). Where it is told what
-    the cloth covers, the first q is on it; and where it is told `where` grasp points of the cloth lie, each later q
-    would be, if the cloth stayed as it is.
+    the cloth covers, the first q is on it.
     """
-    key_first, key_later, key_q = jax.random.split(key, 3)
+    key_first, key_later = jax.random.split(key)
     first = _first_manipulations(strains, candidates, xy, covered, key=key_first)
     later = random_manipulations((strains, steps - 1), key=key_later)
-    if covered is not None and where is not None:
-        q = _points_on(jnp.asarray(covered), later.shape[:2], key=key_q)
-        places = where(later[..., :4].reshape(*later.shape[:2], 2, 2))
-        later = jnp.concatenate([later[..., :4], (q - places.mean(-2)) / FOLD_POINT], axis=-1)
     return jnp.concatenate([first[:, None], later], axis=1)
 
 

@@ -5,23 +5,17 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from clothkit.cloth import equivalents as symmetry
 from clothkit.cloth.equivalents import COUNT
-from clothkit.cloth.grid import CLOTH_SIDE, SIDE
+from clothkit.cloth.grid import SIDE
 from clothkit.cloth.mesh import ProbabilisticMesh, whiten
 from clothkit.manipulation.geometry import to_cartesian
-from clothkit.manipulation.vector import is_null
 from clothkit.networks import pemd
 from clothkit.networks.layers import LEAST_STD
 from clothkit.networks.net import Net
 from clothkit.planning import loss
-from clothkit.planning.draw import FOLD_POINT
-
-ON_CLOTH = 0.75 * CLOTH_SIDE / (SIDE - 1)
-"""A point this near to a vertex, seen from above, is on the cloth: half a quad's diagonal, and a little [normalised].
-For thinned meshes as many times that."""
 
 
 def points(state: Float[Array, "u v 3"], grasps: Float[Array, "*points 2"]) -> Float[Array, "*points 2"]:
@@ -32,20 +26,6 @@ def points(state: Float[Array, "u v 3"], grasps: Float[Array, "*points 2"]) -> F
 def relabelled(prediction: ProbabilisticMesh, k: Int[Array, ""]) -> ProbabilisticMesh:
     """A predicted mesh under the labels of equivalent k."""
     return ProbabilisticMesh(*(symmetry.relabel(part, k) for part in prediction))
-
-
-def folds(prediction: ProbabilisticMesh, manipulation: Float[Array, "*batch 6"]) -> Bool[Array, "*batch"]:
-    """Whether manipulations of predicted, perhaps thinned meshes have q on them (section 4.4), or are null."""
-    mean = prediction.mean
-    side = mean.shape[-2]
-    every = SIDE // side
-    grasps = manipulation[..., :4].reshape(*manipulation.shape[:-1], 2, 2)
-    # A thinned mesh ends before the last vertex: its first and last are not at -1 and 1.
-    within = (grasps + 1) * ((SIDE - 1) / (every * (side - 1))) - 1
-    places = to_cartesian(jnp.stack([mean, mean], axis=-4), within)[..., :2]
-    q = places.mean(-2) + FOLD_POINT * manipulation[..., 4:]
-    squared = jnp.sum((mean[..., :2] - q[..., None, None, :]) ** 2, axis=-1)
-    return (jnp.min(squared, axis=(-2, -1)) < (every * ON_CLOTH) ** 2) | is_null(manipulation)
 
 
 def thinned(goals: Float[Array, "*goals u v 3"], every: int) -> Float[Array, "*goals thin thin 3"]:
@@ -75,8 +55,6 @@ class Forward(NamedTuple):
     """state, grasp points [*p 2] -> xy [*p 2], normalised"""
     target: Callable[..., Any] = whiten
     """goals [*g *state] -> goals as the losses take them"""
-    folds: Callable[..., Any] = folds
-    """predictions, manipulations [*b 6] of them -> whether they are of the kind that the data hold [*b]"""
     thinned: Callable[..., Any] = thinned
     """goals, every -> what of them thinned predictions are compared with"""
     accuracy: Callable[..., Any] = loss.accuracy

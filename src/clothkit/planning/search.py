@@ -5,7 +5,7 @@ the labels of its own common equivalent; whatever leaves this module is back in 
 """
 
 from functools import partial
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -46,8 +46,8 @@ class SearchConfig:
     """A strain that has not improved for so many iterations starts anew."""
     every: Annotated[int, Gt(0), Predicate(lambda every: SIDE % every == 0)] = 1
     """The strains' losses run over each `every`-th vertex along u and v; the choice among their best plans over all."""
-    fold: Literal["none", "first", "all"] = "none"
-    """Which manipulations of a plan must be of the kind that was recorded: with q on the cloth (section 4.4)."""
+    fold: bool = False
+    """Whether first manipulations must be of the kind that was recorded: with q on the cloth (section 4.4)."""
     near: Annotated[float, Ge(0), Le(1)] = 0.0
     """Share of the restarts that begin near the best plan so far, in place of at random."""
     irprop: IRpropConfig = IRpropConfig()
@@ -96,18 +96,6 @@ class Found(NamedTuple):
     losses: Float[Array, "iterations strains"]
     restarts: Bool[Array, "iterations strains"]
     """Where a strain started anew after that iteration: with `losses`, the best of each restart."""
-
-
-class Judged(NamedTuple):
-    """What a loss says of plans."""
-
-    loss: Float[Array, " strains"]
-    terms: Float[Array, "strains terms"]
-    """As in `Found`."""
-    relative: Int[Array, " strains"]
-    """The goal's relative labelling."""
-    strange: Bool[Array, " strains"]
-    """Whether a manipulation after the first has q off the cloth that is predicted for it."""
 
 
 class _Strains(NamedTuple):
@@ -181,23 +169,21 @@ def _search_one(
     key: PRNGKeyArray,
 ) -> Found:
     fixed = fix(forward, nets, problem)
-    losses_of = partial(
-        planning_loss, forward, nets, fixed, reference, weights, explicit=explicit, ahead=settings.fold == "all"
-    )
+    losses_of = partial(planning_loss, forward, nets, fixed, reference, weights, explicit=explicit)
 
-    def total(plan: Array, common: Array, relative: Array) -> tuple[Array, Judged]:
-        judged = losses_of(plan, common, relative, every=settings.every)
-        return jnp.sum(judged.loss), judged
+    def total(plan: Array, common: Array, relative: Array) -> tuple[Array, tuple[Array, Array]]:
+        loss, _, relative = losses_of(plan, common, relative, every=settings.every)
+        return jnp.sum(loss), (loss, relative)
 
     def iterate(state: _State, key: PRNGKeyArray) -> tuple[_State, tuple[Array, Array]]:
         fresh = _start(forward, problem, length, settings, key=key)
         if settings.near:
             fresh = _some_near(forward, state.best, fresh, problem, settings, key=jax.random.fold_in(key, 1))
         strains = _choose(state.restart, fresh, state.strains)
-        gradient, judged = jax.grad(total, has_aux=True)(strains.plan, strains.common, strains.relative)
-        strange = _strange(strains, judged, problem, settings)
-        loss = jnp.where(strange, jnp.inf, judged.loss)
-        now = _Best(strains.plan, strains.common, judged.relative, loss)
+        gradient, (loss, relative) = jax.grad(total, has_aux=True)(strains.plan, strains.common, strains.relative)
+        strange = _strange(strains, problem, settings)
+        loss = jnp.where(strange, jnp.inf, loss)
+        now = _Best(strains.plan, strains.common, relative, loss)
         best = _choose(loss < state.best.loss, now, state.best)
         stale = jnp.where(loss < strains.lowest, 0, strains.stale + 1)
         restart = strange | (stale >= settings.patience)
@@ -209,27 +195,27 @@ def _search_one(
     state = _first_state(forward, problem, length, settings)
     if settings.screen > 1:
         drawn = _start(forward, problem, length, settings, draws=settings.screen, key=key_first)
-        judged = losses_of(drawn.plan, drawn.common, drawn.relative, every=settings.every)
-        strange = _strange(drawn, judged, problem, settings)
-        screened = _least(jnp.where(strange, jnp.inf, judged.loss), drawn, settings.screen)
+        loss, _, _ = losses_of(drawn.plan, drawn.common, drawn.relative, every=settings.every)
+        strange = _strange(drawn, problem, settings)
+        screened = _least(jnp.where(strange, jnp.inf, loss), drawn, settings.screen)
         state = state._replace(
             strains=_choose(state.restart, screened, state.strains), restart=jnp.zeros_like(state.restart)
         )
     keys = jax.random.split(key_search, settings.iterations(length))
     (_, best, _), (losses, restarts) = jax.lax.scan(iterate, state, keys)
     # Among the strains' best plans the whole mesh decides.
-    judged = losses_of(best.plan, best.common, best.relative)
-    winner = jnp.argmin(jnp.where(jnp.isinf(best.loss), jnp.inf, judged.loss))
+    loss, terms, _ = losses_of(best.plan, best.common, best.relative)
+    winner = jnp.argmin(jnp.where(jnp.isinf(best.loss), jnp.inf, loss))
     plan, common, relative = best.plan[winner], best.common[winner], best.relative[winner]
     plan = relabel_manipulation(plan, jnp.asarray(INVERSE)[common])
-    return Found(plan, judged.loss[winner], judged.terms[winner], common, relative, losses, restarts)
+    return Found(plan, loss[winner], terms[winner], common, relative, losses, restarts)
 
 
-def _strange(strains: _Strains, judged: Judged, problem: Problem, settings: SearchConfig) -> Bool[Array, " strains"]:
-    """Strains with a manipulation of a kind that was never recorded: the nets' word on it is worthless, and they agree
-    on it. The first one's hands are on different sides of m, or q is off the cloth."""
-    strange = judged.strange | ~jnp.asarray(release_points(strains.grasps, strains.plan[:, 0, 4:]).same_side)
-    if settings.fold != "none":
+def _strange(strains: _Strains, problem: Problem, settings: SearchConfig) -> Bool[Array, " strains"]:
+    """Strains whose first manipulation is of a kind that was never recorded: the nets' word on it is worthless, and
+    they agree on it. Their hands are on different sides of m, or q is off the cloth."""
+    strange = ~jnp.asarray(release_points(strains.grasps, strains.plan[:, 0, 4:]).same_side)
+    if settings.fold:
         assert problem.covered is not None, "a search with `fold` is told what the cloth covers"
         strange |= ~folds(problem.covered, strains.grasps, strains.plan[:, 0])
     return strange
@@ -256,29 +242,19 @@ def planning_loss(
     relative: Int[Array, " strains"],
     *,
     explicit: bool,
-    ahead: bool = False,
     every: int = 1,
-) -> Judged:
+) -> tuple[Float[Array, " strains"], Float[Array, "strains terms"], Int[Array, " strains"]]:
     """Eq. (13) of each strain's plan, its terms, and the goal's relative labelling; with one net the plain NLL.
 
     A relative labelling that is `UNKNOWN` is the one that makes the accuracy terms least, as in eq. (12). Over each
-    `every`-th vertex. With `ahead` it is told which plans leave the kind that was recorded later on.
+    `every`-th vertex.
     """
     # Intermediate states are decoded, along with the outcome, only where the loss asks for them.
     decoded = slice(None) if explicit else slice(-1, None)
-    latents = [
-        unroll(forward, net, latent[common], trace[common], plan).latents
+    states = [
+        forward.decode(net, unroll(forward, net, latent[common], trace[common], plan).latents[decoded], every)
         for net, latent, trace in zip(nets, fixed.latents, fixed.traces, strict=True)
     ]
-    states = [forward.decode(net, latent[decoded], every) for net, latent in zip(nets, latents, strict=True)]
-    strange = jnp.zeros(len(plan), bool)
-    if ahead and plan.shape[1] > 1:
-        # What is asked of the first state is asked of those that the first net expects.
-        before = latents[0][:-1]
-        expected = (
-            jax.tree.map(lambda part: part[:-1], states[0]) if explicit else forward.decode(nets[0], before, every)
-        )
-        strange = ~jnp.all(forward.folds(expected, jnp.moveaxis(plan, 1, 0)[1:]), axis=0)
     outcomes = [jax.tree.map(lambda part: part[-1], predicted) for predicted in states]
     spans = reference.spans if len(nets) > 1 else (None,)
     goals = forward.thinned(fixed.goals, every)
@@ -290,10 +266,10 @@ def planning_loss(
     accuracies = [forward.accuracy(goal, outcome, span) for outcome, span in zip(outcomes, spans, strict=True)]
     u = jnp.zeros(len(plan))
     if len(nets) == 1:
-        return Judged(accuracies[0], jnp.stack([accuracies[0], u], axis=-1), relative, strange)
+        return accuracies[0], jnp.stack([accuracies[0], u], axis=-1), relative
     if explicit:
         u = uncertainty(forward.diff(*states), reference.spread, beta=weights.beta, gamma=weights.gamma)
-    return Judged(sum(accuracies) + weights.alpha * u, jnp.stack([*accuracies, u], axis=-1), relative, strange)
+    return sum(accuracies) + weights.alpha * u, jnp.stack([*accuracies, u], axis=-1), relative
 
 
 def _start(
@@ -305,9 +281,8 @@ def _start(
     drawn = jax.random.randint(key_common, (count,), 0, forward.labels)
     common = jnp.where(problem.later, jnp.arange(count) // draws % forward.labels, drawn)
     xy = forward.points(problem.state, jnp.asarray(problem.candidates.grasps))
-    covered = problem.covered if settings.fold != "none" else None
-    where = partial(forward.points, problem.state) if settings.fold == "all" else None
-    plans = random_plans(count, length, problem.candidates, xy, covered=covered, where=where, key=key_plan)
+    covered = problem.covered if settings.fold else None
+    plans = random_plans(count, length, problem.candidates, xy, covered=covered, key=key_plan)
     return _fresh(forward, plans, common, problem, settings)
 
 

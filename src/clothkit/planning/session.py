@@ -155,7 +155,7 @@ def _problems(
         relative = np.full(len(chosen), 0 if planner.sight.labelled else UNKNOWN, np.int32)
         rest = np.zeros((len(chosen), length, 6), np.float32)
     covered = None
-    if planner.settings.search.fold != "none":
+    if planner.settings.search.fold:
         covered = np.stack([planner.sight.covered(state) for state in sessions.estimate[chosen, step]])
     return Problem(
         state=sessions.estimate[chosen, step],

@@ -6,13 +6,11 @@ is whitened. A prediction is the logits of occupancy.
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, Shaped
+from jaxtyping import Array, Float, Int, Shaped
 
-from clothkit.manipulation.vector import is_null
 from clothkit.networks import emd_voxel
 from clothkit.networks.emd_voxel_training import cross_entropy
 from clothkit.networks.net import Net
-from clothkit.planning.draw import FOLD_POINT
 from clothkit.planning.forward import Forward
 from clothkit.planning.loss import Range
 
@@ -37,18 +35,6 @@ def as_it_is(prediction: Logits, k: Int[Array, ""]) -> Logits:
 def points(state: Shaped[Array, "x y z"], grasps: Float[Array, "*points 2"]) -> Float[Array, "*points 2"]:
     """Grasp points are where they are [normalised]."""
     return grasps
-
-
-def folds(prediction: Logits, manipulation: Float[Array, "*batch 6"]) -> Bool[Array, "*batch"]:
-    """Whether manipulations of predicted voxels have q in an occupied column (section 4.4), or are null."""
-    columns = jnp.any(prediction > 0, axis=-1)
-    q = manipulation[..., :4].reshape(*manipulation.shape[:-1], 2, 2).mean(-2) + FOLD_POINT * manipulation[..., 4:]
-    column = jnp.floor((q + 1) * (columns.shape[-1] / 2)).astype(jnp.int32)
-    inside = jnp.all((column >= 0) & (column < columns.shape[-1]), axis=-1)
-    x, y = jnp.moveaxis(jnp.clip(column, 0, columns.shape[-1] - 1), -1, 0)
-    flat = columns.reshape(*columns.shape[:-2], -1)
-    occupied = jnp.take_along_axis(flat, (x * columns.shape[-1] + y)[..., None], axis=-1)[..., 0]
-    return (inside & occupied) | is_null(manipulation)
 
 
 def target(goals: Shaped[Array, "*goals x y z"]) -> Float[Array, "*goals x y z"]:
@@ -87,7 +73,6 @@ VOXEL = Forward(
     equivalents=alone,
     relabelled=as_it_is,
     points=points,
-    folds=folds,
     target=target,
     thinned=whole,
     accuracy=accuracy,
