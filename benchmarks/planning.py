@@ -24,11 +24,12 @@ from tables import show
 from timed import in_a_row, least
 
 from clothkit.cloth.grid import SIDE, flat
+from clothkit.cloth.silhouette import silhouette
 from clothkit.cloth.voxels import observe
 from clothkit.networks import emd_voxel, pemd
 from clothkit.networks.net import Net
 from clothkit.params import load_params
-from clothkit.planning.draw import Candidates
+from clothkit.planning.draw import EXTENT, RASTER, Candidates
 from clothkit.planning.loss import Range, Spread, Weights
 from clothkit.planning.search import UNKNOWN, Problem, Reference, SearchConfig, search
 from clothkit.planning.sight import CORNERS, MeshSight, VoxelSight
@@ -52,6 +53,7 @@ def problems(system: System, nets: tuple[Net, ...], forward: Any, length: int, b
         relative=np.array(0 if system.voxels else UNKNOWN),
         later=np.array(False),
         carried=np.zeros((length, 6), np.float32),
+        covered=silhouette(flat(), resolution=RASTER, extent=EXTENT),
     )
     return jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[None], batch, axis=0), one)
 
