@@ -74,6 +74,7 @@ VARIANTS: dict[str, dict[str, dict[str, Any]]] = {
         "decay 0.1": {"training.weight_decay": 0.1},
         "rates x 2": {"training.muon_learning_rate": 1.4e-2, "training.learning_rate": 2e-3},
         "hold 1": {"hold": 1.0},
+        "rare 0.001": {"rare": 0.001},
     },
 }
 
@@ -124,7 +125,8 @@ def posed(net: str, settings: Any, training: Any, validation: Any) -> tuple[Prob
     """The problem and its data."""
     if net == "pemd":
         return pemd_training.problem(settings, pemd_training.sequences(validation)), pemd_training.sequences(training)
-    return vtm_training.problem(settings, validation), vtm_training.states(training)
+    states = vtm_training.states(training)
+    return vtm_training.problem(settings, validation, vtm_training.taken(states, settings)), states
 
 
 def study(net: str, settings: Any, minutes: float) -> list[dict[str, Any]]:

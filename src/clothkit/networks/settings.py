@@ -137,6 +137,8 @@ class TrainVtMConfig:
     """Share of flat cloths among the examples: every sequence starts with the same one."""
     height: Rate = 0.125
     """Upper end of the voxel viewport [normalised]."""
+    rare: Share = 0.0
+    """Voxels that are occupied in no more than this share of the examples are left out: their weights are zero."""
 
 
 @config

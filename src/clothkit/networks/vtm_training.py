@@ -1,12 +1,17 @@
-"""What VtM learns: a mesh, under any of its eight labellings, from noisy voxels of it (section 4.8, eq. 12)."""
+"""What VtM learns: a mesh, under any of its eight labellings, from noisy voxels of it (section 4.8, eq. 12).
 
+The first layer is more than half of the products, and most voxels are hardly ever occupied: those far from the centre,
+and high up. Training can leave them out (`rare`); the trained net takes all voxels, and gives these weights of zero.
+"""
+
+import dataclasses
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, PRNGKeyArray, PyTree
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree, Shaped
 
 from clothkit.cloth import mesh as meshes
 from clothkit.cloth import voxels
@@ -21,6 +26,12 @@ from clothkit.networks.likelihood import held_nll
 from clothkit.networks.settings import TrainVtMConfig
 from clothkit.networks.training import Problem, Trained, train
 from clothkit.networks.vtm import VtM, initial
+
+EVERY = np.arange(np.prod(voxels.RESOLUTION))
+"""All voxels, by their places in a flat array."""
+
+COUNTED = 8192
+"""Examples by which rare voxels are told, at least."""
 
 
 class States(NamedTuple):
@@ -65,17 +76,46 @@ def loss_vtm(
     return held_nll(relabel_batch(mesh, jnp.argmin(likelihoods, axis=0)), estimate, hold)
 
 
-def state_errors(
-    net: VtM, params: PyTree, mesh: Float[Array, "batch u v 3"], *, height: float
-) -> Float[Array, " batch"]:
-    """Errors of the estimated means, from noise-free voxels [cloth length]."""
-    estimate = run(net, params, voxels.observe(mesh, height=height))
-    return meshes.error(estimate.mean, mesh)
+def among(chosen: Int[np.ndarray, " voxels"], seen: Shaped[Array, "batch x y z"]) -> Shaped[Array, "batch voxels 1 1"]:
+    """The chosen of the voxels, as the narrowed net takes them."""
+    flat = seen.reshape(len(seen), -1)
+    return (flat if len(chosen) == len(EVERY) else flat[:, chosen])[..., None, None]
 
 
-def problem(settings: TrainVtMConfig, validation: Dataset) -> Problem:
-    """VtM's part of the training loop; its data are `States`."""
+def narrowed(params: PyTree, chosen: Int[np.ndarray, " voxels"]) -> PyTree:
+    """Weights of a net that takes the chosen voxels alone."""
+    first = params["layer_1"]
+    return {**params, "layer_1": {**first, "kernel": first["kernel"][chosen]}}
+
+
+def widened(params: PyTree, chosen: Int[np.ndarray, " voxels"]) -> PyTree:
+    """A narrowed net's weights as those of a net that takes all voxels; what it did not take has weight zero."""
+    first = params["layer_1"]
+    kernel = jnp.zeros((len(EVERY), first["kernel"].shape[1])).at[chosen].set(first["kernel"])
+    return {**params, "layer_1": {**first, "kernel": kernel}}
+
+
+def taken(data: States, settings: TrainVtMConfig) -> Int[np.ndarray, " voxels"]:
+    """The voxels that are not too rare: occupied in more than a share `rare` of examples such as training draws."""
+    if settings.rare == 0:
+        return EVERY
+
+    @jax.jit
+    def occupied(data: States, key: PRNGKeyArray) -> Float[Array, "x y z"]:
+        draw_key, noise_key = jax.random.split(key)
+        return jnp.mean(observed(draw(data, settings, key=draw_key), settings, key=noise_key), axis=0)
+
+    batches = -(-COUNTED // settings.training.batch)
+    shares = np.mean([occupied(data, key) for key in jax.random.split(jax.random.key(0), batches)], axis=0)
+    return np.flatnonzero(shares > settings.rare)
+
+
+def problem(settings: TrainVtMConfig, validation: Dataset, chosen: Int[np.ndarray, " voxels"] = EVERY) -> Problem:
+    """VtM's part of the training loop; its data are `States`, its weights those of a narrowed net."""
     net = VtM(settings.net, settings.training.start)
+
+    def estimated(params: PyTree, seen: Bool[Array, "batch x y z"]) -> ProbabilisticMesh:
+        return run(net, params, among(chosen, seen))
 
     def gradient(params: PyTree, data: States, key: PRNGKeyArray) -> tuple[PyTree, dict[str, Any]]:
         draw_key, noise_key = jax.random.split(key)
@@ -83,12 +123,15 @@ def problem(settings: TrainVtMConfig, validation: Dataset) -> Problem:
         seen = observed(mesh, settings, key=noise_key)
 
         def loss(params: PyTree) -> Float[Array, ""]:
-            return jnp.mean(loss_vtm(mesh, run(net, params, seen), hold=settings.hold))
+            return jnp.mean(loss_vtm(mesh, estimated(params, seen), hold=settings.hold))
 
         value, gradient = jax.value_and_grad(loss)(params)
         return gradient, {"loss": value}
 
-    errors_of = jax.jit(lambda params, mesh: state_errors(net, params, mesh, height=settings.height))
+    @jax.jit
+    def errors_of(params: PyTree, mesh: Float[Array, "batch u v 3"]) -> Float[Array, " batch"]:
+        return meshes.error(estimated(params, voxels.observe(mesh, height=settings.height)).mean, mesh)
+
     longest = int(validation.length.max())
     by_step = [jnp.asarray(validation.vertices[validation.length >= i, i]) for i in range(longest + 1)]
 
@@ -96,7 +139,10 @@ def problem(settings: TrainVtMConfig, validation: Dataset) -> Problem:
         errors = [float(errors_of(params, mesh).mean()) for mesh in by_step]
         return {"score": float(np.mean(errors[1:])), **{f"step_{i}": error for i, error in enumerate(errors)}}
 
-    return Problem(lambda key: initial(settings.net, settings.training.start, key=key), gradient, validate)
+    def start(key: PRNGKeyArray) -> PyTree:
+        return narrowed(initial(settings.net, settings.training.start, key=key), chosen)
+
+    return Problem(start, gradient, validate)
 
 
 def train_vtm(
@@ -106,4 +152,7 @@ def train_vtm(
 
     The score is the mean error over steps 1 to 3, of those that some validation sequence has.
     """
-    return train(problem(settings, validation), states(training), settings.training, work=work, key=key)
+    data = states(training)
+    chosen = taken(data, settings)
+    trained = train(problem(settings, validation, chosen), data, settings.training, work=work, key=key)
+    return dataclasses.replace(trained, params=widened(trained.params, chosen))
