@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from clothkit.cloth import voxels
+from clothkit.errors import InputError
 from clothkit.networks import vtm_training
 from clothkit.networks.layers import run
 from clothkit.networks.settings import TrainingConfig, TrainVtMConfig, VtMConfig
@@ -63,6 +64,11 @@ def test_rarer_voxels_go_first_and_all_stay_unless_told(dataset):
     assert at[16, 16, 0] in often
     assert at[0, 0, 15] not in seldom
     assert len(taken(data, replace(SETTINGS, rare=0.0))) == len(EVERY)
+
+
+def test_a_share_that_leaves_no_voxels_is_told(dataset):
+    with pytest.raises(InputError, match="rare"):
+        taken(states(dataset), replace(SETTINGS, rare=1.0))
 
 
 def test_a_trained_net_takes_all_voxels_and_scores_as_it_was_judged(dataset, tmp_path):

@@ -18,6 +18,7 @@ from clothkit.cloth import voxels
 from clothkit.cloth.equivalents import equivalents, relabel_batch
 from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.dataset.store import STEPS, Dataset
+from clothkit.errors import InputError
 from clothkit.manipulation.turns import turn_mesh
 from clothkit.networks.augment import random_turns
 from clothkit.networks.devices import spread
@@ -96,7 +97,10 @@ def widened(params: PyTree, chosen: Int[np.ndarray, " voxels"]) -> PyTree:
 
 
 def taken(data: States, settings: TrainVtMConfig) -> Int[np.ndarray, " voxels"]:
-    """The voxels that are not too rare: occupied in more than a share `rare` of examples such as training draws."""
+    """The voxels that are not too rare: occupied in more than a share `rare` of examples such as training draws.
+
+    As places in a flat array. Raises InputError when none is left.
+    """
     if settings.rare == 0:
         return EVERY
 
@@ -107,7 +111,10 @@ def taken(data: States, settings: TrainVtMConfig) -> Int[np.ndarray, " voxels"]:
 
     batches = -(-COUNTED // settings.training.batch)
     shares = np.mean([occupied(data, key) for key in jax.random.split(jax.random.key(0), batches)], axis=0)
-    return np.flatnonzero(shares > settings.rare)
+    chosen = np.flatnonzero(shares > settings.rare)
+    if not len(chosen):
+        raise InputError(f"train_vtm.rare: {settings.rare} leaves no voxels, the commonest has {shares.max():.3g}")
+    return chosen
 
 
 def problem(settings: TrainVtMConfig, validation: Dataset, chosen: Int[np.ndarray, " voxels"] = EVERY) -> Problem:
