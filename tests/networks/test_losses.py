@@ -1,20 +1,25 @@
 """The losses and the sign-sum rule against values computed another way."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from scipy.stats import norm
 
 from clothkit.cloth.equivalents import equivalents
 from clothkit.cloth.grid import SIDE
 from clothkit.cloth.mesh import ProbabilisticMesh
-from clothkit.networks import pemd_training
+from clothkit.networks import pemd, pemd_training
 from clothkit.networks.layers import probabilistic_mesh
+from clothkit.networks.net import Net
 from clothkit.networks.pemd import PEMD, initial
 from clothkit.networks.pemd_training import direction, draw, loss_position, loss_shape
 from clothkit.networks.recipe import sign_sum
 from clothkit.networks.settings import PEMDConfig, TrainingConfig, TrainPEMDConfig
 from clothkit.networks.vtm_training import loss_vtm
+from clothkit.planning.forward import decode_thinned
 
 NET = PEMDConfig(latent=3, encoder=(7, 6), manipulation=5, decoder=(4, 8))
 
@@ -25,6 +30,17 @@ def test_sigma_is_exp_plus_a_hundredth():
     vertex = units[1].reshape(SIDE, SIDE, 6)[5, 9]
     np.testing.assert_allclose(mesh.mean[1, 5, 9], vertex[:3], rtol=1e-6)
     np.testing.assert_allclose(mesh.std[1, 5, 9], np.exp(vertex[3:]) + 0.01, rtol=1e-6)
+
+
+@pytest.mark.parametrize("least_std", [0.01, 0.002])
+def test_sigma_is_never_below_the_least_that_the_config_names(least_std):
+    config = dataclasses.replace(NET, least_std=least_std)
+    certain = jax.tree.map(jnp.zeros_like, initial(config, key=jax.random.key(0)))
+    certain["D"]["mesh"]["bias"] -= 50.0
+    stds = pemd.decode(Net(config, certain), jnp.zeros((1, NET.latent))).std
+    np.testing.assert_allclose(stds, least_std, rtol=1e-6)
+    thinned = decode_thinned(Net(config, certain), jnp.zeros((1, NET.latent)), 2).std
+    np.testing.assert_allclose(thinned, least_std, rtol=1e-6)
 
 
 def batch(dataset, n):

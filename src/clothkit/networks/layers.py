@@ -10,9 +10,6 @@ from clothkit.cloth.grid import SIDE
 from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.networks.settings import Start
 
-LEAST_STD = 0.01
-"""What eq. (6) adds to every standard deviation [normalised]."""
-
 OUTPUTS = SIDE * SIDE * 6
 """Units of an output layer: mean and incoming activation of sigma, for three coordinates of every vertex."""
 
@@ -34,10 +31,10 @@ def probabilistic_output(name: str, start: Start) -> nn.Dense:
     )
 
 
-def probabilistic_mesh(activation: Float[Array, "*batch outputs"]) -> ProbabilisticMesh:
+def probabilistic_mesh(activation: Float[Array, "*batch outputs"], least_std: float = 0.01) -> ProbabilisticMesh:
     """Eq. (6): means as they are, standard deviations exp(a) + 0.01 [normalised]. Units run over u, v, xyz of both."""
     units = activation.reshape(*activation.shape[:-1], SIDE, SIDE, 6)
-    return ProbabilisticMesh(units[..., :3], jnp.exp(units[..., 3:]) + LEAST_STD)
+    return ProbabilisticMesh(units[..., :3], jnp.exp(units[..., 3:]) + least_std)
 
 
 def run(module: nn.Module, params: PyTree, *inputs: Any, method: str | None = None) -> Any:

@@ -107,7 +107,7 @@ class Decoder(nn.Module):
         for i, width in enumerate(self.config.decoder):
             units = jnp.tanh(dense(width, f"layer_{i + 1}")(units))
         units = probabilistic_output("mesh", self.start)(units)
-        return probabilistic_mesh(units.reshape(*latent.shape[:-1], -1))
+        return probabilistic_mesh(units.reshape(*latent.shape[:-1], -1), self.config.least_std)
 
 
 class PEMD(nn.Module):

@@ -22,6 +22,8 @@ class PEMDConfig:
     manipulation: Count = 1024
     """Units of M's hidden layers, without the manipulation that is appended to each; at least `latent`."""
     decoder: Annotated[tuple[Count, ...], MinLen(1)] = (1024, 2048)
+    least_std: Rate = 0.01
+    """What eq. (6) adds to every standard deviation [normalised]: errors below it can't be told to be so small."""
 
     def __post_init__(self) -> None:
         if self.manipulation < self.latent:
@@ -35,6 +37,8 @@ class VtMConfig:
     hidden: Count = 4096
     views: Literal[1, 8] = 1
     """Estimates are averaged over so many views of the voxels: as they are, or turned and mirrored, too."""
+    least_std: Rate = 0.01
+    """As for the forward models."""
 
 
 @config
@@ -68,7 +72,7 @@ class Start:
     output: Rate = 1.0
     """Factor on the Glorot scale of the last layer's weights."""
     sigma: float = 0.0
-    """Bias of the units that give sigma: std starts near exp(sigma) + 0.01 [normalised]."""
+    """Bias of the units that give sigma: std starts near exp(sigma) + least_std [normalised]."""
     logit: float = 0.0
     """Bias of the units that give voxels: they start near the sigmoid of it."""
 

@@ -26,7 +26,7 @@ class VtM(nn.Module):
         units = voxels.reshape(*voxels.shape[:-3], -1).astype(jnp.float32)
         for i in range(HIDDEN_LAYERS):
             units = jnp.tanh(dense(self.config.hidden, f"layer_{i + 1}")(units))
-        return probabilistic_mesh(probabilistic_output("mesh", self.start)(units))
+        return probabilistic_mesh(probabilistic_output("mesh", self.start)(units), self.config.least_std)
 
 
 def initial(config: VtMConfig, start: Start = Start(), *, key: PRNGKeyArray) -> PyTree:  # noqa: B008

@@ -13,7 +13,6 @@ from clothkit.cloth.grid import SIDE
 from clothkit.cloth.mesh import ProbabilisticMesh, whiten
 from clothkit.manipulation.geometry import to_cartesian
 from clothkit.networks import pemd
-from clothkit.networks.layers import LEAST_STD
 from clothkit.networks.net import Net
 from clothkit.planning import loss
 
@@ -83,7 +82,7 @@ def decode_thinned(net: Net, latent: Float[Array, "*batch latent"], every: int) 
     side = SIDE // every
     units = units @ kernel.reshape(len(kernel), -1) + bias.reshape(-1)
     units = units.reshape(*latent.shape[:-1], side, side, 6)
-    return ProbabilisticMesh(units[..., :3], jnp.exp(units[..., 3:]) + LEAST_STD)
+    return ProbabilisticMesh(units[..., :3], jnp.exp(units[..., 3:]) + net.config.least_std)
 
 
 MESH = Forward(pemd.encode, pemd.step, decode_thinned)
