@@ -1,9 +1,9 @@
 """The grid that every mesh shares: vertices, geodesic coordinates, triangles and springs (section 4.2.1, eq. 11)."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Shaped
 
 SIDE = 32
 """Vertices along one side of the cloth."""
@@ -22,6 +22,15 @@ def geodesic(side: int = SIDE) -> Float[np.ndarray, "u v 2"]:
     """The geodesic coordinates (u, v) of each vertex, -1..1."""
     axis = np.linspace(-1, 1, side, dtype=np.float32)
     return np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1)
+
+
+def thinned(values: Shaped[Any, "*batch u v c"], every: int) -> Shaped[Any, "*batch thin thin c"]:
+    """One of every `every` vertices along u and v, of an array over all of them; the same ones under all labels."""
+    if every == 1:
+        return values
+    half = np.arange((every - 1) // 2, SIDE // 2, every)
+    kept = np.concatenate([half, (SIDE - 1 - half)[::-1]])
+    return values[..., kept[:, None], kept, :]
 
 
 def triangles(side: int = SIDE) -> Int[np.ndarray, "triangles 3"]:

@@ -1,18 +1,26 @@
 """pEM*D, the probabilistic forward model: encoder E, manipulator M, decoder D (section 4.5, design 6.3)."""
 
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
 import flax.linen as nn
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 from numpy import ndarray
 
-from clothkit.cloth.grid import SIDE
+from clothkit.cloth.grid import SIDE, thinned
 from clothkit.cloth.mesh import ProbabilisticMesh
+from clothkit.networks.canonical import Frame, described, frame, manipulation_described, shift_undone, undone
 from clothkit.networks.layers import dense, probabilistic_mesh, probabilistic_output, run
 from clothkit.networks.net import Net
 from clothkit.networks.settings import PEMDConfig, Start
 
 LAYERS = 16
 """Neuron layers of M: 0 is its input, 15 its output."""
+
+FRAME = 5
+"""Numbers in which a frame is written behind a canonical net's latents."""
 
 
 class Encoder(nn.Module):
@@ -79,7 +87,7 @@ class Manipulator(nn.Module):
 
 
 def unrolled(
-    manipulator: Manipulator,
+    manipulator: Callable[..., Any],
     latent: Float[Array, "*batch latent"],
     manipulations: Float[Array, "*batch n 6"],
     trace: Float[Array, "*batch latent"] | None = None,
@@ -158,8 +166,13 @@ def initial(config: PEMDConfig, start: Start = Start(), *, key: PRNGKeyArray) ->
 
 
 def encode(net: Net, mesh: Float[Array | ndarray, "*batch u v 3"]) -> Float[Array, "*batch latent"]:
-    """The latent of a centred mesh [normalised]: eq. (2)."""
-    return run(PEMD(net.config), net.params, jnp.asarray(mesh), method="encode")
+    """The latent of a centred mesh [normalised]: eq. (2). Of a canonical net it ends with the mesh's frame, so that
+    manipulations and predictions are in the description that `mesh` is in."""
+    mesh, module = jnp.asarray(mesh), PEMD(net.config)
+    if not net.config.canonical:
+        return run(module, net.params, mesh, method="encode")
+    found = frame(mesh)
+    return framed(run(module, net.params, described(mesh, found), method="encode"), found)
 
 
 def step(
@@ -168,13 +181,53 @@ def step(
     trace: Float[Array | ndarray, "*batch latent"],
     manipulation: Float[Array | ndarray, "*batch 6"],
 ) -> tuple[Float[Array, "*batch latent"], Float[Array, "*batch latent"], Float[Array, "*batch 2"]]:
-    """Latent, memory trace and centre shift [normalised] after one manipulation: eq. (3). The first trace is zero."""
-    return run(PEMD(net.config), net.params, *map(jnp.asarray, (latent, trace, manipulation)), method="step")
+    """Latent, memory trace and centre shift [normalised] after one manipulation: eq. (3). The first trace is zero.
+
+    To a canonical net a trace from another frame tells nothing: it is taken for zero.
+    """
+    latent, trace, manipulation = map(jnp.asarray, (latent, trace, manipulation))
+    module = PEMD(net.config)
+    if not net.config.canonical:
+        return run(module, net.params, latent, trace, manipulation, method="step")
+    units, found = unframed(latent)
+    same = jnp.all(trace[..., -FRAME:] == latent[..., -FRAME:], axis=-1, keepdims=True)
+    units, left, shift = run(
+        module,
+        net.params,
+        units,
+        jnp.where(same, trace[..., :-FRAME], 0),
+        manipulation_described(manipulation, found),
+        method="step",
+    )
+    return framed(units, found), framed(left, found), shift_undone(shift, found)
 
 
-def decode(net: Net, latent: Float[Array | ndarray, "*batch latent"]) -> ProbabilisticMesh:
-    """The probabilistic mesh [normalised] that a latent stands for: eq. (4)."""
-    return run(PEMD(net.config), net.params, jnp.asarray(latent), method="decode")
+def decode(net: Net, latent: Float[Array | ndarray, "*batch latent"], every: int = 1) -> ProbabilisticMesh:
+    """The probabilistic mesh [normalised] that a latent stands for: eq. (4).
+
+    With `every`, at the vertices that `grid.thinned` leaves, at the cost of these alone.
+    """
+    latent = jnp.asarray(latent)
+    units, found = unframed(latent) if net.config.canonical else (latent, None)
+    if every == 1:
+        predicted = run(PEMD(net.config), net.params, units, method="decode")
+    else:
+        predicted = _decode_thinned(net, units, every)
+    return predicted if found is None else undone(predicted, found)
+
+
+def _decode_thinned(net: Net, latent: Float[Array, "*batch latent"], every: int) -> ProbabilisticMesh:
+    """D with a narrower last layer: most of a search's arithmetic is there, and neighbours tell nearly the same."""
+    decoder = net.params["D"]
+    units = latent.reshape(-1, latent.shape[-1])
+    for i in range(len(net.config.decoder)):
+        layer = decoder[f"layer_{i + 1}"]
+        units = jnp.tanh(units @ layer["kernel"] + layer["bias"])
+    kernel, bias = (thinned(decoder["mesh"][name].reshape(-1, SIDE, SIDE, 6), every) for name in ("kernel", "bias"))
+    side = kernel.shape[1]
+    units = units @ kernel.reshape(len(kernel), -1) + bias.reshape(-1)
+    units = units.reshape(*latent.shape[:-1], side, side, 6)
+    return ProbabilisticMesh(units[..., :3], jnp.exp(units[..., 3:]) + net.config.least_std)
 
 
 def rollout(
@@ -184,8 +237,20 @@ def rollout(
     trace: Float[Array | ndarray, "*batch latent"] | None = None,
 ) -> tuple[ProbabilisticMesh, Float[Array, "n *batch latent"], Float[Array, "n *batch 2"]]:
     """Predictions after each of n manipulations, eq. (5): meshes [n *batch u v 3], memory traces, centre shifts."""
+    latent = encode(net, mesh)
     trace = None if trace is None else jnp.asarray(trace)
-    latents, traces, shifts = run(
-        PEMD(net.config), net.params, jnp.asarray(mesh), jnp.asarray(manipulations), trace, method="unroll"
-    )
+    latents, traces, shifts = unrolled(partial(step, net), latent, jnp.asarray(manipulations), trace)
     return decode(net, latents), traces, shifts
+
+
+def framed(units: Float[Array, "*batch latent"], found: Frame) -> Float[Array, "*batch latent_and_frame"]:
+    """A latent or a trace with the frame that it is in."""
+    matrix = jnp.broadcast_to(found.matrix, (*units.shape[:-1], 2, 2)).reshape(*units.shape[:-1], 4)
+    k = jnp.broadcast_to(found.k, units.shape[:-1])[..., None]
+    return jnp.concatenate([units, matrix, k.astype(units.dtype)], axis=-1)
+
+
+def unframed(latent: Float[Array, "*batch latent_and_frame"]) -> tuple[Float[Array, "*batch latent"], Frame]:
+    """The opposite of `framed`."""
+    matrix = latent[..., -FRAME:-1].reshape(*latent.shape[:-1], 2, 2)
+    return latent[..., :-FRAME], Frame(matrix, latent[..., -1].astype(jnp.int32))

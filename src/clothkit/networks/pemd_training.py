@@ -15,6 +15,7 @@ from clothkit.dataset.store import STEPS, Dataset
 from clothkit.dataset.tasks import TASKS
 from clothkit.networks import recipe
 from clothkit.networks.augment import Examples, augment
+from clothkit.networks.canonical import examples_described
 from clothkit.networks.devices import spread
 from clothkit.networks.layers import run
 from clothkit.networks.likelihood import held_nll
@@ -102,10 +103,16 @@ def task_errors(net: PEMD, params: PyTree, data: Sequences) -> Float[Array, "6 s
     """
     errors = {}
     for start in range(STEPS):
-        manipulations = data.manipulation[:, start:]
-        predicted, _, _ = run(net, params, data.vertices[:, start], manipulations)
-        truth = jnp.moveaxis(data.vertices[:, start + 1 :], 1, 0)
-        for i, error in enumerate(meshes.error(predicted.mean, truth)):
+        examples = Examples(
+            mesh=data.vertices[:, start],
+            manipulations=data.manipulation[:, start:],
+            outcomes=data.vertices[:, start + 1 :],
+            shifts=data.centre[:, start + 1 :] - data.centre[:, start:-1],
+        )
+        if net.config.canonical:
+            examples = examples_described(examples)
+        predicted, _, _ = run(net, params, examples.mesh, examples.manipulations)
+        for i, error in enumerate(meshes.error(predicted.mean, jnp.moveaxis(examples.outcomes, 1, 0))):
             errors[start, i + 1] = error
     return jnp.stack([errors[task] for task in TASKS])
 
@@ -115,7 +122,10 @@ def _on_length(
 ) -> tuple[PyTree, dict[str, Any]]:
     draw_key, augment_key = jax.random.split(key)
     drawn = spread(draw(data, n, settings.training.batch, key=draw_key))
-    return direction(net, settings, params, augment(drawn, noise=settings.noise, key=augment_key))
+    examples = augment(drawn, noise=settings.noise, key=augment_key)
+    if settings.net.canonical:
+        examples = examples_described(examples)
+    return direction(net, settings, params, examples)
 
 
 def problem(settings: TrainPEMDConfig, validation: Sequences) -> Problem:

@@ -24,6 +24,8 @@ class PEMDConfig:
     decoder: Annotated[tuple[Count, ...], MinLen(1)] = (1024, 2048)
     least_std: Rate = 0.01
     """What eq. (6) adds to every standard deviation [normalised]: errors below it can't be told to be so small."""
+    canonical: bool = False
+    """Whether the net sees every cloth in one of its many descriptions (canonical.py); the paper's does not."""
 
     def __post_init__(self) -> None:
         if self.manipulation < self.latent:
@@ -39,6 +41,8 @@ class VtMConfig:
     """Estimates are averaged over so many views of the voxels: as they are, or turned and mirrored, too."""
     least_std: Rate = 0.01
     """As for the forward models."""
+    canonical: bool = False
+    """Whether the net sees all voxels lying widest along x (canonical.py); four views of eight are left then."""
 
 
 @config

@@ -2,12 +2,13 @@
 
 import flax.linen as nn
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PRNGKeyArray, PyTree, Shaped
+from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree, Shaped
 from numpy import ndarray
 
-from clothkit.cloth.equivalents import REVERSE_U, REVERSE_V, SWAP, equivalents
+from clothkit.cloth.equivalents import COUNT, REVERSE_U, REVERSE_V, SWAP, equivalents, relabel
 from clothkit.cloth.mesh import Mesh, ProbabilisticMesh, distance
 from clothkit.cloth.voxels import RESOLUTION
+from clothkit.networks.canonical import lies_along_y
 from clothkit.networks.layers import dense, probabilistic_mesh, probabilistic_output, run
 from clothkit.networks.net import Net
 from clothkit.networks.settings import Start, VtMConfig
@@ -39,27 +40,61 @@ def estimate(net: Net, voxels: Shaped[Array | ndarray, "*batch 32 32 16"]) -> Pr
 
     With eight views the net sees the voxels turned by right angles and mirrored, too. What it says of each is turned
     back, takes the labels under which it is nearest to the first, and becomes part of one mixture, of which mean and
-    standard deviation are returned: the net knows no direction, and its errors do.
+    standard deviation are returned: the net knows no direction, and its errors do. To a canonical net two of the eight
+    are the same each time.
     """
     voxels = jnp.asarray(voxels)
-    module = VtM(net.config)
-    if net.config.views == 1:
-        return run(module, net.params, voxels)
-    views = [run(module, net.params, view) for view in equivalents(voxels)]
-    turned = [ProbabilisticMesh(turned_back(m, k), jnp.abs(turned_back(s, k))) for k, (m, s) in enumerate(views)]
-    first = turned[0].mean
-    labelled = [(relabelled_like(m, first, m), relabelled_like(s, first, m)) for m, s in turned]
+    count = COUNT if net.config.views > 1 else 1
+    views = [seen_as(net, voxels, k) for k in range(0, count, 2 if net.config.canonical else 1)]
+    if len(views) == 1:
+        return views[0]
+    first = views[0].mean
+    labelled = [(relabelled_like(m, first, m), relabelled_like(s, first, m)) for m, s in views]
     means, stds = (jnp.stack(parts) for parts in zip(*labelled, strict=True))
     mean = jnp.mean(means, axis=0)
     return ProbabilisticMesh(mean, jnp.sqrt(jnp.mean(stds**2 + (means - mean) ** 2, axis=0)))
 
 
-def turned_back(mesh: Mesh, k: int) -> Float[Array, "*batch u v 3"]:
-    """A mesh seen in the k-th view, where equivalent k relabels x and y instead of u and v, as it lies."""
-    x, y, z = jnp.moveaxis(mesh, -1, 0)
-    x = -x if k & REVERSE_U else x
-    y = -y if k & REVERSE_V else y
-    return jnp.stack([y, x, z] if k & SWAP else [x, y, z], axis=-1)
+def seen_as(net: Net, voxels: Shaped[Array, "*batch x y z"], k: int) -> ProbabilisticMesh:
+    """What the net says of voxels that it is shown under equivalent k of x and y; where they are as given."""
+    shown = relabel(voxels, k)
+    if not net.config.canonical:
+        return back(run(VtM(net.config), net.params, shown), k)
+    swap = lies_along_y(shown) * SWAP
+    return back(back(run(VtM(net.config), net.params, relabel(shown, swap[..., None, None, None])), swap), k)
+
+
+def back(estimated: ProbabilisticMesh, k: int | Int[Array, "*batch"]) -> ProbabilisticMesh:
+    """An estimate from voxels under equivalent k of x and y, where the cloth lies."""
+    mean, std = estimated
+    return ProbabilisticMesh(turned_back(mean, k), jnp.abs(turned_back(std, k)))
+
+
+def turned(mesh: Mesh, k: int | Int[Array, "*batch"]) -> Float[Array, "*batch u v 3"]:
+    """A mesh as equivalent k, done to x and y instead of u and v, shows it."""
+    x, y, z = _axes_of(mesh)
+    x, y = _swapped(x, y, k)
+    return jnp.stack([*_reversed(x, y, k), z], axis=-1)
+
+
+def turned_back(mesh: Mesh, k: int | Int[Array, "*batch"]) -> Float[Array, "*batch u v 3"]:
+    """The opposite of `turned`."""
+    x, y, z = _axes_of(mesh)
+    return jnp.stack([*_swapped(*_reversed(x, y, k), k), z], axis=-1)
+
+
+def _axes_of(mesh: Mesh) -> Float[Array, "xyz *batch u v"]:
+    return jnp.moveaxis(jnp.asarray(mesh), -1, 0)
+
+
+def _swapped(x: Array, y: Array, k: int | Array) -> tuple[Array, Array]:
+    swap = jnp.asarray(k)[..., None, None] & SWAP > 0
+    return jnp.where(swap, y, x), jnp.where(swap, x, y)
+
+
+def _reversed(x: Array, y: Array, k: int | Array) -> tuple[Array, Array]:
+    signs = (jnp.where(jnp.asarray(k)[..., None, None] & bit, -1, 1) for bit in (REVERSE_U, REVERSE_V))
+    return tuple(sign * axis for sign, axis in zip(signs, (x, y), strict=True))  # type: ignore[return-value]
 
 
 def relabelled_like(values: Mesh, like: Mesh, mesh: Mesh) -> Float[Array, "*batch u v 3"]:

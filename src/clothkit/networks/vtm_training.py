@@ -15,18 +15,19 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree, Shaped
 
 from clothkit.cloth import mesh as meshes
 from clothkit.cloth import voxels
-from clothkit.cloth.equivalents import equivalents, relabel_batch
+from clothkit.cloth.equivalents import SWAP, equivalents, relabel_batch
 from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.dataset.store import STEPS, Dataset
 from clothkit.errors import InputError
 from clothkit.manipulation.turns import turn_mesh
 from clothkit.networks.augment import random_turns
+from clothkit.networks.canonical import lies_along_y
 from clothkit.networks.devices import spread
 from clothkit.networks.layers import run
 from clothkit.networks.likelihood import held_nll
-from clothkit.networks.settings import TrainVtMConfig
+from clothkit.networks.settings import TrainVtMConfig, VtMConfig
 from clothkit.networks.training import Problem, Trained, train
-from clothkit.networks.vtm import VtM, initial
+from clothkit.networks.vtm import VtM, initial, turned
 
 EVERY = np.arange(np.prod(voxels.RESOLUTION))
 """All voxels, by their places in a flat array."""
@@ -68,6 +69,16 @@ def observed(
     return voxels.observe_noisily(mesh, noise=settings.noise, noise_z=noise_z, height=settings.height, key=key)
 
 
+def shown(
+    mesh: Float[Array, "batch u v 3"], seen: Bool[Array, "batch x y z"], net: VtMConfig
+) -> tuple[Float[Array, "batch u v 3"], Bool[Array, "batch x y z"]]:
+    """An example as the net is shown it: to a canonical net the voxels lie widest along x, and the mesh with them."""
+    if not net.canonical:
+        return mesh, seen
+    swap = lies_along_y(seen) * SWAP
+    return turned(mesh, swap), relabel_batch(seen, swap)
+
+
 def loss_vtm(
     mesh: Float[Array, "batch u v 3"], estimate: ProbabilisticMesh, *, hold: float = 0.0
 ) -> Float[Array, " batch"]:
@@ -107,7 +118,8 @@ def taken(data: States, settings: TrainVtMConfig) -> Int[np.ndarray, " voxels"]:
     @jax.jit
     def occupied(data: States, key: PRNGKeyArray) -> Float[Array, "x y z"]:
         draw_key, noise_key = jax.random.split(key)
-        return jnp.mean(observed(draw(data, settings, key=draw_key), settings, key=noise_key), axis=0)
+        mesh = draw(data, settings, key=draw_key)
+        return jnp.mean(shown(mesh, observed(mesh, settings, key=noise_key), settings.net)[1], axis=0)
 
     batches = -(-COUNTED // settings.training.batch)
     shares = np.mean([occupied(data, key) for key in jax.random.split(jax.random.key(0), batches)], axis=0)
@@ -127,7 +139,7 @@ def problem(settings: TrainVtMConfig, validation: Dataset, chosen: Int[np.ndarra
     def gradient(params: PyTree, data: States, key: PRNGKeyArray) -> tuple[PyTree, dict[str, Any]]:
         draw_key, noise_key = jax.random.split(key)
         mesh = spread(draw(data, settings, key=draw_key))
-        seen = observed(mesh, settings, key=noise_key)
+        mesh, seen = shown(mesh, observed(mesh, settings, key=noise_key), settings.net)
 
         def loss(params: PyTree) -> Float[Array, ""]:
             return jnp.mean(loss_vtm(mesh, estimated(params, seen), hold=settings.hold))
@@ -137,7 +149,8 @@ def problem(settings: TrainVtMConfig, validation: Dataset, chosen: Int[np.ndarra
 
     @jax.jit
     def errors_of(params: PyTree, mesh: Float[Array, "batch u v 3"]) -> Float[Array, " batch"]:
-        return meshes.error(estimated(params, voxels.observe(mesh, height=settings.height)).mean, mesh)
+        mesh, seen = shown(mesh, voxels.observe(mesh, height=settings.height), settings.net)
+        return meshes.error(estimated(params, seen).mean, mesh)
 
     longest = int(validation.length.max())
     by_step = [jnp.asarray(validation.vertices[validation.length >= i, i]) for i in range(longest + 1)]

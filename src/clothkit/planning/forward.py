@@ -9,11 +9,10 @@ from jaxtyping import Array, Float, Int
 
 from clothkit.cloth import equivalents as symmetry
 from clothkit.cloth.equivalents import COUNT
-from clothkit.cloth.grid import SIDE
+from clothkit.cloth.grid import thinned
 from clothkit.cloth.mesh import ProbabilisticMesh, whiten
 from clothkit.manipulation.geometry import to_cartesian
 from clothkit.networks import pemd
-from clothkit.networks.net import Net
 from clothkit.planning import loss
 
 
@@ -27,11 +26,6 @@ def relabelled(prediction: ProbabilisticMesh, k: Int[Array, ""]) -> Probabilisti
     return ProbabilisticMesh(*(symmetry.relabel(part, k) for part in prediction))
 
 
-def thinned(goals: Float[Array, "*goals u v 3"], every: int) -> Float[Array, "*goals thin thin 3"]:
-    """Each `every`-th vertex along u and v."""
-    return goals[..., ::every, ::every, :]
-
-
 class Forward(NamedTuple):
     """A forward model as pure functions, and how its states are labelled and compared; by default as meshes are.
 
@@ -43,7 +37,7 @@ class Forward(NamedTuple):
     step: Callable[..., Any]
     """net, latents, traces [*b latent], manipulations [*b 6] -> latents, traces, centre shifts [*b 2], eq. (3)"""
     decode: Callable[..., Any]
-    """net, latents, every -> predictions; of meshes each `every`-th vertex along u and v, eq. (4)"""
+    """net, latents, every -> predictions; of meshes one of every `every` vertices along u and v, eq. (4)"""
     labels: int = COUNT
     """How many labellings describe one state: eight equivalents, or one where a state has no labels."""
     equivalents: Callable[..., Any] = symmetry.equivalents
@@ -64,28 +58,7 @@ class Forward(NamedTuple):
     """predictions of two nets -> how far they differ, eq. (15) [*b]"""
 
 
-def decode_thinned(net: Net, latent: Float[Array, "*batch latent"], every: int) -> ProbabilisticMesh:
-    """`pemd.decode`'s output at every `every`-th vertex along u and v, at the cost of these vertices only.
-
-    Most of a search's arithmetic is the decoder's last layer, and neighbouring vertices tell nearly the same.
-    """
-    if every == 1:
-        return pemd.decode(net, latent)
-    decoder = net.params["D"]
-    units = latent.reshape(-1, latent.shape[-1])
-    for i in range(len(net.config.decoder)):
-        layer = decoder[f"layer_{i + 1}"]
-        units = jnp.tanh(units @ layer["kernel"] + layer["bias"])
-    kernel, bias = (
-        decoder["mesh"][name].reshape(-1, SIDE, SIDE, 6)[:, ::every, ::every] for name in ("kernel", "bias")
-    )
-    side = SIDE // every
-    units = units @ kernel.reshape(len(kernel), -1) + bias.reshape(-1)
-    units = units.reshape(*latent.shape[:-1], side, side, 6)
-    return ProbabilisticMesh(units[..., :3], jnp.exp(units[..., 3:]) + net.config.least_std)
-
-
-MESH = Forward(pemd.encode, pemd.step, decode_thinned)
+MESH = Forward(pemd.encode, pemd.step, pemd.decode)
 
 
 class Rollout(NamedTuple):
