@@ -13,10 +13,7 @@ from clothkit.cloth.equivalents import COUNT, compose, equivalents, inverse, rel
 from clothkit.cloth.mesh import error, whiten
 from clothkit.cloth.silhouette import pixel_centres
 from clothkit.manipulation.geometry import release_points, to_cartesian
-from clothkit.networks.net import Net
-from clothkit.networks.pemd import PEMDConfig, decode, initial
 from clothkit.planning.draw import EXTENT, FOLD_POINT, RASTER, Candidates
-from clothkit.planning.forward import MESH, decode_thinned
 from clothkit.planning.loss import Weights, accuracy, diff, uncertainty
 from clothkit.planning.search import (
     INVERSE,
@@ -282,13 +279,3 @@ def test_inverse_table() -> None:
     mesh = toy.bent()
     for k in range(COUNT):
         np.testing.assert_array_equal(relabel(relabel(mesh, k), int(INVERSE[k])), mesh)
-
-
-def test_thinned_decoding_is_the_decoder_at_these_vertices() -> None:
-    config = PEMDConfig(latent=4, encoder=(8,), manipulation=8, decoder=(8, 12))
-    net = Net(config, initial(config, key=jax.random.key(0)))
-    latent = jax.random.normal(jax.random.key(1), (3, 2, 4))
-    full, thin = decode(net, latent), decode_thinned(net, latent, 2)
-    np.testing.assert_allclose(thin.mean, full.mean[..., ::2, ::2, :], rtol=1e-5, atol=1e-6)
-    np.testing.assert_allclose(thin.std, full.std[..., ::2, ::2, :], rtol=1e-5)
-    assert MESH.decode is decode_thinned

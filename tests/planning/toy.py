@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array
 
 from clothkit.cloth.equivalents import relabel
-from clothkit.cloth.grid import SIDE, flat, geodesic
+from clothkit.cloth.grid import SIDE, flat, geodesic, thinned
 from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.manipulation.candidates import CandidateConfig
 from clothkit.manipulation.geometry import to_geodesic
@@ -46,7 +46,7 @@ def step(net: Array, latent: Array, trace: Array, manipulation: Array) -> tuple[
 
 
 def decode(net: Array, latent: Array, every: int) -> ProbabilisticMesh:
-    mesh = latent.reshape(*latent.shape[:-1], SIDE, SIDE, 3)[..., ::every, ::every, :]
+    mesh = thinned(latent.reshape(*latent.shape[:-1], SIDE, SIDE, 3), every)
     return ProbabilisticMesh(mesh, jnp.full_like(mesh, 0.015))
 
 
