@@ -1,6 +1,6 @@
 """Canonical descriptions: one for all that turns, mirrors and labels make of a cloth, and nets that are shown them."""
 
-import dataclasses
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -22,6 +22,7 @@ from clothkit.networks.pemd import PEMD
 from clothkit.networks.pemd_training import draw, sequences, task_errors
 from clothkit.networks.settings import PEMDConfig, Start, VtMConfig
 from tests.networks.conftest import crumpled
+from tests.networks.test_nets import nearly_flat
 
 
 def lopsided(mesh):
@@ -100,7 +101,7 @@ def test_predictions_turn_with_the_cloth(isometry):
 
 
 def test_a_net_that_is_not_canonical_does_not_know_direction():
-    plain = Net(dataclasses.replace(CONFIG, canonical=False), NET.params)
+    plain = Net(replace(CONFIG, canonical=False), NET.params)
     _, changed, planned = other(1.0, False, 0)
     predicted, again = (
         pemd.rollout(plain, m, p)[0].mean for m, p in ((MESHES, PLAN), (changed(MESHES), planned(PLAN)))
@@ -136,7 +137,7 @@ def test_a_memory_trace_counts_in_its_own_frame_alone():
 
 @pytest.mark.parametrize("every", [1, 2, 4, 8])
 def test_thinned_decoding_is_the_decoder_at_these_vertices(every):
-    for net in (NET, Net(dataclasses.replace(CONFIG, canonical=False), NET.params)):
+    for net in (NET, Net(replace(CONFIG, canonical=False), NET.params)):
         latent = pemd.encode(net, MESHES)
         full, thin = pemd.decode(net, latent), pemd.decode(net, latent, every)
         assert thin.mean.shape == (8, SIDE // every, SIDE // every, 3)
@@ -184,9 +185,7 @@ def test_what_a_canonical_vtm_says_of_one_view_turns_with_the_voxels_when_x_and_
 
 
 def test_eight_views_of_a_canonical_vtm_are_four():
-    config = VtMConfig(hidden=6, canonical=True, views=8)
-    net = Net(config, vtm.initial(config, key=jax.random.key(4)))
-    one = dataclasses.replace(net, config=dataclasses.replace(config, views=1))
+    net, one = (replace(n, config=replace(n.config, canonical=True)) for n in (nearly_flat(8), nearly_flat(1)))
     seen = np.random.default_rng(5).uniform(size=(32, 32, 16)) < 0.05
     views = [vtm.turned_back(vtm.estimate(one, equivalents(seen)[k]).mean, k) for k in range(8)]
     for k, swapped in ((0, 1), (2, 5), (4, 3), (6, 7)):
