@@ -1,5 +1,6 @@
 """A whole report from made-up artifacts: its files, its figures, equal bytes when it is built again."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -93,6 +94,7 @@ def inputs(dataset: Dataset) -> Inputs:
         dataset=dataset,
         attempts=pd.DataFrame({"accepted": [True, False], "reason": ["", "height"]}),
         histories={"a": by_task, "b": history, "vtm": by_state},
+        canonical=True,
         estimation=estimation,
         calibration=pd.concat(
             [
@@ -167,6 +169,10 @@ def test_a_report_is_complete(inputs: Inputs, tmp_path: Path) -> None:
     assert all(f"(tables/{name}.csv)" in page for name in TABLES if name not in ("sigma_ratio", "splits", "attempts"))
     assert len(found["tables/largest.csv"].splitlines()) == 1 + SETTINGS.largest
     assert "every task of 2 test sequences" in page
+    assert "canonical description" in page
+    plain = build(tmp_path / "plain", replace(inputs, canonical=False), SETTINGS, scale="smoke")
+    assert "canonical description" not in (tmp_path / "plain/README.md").read_text()
+    assert not plain.canonical
     run = html.Run("scale: smoke\n", timings.timings(tmp_path), timings.table_8(tmp_path, SETTINGS.planners))
     markup = html.page(shown, tmp_path / "report" / "figures", run)
     assert len(tree(markup).all("img")) == len(pictures)

@@ -78,6 +78,7 @@ def build(folder: Path, inputs: Inputs, settings: ReportConfig, *, scale: str) -
         splits=tables.splits(inputs.dataset),
         attempts=tables.attempts(inputs.attempts),
         tasks={str(split): rows["sequence"].nunique() for split, rows in inputs.planning.groupby("split")},
+        canonical=inputs.canonical,
         figures=draw_figures(folder / "figures", inputs, errors, settings),
     )
     for name in TABLES:

@@ -8,6 +8,11 @@ INTRO = (
     "term, *b4* and *b5* in voxels, with two nets and with one. Pictured are the first test sequences, not chosen "
     "ones, but for the largest errors.\n"
 )
+CANONICAL = (
+    "The nets that predict meshes see each cloth in one canonical description, whatever its direction and labels; "
+    "those of the voxel baseline (*a2*, *b4*, *b5*) see voxels as they are, as the paper's do, and have that much "
+    "less.\n"
+)
 PAPER = (
     "The paper's figures are from another simulator, 3,493 training sequences, and 100 test and 100 training sequences "
     "in each table.\n"

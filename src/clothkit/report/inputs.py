@@ -1,5 +1,6 @@
 """Everything that the report is made from, read and checked at once."""
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +10,7 @@ import pandas as pd
 
 from clothkit.dataset import store
 from clothkit.dataset.store import Dataset
+from clothkit.errors import InputError
 from clothkit.evaluation import arrays, tidy
 from clothkit.planning import record
 from clothkit.planning.record import Sessions
@@ -28,6 +30,8 @@ class Inputs:
     attempts: pd.DataFrame
     histories: Mapping[str, pd.DataFrame]
     """Of the nets a, b and vtm."""
+    canonical: bool
+    """Whether net a sees cloths in canonical descriptions."""
     estimation: pd.DataFrame
     prediction: pd.DataFrame
     calibration: pd.DataFrame
@@ -56,6 +60,7 @@ def paths(data: Path, settings: ReportConfig) -> list[Path]:
         data / "meshes.zarr",
         data / "raw/attempts.parquet",
         *(data / f"nets/pemd_{net}/history.parquet" for net in NETS),
+        data / "nets/pemd_a/net.json",
         data / "nets/vtm/history.parquet",
         evaluation / "estimation.parquet",
         evaluation / "estimates.zarr",
@@ -79,6 +84,7 @@ def read(data: Path, settings: ReportConfig) -> Inputs:
         dataset=store.load(data / "meshes.zarr"),
         attempts=rows.read(data / "raw/attempts.parquet", rows.ATTEMPTS),
         histories={**forward, "vtm": rows.read(data / "nets/vtm/history.parquet", rows.HISTORY)},
+        canonical=_canonical(data / "nets/pemd_a/net.json"),
         estimation=rows.read(evaluation / "estimation.parquet", rows.ESTIMATION),
         prediction=rows.read(evaluation / "prediction.parquet", rows.PREDICTION),
         calibration=rows.read(evaluation / "calibration.parquet", rows.CALIBRATION),
@@ -95,3 +101,11 @@ def read(data: Path, settings: ReportConfig) -> Inputs:
         camera_comparisons=rows.read_comparisons(evaluation / "camera/comparisons.parquet"),
         pictures=arrays.load(evaluation / "camera/pictures.zarr", PICTURES),
     )
+
+
+def _canonical(path: Path) -> bool:
+    """What a net's description says of it; nets of before it could be told are not."""
+    try:
+        return bool(json.loads(path.read_text())["net"].get("canonical", False))
+    except (OSError, ValueError, KeyError, AttributeError) as error:
+        raise InputError(f"{path}: expected a net's description, could not read one") from error

@@ -32,6 +32,8 @@ class Contents:
     attempts: pd.DataFrame
     tasks: Mapping[str, int]
     """Sequences that were planned for, by split."""
+    canonical: bool
+    """Whether the forward models see cloths in canonical descriptions."""
     figures: Sequence[str]
 
 
@@ -56,6 +58,7 @@ def page(contents: Contents) -> str:
     parts = [
         f"# Report: {contents.scale}\n",
         captions.INTRO,
+        captions.CANONICAL if contents.canonical else "",
         f"Planned and executed: every task of {counts} sequences. {captions.PAPER}",
         "## Test set in short: mean errors\n",
         markdown.table(short(contents), ["what", "system"]),
