@@ -15,8 +15,8 @@ from clothkit.cloth.grid import SIDE, flat, thinned
 from clothkit.dataset.tasks import TASKS
 from clothkit.manipulation.turns import planar, turn, turn_manipulation, turn_mesh
 from clothkit.networks import pemd, vtm
-from clothkit.networks.augment import augment
-from clothkit.networks.canonical import axes, described, examples_described, fit, frame, lies_along_y
+from clothkit.networks.augment import augment, examples_described
+from clothkit.networks.canonical import axes, described, fit, frame, lies_along_y
 from clothkit.networks.net import Net
 from clothkit.networks.pemd import PEMD
 from clothkit.networks.pemd_training import draw, sequences, task_errors

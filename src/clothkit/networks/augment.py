@@ -13,6 +13,7 @@ from clothkit.cloth import equivalents
 from clothkit.cloth.equivalents import relabel_batch, relabel_manipulation_batch
 from clothkit.manipulation.turns import planar, turn_manipulation, turn_mesh
 from clothkit.manipulation.vector import swap_grasps
+from clothkit.networks.canonical import frame
 
 
 class Examples(NamedTuple):
@@ -53,6 +54,12 @@ def relabelled(examples: Examples, k: Array) -> Examples:
         outcomes=relabel_batch(examples.outcomes, k),
         shifts=examples.shifts,
     )
+
+
+def examples_described(examples: Examples) -> Examples:
+    """The stretches in the canonical descriptions of their first states."""
+    found = frame(examples.mesh)
+    return relabelled(turned(examples, found.matrix), found.k)
 
 
 def augment(examples: Examples, *, noise: float, key: PRNGKeyArray) -> Examples:

@@ -19,7 +19,6 @@ from clothkit.cloth import grid
 from clothkit.cloth.equivalents import COUNT, REVERSE_U, REVERSE_V, SWAP, inverse, relabel, relabel_manipulation
 from clothkit.cloth.mesh import Mesh, ProbabilisticMesh
 from clothkit.manipulation.turns import turn, turn_manipulation, turn_mesh
-from clothkit.networks.augment import Examples, relabelled, turned
 
 INVERSE = np.array([inverse(k) for k in range(COUNT)], np.int32)
 
@@ -106,12 +105,6 @@ def undone(predicted: ProbabilisticMesh, frame: Frame) -> ProbabilisticMesh:
 def shift_undone(shift: Float[Array, "*batch 2"], frame: Frame) -> Float[Array, "*batch 2"]:
     """A centre shift in a frame, as it was described before."""
     return turn(shift, jnp.swapaxes(frame.matrix, -1, -2))
-
-
-def examples_described(examples: Examples) -> Examples:
-    """Stretches in the frames of their first states."""
-    found = frame(examples.mesh)
-    return relabelled(turned(examples, found.matrix), found.k)
 
 
 def lies_along_y(voxels: Bool[Array, "*batch x y z"]) -> Bool[Array, "*batch"]:

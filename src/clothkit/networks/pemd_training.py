@@ -14,8 +14,7 @@ from clothkit.cloth import mesh as meshes
 from clothkit.dataset.store import STEPS, Dataset
 from clothkit.dataset.tasks import TASKS
 from clothkit.networks import recipe
-from clothkit.networks.augment import Examples, augment
-from clothkit.networks.canonical import examples_described
+from clothkit.networks.augment import Examples, augment, examples_described
 from clothkit.networks.devices import spread
 from clothkit.networks.layers import run
 from clothkit.networks.likelihood import held_nll
