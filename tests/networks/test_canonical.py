@@ -10,17 +10,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clothkit.cloth import mesh as meshes
+from clothkit.cloth import voxels
 from clothkit.cloth.equivalents import equivalents, relabel, relabel_manipulation
 from clothkit.cloth.grid import SIDE, flat, thinned
 from clothkit.dataset.tasks import TASKS
 from clothkit.manipulation.turns import planar, turn, turn_manipulation, turn_mesh
-from clothkit.networks import pemd, vtm
+from clothkit.networks import emd_voxel, pemd, vtm
 from clothkit.networks.augment import augment, examples_described
-from clothkit.networks.canonical import axes, described, fit, frame, lies_along_y
+from clothkit.networks.canonical import axes, described, fit, frame, lies_along_y, voxel_frame, voxels_described
+from clothkit.networks.emd_voxel import EMDVoxel
+from clothkit.networks.emd_voxel_training import task_differences
 from clothkit.networks.net import Net
 from clothkit.networks.pemd import PEMD
 from clothkit.networks.pemd_training import draw, sequences, task_errors
-from clothkit.networks.settings import PEMDConfig, Start, VtMConfig
+from clothkit.networks.settings import EMDVoxelConfig, PEMDConfig, Start, VtMConfig
 from tests.networks.conftest import crumpled
 from tests.networks.test_nets import nearly_flat
 
@@ -194,3 +197,35 @@ def test_eight_views_of_a_canonical_vtm_are_four():
     errors = [[float(jnp.sum((relabel(view, k) - first) ** 2)) for k in range(8)] for view in views]
     nearest = [relabel(view, int(np.argmin(of))) for view, of in zip(views, errors, strict=True)]
     np.testing.assert_allclose(vtm.estimate(net, seen).mean, np.mean(nearest, axis=0), atol=1e-5)
+
+
+VOXELS = np.asarray(voxels.observe(jnp.asarray(MESHES)))
+VOXEL_CONFIG = EMDVoxelConfig(latent=6, manipulation=8, width=0.1, canonical=True)
+VOXEL_NET = Net(VOXEL_CONFIG, emd_voxel.initial(VOXEL_CONFIG, key=jax.random.key(6)))
+
+
+@pytest.mark.parametrize("k", range(8))
+def test_voxels_have_one_description_and_predictions_turn_with_them(k):
+    found = voxel_frame(jnp.asarray(VOXELS))
+    shown, matrix = relabel(VOXELS, k), axes(jnp.array(k))
+    same = voxels_described(shown, voxel_frame(shown))
+    np.testing.assert_array_equal(same, voxels_described(jnp.asarray(VOXELS), found))
+    turned_plan = turn(jnp.asarray(PLAN).reshape(8, 2, 3, 2), jnp.broadcast_to(matrix, (8, 2, 3, 2, 2))).reshape(
+        8, 2, 6
+    )
+    predicted, _, shift = emd_voxel.rollout(VOXEL_NET, VOXELS, PLAN)
+    again, _, shifted = emd_voxel.rollout(VOXEL_NET, shown, turned_plan)
+    np.testing.assert_allclose(again, relabel(predicted, k), atol=1e-5)
+    np.testing.assert_allclose(shifted, turn(shift, jnp.broadcast_to(matrix, (2, 8, 2, 2))), atol=1e-5)
+
+
+def test_training_and_evaluation_see_the_same_voxels():
+    data = sequences(crumpled(5, 2))
+    data = data._replace(vertices=jnp.asarray(lopsided(np.asarray(data.vertices)), jnp.float32))
+    differences = task_differences(EMDVoxel(VOXEL_CONFIG), VOXEL_NET.params, data)
+    plan = emd_voxel.cartesian(data.vertices[:, 1:3], data.manipulation[:, 1:])
+    seen = voxels.observe(data.vertices)
+    predicted, _, _ = emd_voxel.rollout(VOXEL_NET, seen[:, 1], plan)
+    expected = np.abs(predicted - np.moveaxis(seen[:, 2:], 1, 0)).mean((-3, -2, -1))
+    chosen = jnp.array([TASKS.index((1, 1)), TASKS.index((1, 2))])
+    np.testing.assert_allclose(differences[chosen], expected, atol=1e-5)

@@ -149,6 +149,7 @@ def test_the_chain_runs_on_from_arcsims_runs(tmp_path: Path) -> None:
         attempts=pd.read_parquet(tmp_path / "raw/attempts.parquet"),
         histories=histories,
         canonical=False,
+        voxels_canonical=False,
         estimation=estimation.rows(dataset, found),
         prediction=predicted,
         calibration=calibration.rows(dataset, given, nets["a"], estimates, settings),

@@ -97,6 +97,6 @@ def contents_of(planners: tuple[str, ...], figures: list[str]) -> page.Contents:
         splits=tables.splits(dataset()),
         attempts=tables.attempts(pd.DataFrame({"accepted": [True], "reason": [""]})),
         tasks={"test": 4, "train": 4},
-        canonical=False,
+        canonical="",
         figures=figures,
     )

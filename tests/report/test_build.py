@@ -95,6 +95,7 @@ def inputs(dataset: Dataset) -> Inputs:
         attempts=pd.DataFrame({"accepted": [True, False], "reason": ["", "height"]}),
         histories={"a": by_task, "b": history, "vtm": by_state},
         canonical=True,
+        voxels_canonical=False,
         estimation=estimation,
         calibration=pd.concat(
             [
@@ -169,10 +170,11 @@ def test_a_report_is_complete(inputs: Inputs, tmp_path: Path) -> None:
     assert all(f"(tables/{name}.csv)" in page for name in TABLES if name not in ("sigma_ratio", "splits", "attempts"))
     assert len(found["tables/largest.csv"].splitlines()) == 1 + SETTINGS.largest
     assert "every task of 2 test sequences" in page
-    assert "canonical description" in page
+    assert "see voxels as they are, as the paper's do" in page
+    both = build(tmp_path / "both", replace(inputs, voxels_canonical=True), SETTINGS, scale="smoke")
+    assert "see voxels in one of eight" in both.canonical
     plain = build(tmp_path / "plain", replace(inputs, canonical=False), SETTINGS, scale="smoke")
-    assert "canonical description" not in (tmp_path / "plain/README.md").read_text()
-    assert not plain.canonical
+    assert plain.canonical == ""
     run = html.Run("scale: smoke\n", timings.timings(tmp_path), timings.table_8(tmp_path, SETTINGS.planners))
     markup = html.page(shown, tmp_path / "report" / "figures", run)
     assert len(tree(markup).all("img")) == len(pictures)

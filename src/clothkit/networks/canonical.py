@@ -6,7 +6,8 @@ Canonicalization Functions", ICML 2023): what augmentation teaches, it is spared
 
 A mesh is turned or mirrored so that its labels lie as on the flat cloth, as nearly as can be (orthogonal Procrustes).
 That leaves eight descriptions; of these it is the one that lies widest along x, with its heavier tails at positive x
-and y. A flat cloth is the same in all eight. Voxels can only be turned by right angles: they are laid widest along x.
+and y. A flat cloth is the same in all eight. Voxels can only be turned by right angles: the voxel EM*D sees the one of
+these eight; VtM sees voxels that lie widest along x, and is asked about their mirror images, too.
 """
 
 from typing import NamedTuple
@@ -24,6 +25,9 @@ INVERSE = np.array([inverse(k) for k in range(COUNT)], np.int32)
 
 GRID = np.asarray(grid.flat())[..., :2]
 """Where the vertices of the flat cloth lie [normalised], centred."""
+
+FRAME = 5
+"""Numbers in which a frame is written behind a canonical net's latents and traces."""
 
 LEAST_FIT = 1e-5
 """Covariances below it are none: no turn fits better than another, nor does the mirror image."""
@@ -105,6 +109,52 @@ def undone(predicted: ProbabilisticMesh, frame: Frame) -> ProbabilisticMesh:
 def shift_undone(shift: Float[Array, "*batch 2"], frame: Frame) -> Float[Array, "*batch 2"]:
     """A centre shift in a frame, as it was described before."""
     return turn(shift, jnp.swapaxes(frame.matrix, -1, -2))
+
+
+def voxel_frame(voxels: Shaped[Array, "*batch x y z"]) -> Frame:
+    """The frame in which centred voxels are described canonically, of the eight that right angles and mirrors make."""
+    seen = jnp.any(voxels > 0, axis=-1)
+    x, y = (jnp.arange(side) - (side - 1) / 2 for side in seen.shape[-2:])
+    moments = [(jnp.einsum("...xy,x->...", seen, x**n), jnp.einsum("...xy,y->...", seen, y**n)) for n in (2, 3)]
+    k = eighth(*moments[0], *moments[1])
+    return Frame(axes(k), k)
+
+
+def voxels_described(voxels: Shaped[Array, "*batch x y z"], frame: Frame) -> Shaped[Array, "*batch x y z"]:
+    """Voxels, or any array over them, as their frame describes them."""
+    return relabel(voxels, frame.k[..., None, None, None])
+
+
+def voxels_undone(voxels: Shaped[Array, "*batch x y z"], frame: Frame) -> Shaped[Array, "*batch x y z"]:
+    """The opposite of `voxels_described`."""
+    return relabel(voxels, jnp.asarray(INVERSE)[frame.k][..., None, None, None])
+
+
+def cartesian_described(manipulation: Float[Array, "*batch 6"], frame: Frame) -> Float[Array, "*batch 6"]:
+    """A manipulation with Cartesian grasp points as the frame describes it."""
+    points = manipulation.reshape(*manipulation.shape[:-1], 3, 2)
+    return turn(points, frame.matrix[..., None, :, :]).reshape(manipulation.shape)
+
+
+def framed(units: Float[Array, "*batch units"], found: Frame) -> Float[Array, "*batch units_and_frame"]:
+    """A latent or a trace with the frame that it is in."""
+    matrix = jnp.broadcast_to(found.matrix, (*units.shape[:-1], 2, 2)).reshape(*units.shape[:-1], 4)
+    k = jnp.broadcast_to(found.k, units.shape[:-1])[..., None]
+    return jnp.concatenate([units, matrix, k.astype(units.dtype)], axis=-1)
+
+
+def unframed(latent: Float[Array, "*batch units_and_frame"]) -> tuple[Float[Array, "*batch units"], Frame]:
+    """The opposite of `framed`."""
+    matrix = latent[..., -FRAME:-1].reshape(*latent.shape[:-1], 2, 2)
+    return latent[..., :-FRAME], Frame(matrix, latent[..., -1].astype(jnp.int32))
+
+
+def known(
+    trace: Float[Array, "*batch units_and_frame"], latent: Float[Array, "*batch units_and_frame"]
+) -> Float[Array, "*batch units"]:
+    """A trace without its frame; zero if that is not the latent's."""
+    same = jnp.all(trace[..., -FRAME:] == latent[..., -FRAME:], axis=-1, keepdims=True)
+    return jnp.where(same, trace[..., :-FRAME], 0)
 
 
 def lies_along_y(voxels: Bool[Array, "*batch x y z"]) -> Bool[Array, "*batch"]:

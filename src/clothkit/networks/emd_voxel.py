@@ -3,6 +3,7 @@
 Its grasp points are Cartesian, relative to the centre of the state that is manipulated: there is no geodesic space.
 """
 
+from functools import partial
 from math import prod
 
 import flax.linen as nn
@@ -14,6 +15,16 @@ from numpy import ndarray
 from clothkit.cloth.voxels import RESOLUTION
 from clothkit.manipulation.geometry import to_cartesian
 from clothkit.manipulation.vector import displacement, grasp_points
+from clothkit.networks.canonical import (
+    cartesian_described,
+    framed,
+    known,
+    shift_undone,
+    unframed,
+    voxel_frame,
+    voxels_described,
+    voxels_undone,
+)
 from clothkit.networks.convolution import Convolution, TransposedConvolution, axes
 from clothkit.networks.layers import dense, run
 from clothkit.networks.net import Net
@@ -146,8 +157,12 @@ def cartesian(
 
 
 def encode(net: Net, voxels: Shaped[Array | ndarray, "*batch 32 32 16"]) -> Float[Array, "*batch latent"]:
-    """The latent of occluded, centred voxels (bool or 0 / 1): eq. (2)."""
-    return run(EMDVoxel(net.config), net.params, jnp.asarray(voxels), method="encode")
+    """The latent of occluded, centred voxels (bool or 0 / 1): eq. (2). Of a canonical net it ends with their frame."""
+    voxels, module = jnp.asarray(voxels), EMDVoxel(net.config)
+    if not net.config.canonical:
+        return run(module, net.params, voxels, method="encode")
+    found = voxel_frame(voxels)
+    return framed(run(module, net.params, voxels_described(voxels, found), method="encode"), found)
 
 
 def step(
@@ -158,14 +173,25 @@ def step(
 ) -> tuple[Float[Array, "*batch latent"], Float[Array, "*batch latent"], Float[Array, "*batch 2"]]:
     """Latent, memory trace and centre shift [normalised] after one manipulation, Cartesian: eq. (3).
 
-    The first trace is zero.
+    The first trace is zero; to a canonical net, so is one from another frame.
     """
-    return run(EMDVoxel(net.config), net.params, *map(jnp.asarray, (latent, trace, manipulation)), method="step")
+    latent, trace, manipulation = map(jnp.asarray, (latent, trace, manipulation))
+    module = EMDVoxel(net.config)
+    if not net.config.canonical:
+        return run(module, net.params, latent, trace, manipulation, method="step")
+    units, found = unframed(latent)
+    described_so = cartesian_described(manipulation, found)
+    units, left, shift = run(module, net.params, units, known(trace, latent), described_so, method="step")
+    return framed(units, found), framed(left, found), shift_undone(shift, found)
 
 
 def logits(net: Net, latent: Float[Array | ndarray, "*batch latent"]) -> Float[Array, "*batch 32 32 16"]:
     """Logits of the occupancy that a latent stands for: `decode` before its sigmoid, for losses."""
-    return run(EMDVoxel(net.config), net.params, jnp.asarray(latent), method="decode")
+    latent, module = jnp.asarray(latent), EMDVoxel(net.config)
+    if not net.config.canonical:
+        return run(module, net.params, latent, method="decode")
+    units, found = unframed(latent)
+    return voxels_undone(run(module, net.params, units, method="decode"), found)
 
 
 def decode(net: Net, latent: Float[Array | ndarray, "*batch latent"]) -> Float[Array, "*batch 32 32 16"]:
@@ -180,8 +206,7 @@ def rollout(
     trace: Float[Array | ndarray, "*batch latent"] | None = None,
 ) -> tuple[Float[Array, "n *batch 32 32 16"], Float[Array, "n *batch latent"], Float[Array, "n *batch 2"]]:
     """Predictions after each of n manipulations, Cartesian, eq. (5): occupancy 0..1, memory traces, centre shifts."""
+    latent = encode(net, voxels)
     trace = None if trace is None else jnp.asarray(trace)
-    latents, traces, shifts = run(
-        EMDVoxel(net.config), net.params, jnp.asarray(voxels), jnp.asarray(manipulations), trace, method="unroll"
-    )
+    latents, traces, shifts = unrolled(partial(step, net), latent, jnp.asarray(manipulations), trace)
     return decode(net, latents), traces, shifts

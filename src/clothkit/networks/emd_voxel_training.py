@@ -11,9 +11,11 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray, PyTree, Shaped
 from clothkit.cloth import voxels
 from clothkit.dataset.store import STEPS, Dataset
 from clothkit.dataset.tasks import TASKS
+from clothkit.manipulation.turns import turn
 from clothkit.manipulation.vector import swap_grasps
 from clothkit.networks import recipe
 from clothkit.networks.augment import Examples, random_turns, turned
+from clothkit.networks.canonical import cartesian_described, voxel_frame, voxels_described
 from clothkit.networks.devices import spread
 from clothkit.networks.emd_voxel import EMDVoxel, cartesian, initial
 from clothkit.networks.layers import run
@@ -63,6 +65,18 @@ def augment(examples: Examples, *, noise: float, noise_z: float, key: PRNGKeyArr
     return voxelised(examples._replace(manipulations=manipulations), noise=noise, noise_z=noise_z, key=noise_key)
 
 
+def described(examples: VoxelExamples) -> VoxelExamples:
+    """The stretches in the canonical descriptions of their first states."""
+    found = voxel_frame(examples.voxels)
+    per_step = jax.tree.map(lambda part: jnp.repeat(part[:, None], examples.shifts.shape[1], axis=1), found)
+    return VoxelExamples(
+        voxels=voxels_described(examples.voxels, found),
+        manipulations=cartesian_described(examples.manipulations, per_step),
+        outcomes=voxels_described(examples.outcomes, per_step),
+        shifts=turn(examples.shifts, per_step.matrix),
+    )
+
+
 def cross_entropy(
     logits: Float[Array, "*batch x y z"], truth: Shaped[Array, "*#batch x y z"]
 ) -> Float[Array, "*batch"]:
@@ -103,9 +117,16 @@ def task_differences(net: EMDVoxel, params: PyTree, data: Sequences) -> Float[Ar
     seen = voxels.observe(data.vertices)
     differences = {}
     for start in range(STEPS):
-        manipulations = cartesian(data.vertices[:, start:STEPS], data.manipulation[:, start:])
-        logits, _, _ = run(net, params, seen[:, start], manipulations)
-        truth = jnp.moveaxis(seen[:, start + 1 :], 1, 0)
+        examples = VoxelExamples(
+            voxels=seen[:, start],
+            manipulations=cartesian(data.vertices[:, start:STEPS], data.manipulation[:, start:]),
+            outcomes=seen[:, start + 1 :],
+            shifts=data.centre[:, start + 1 :] - data.centre[:, start:-1],
+        )
+        if net.config.canonical:
+            examples = described(examples)
+        logits, _, _ = run(net, params, examples.voxels, examples.manipulations)
+        truth = jnp.moveaxis(examples.outcomes, 1, 0)
         for i, difference in enumerate(jnp.mean(jnp.abs(jax.nn.sigmoid(logits) - truth), axis=(-3, -2, -1))):
             differences[start, i + 1] = difference
     return jnp.stack([differences[task] for task in TASKS])
@@ -118,6 +139,8 @@ def _on_length(
     drawn = spread(draw(data, n, settings.training.batch, key=draw_key))
     noise_z = settings.noise * settings.noise_z_factor
     seen = augment(drawn, noise=settings.noise, noise_z=noise_z, key=augment_key)
+    if settings.net.canonical:
+        seen = described(seen)
     return direction(net, settings, params, seen)
 
 

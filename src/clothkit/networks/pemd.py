@@ -11,16 +11,22 @@ from numpy import ndarray
 
 from clothkit.cloth.grid import SIDE, thinned
 from clothkit.cloth.mesh import ProbabilisticMesh
-from clothkit.networks.canonical import Frame, described, frame, manipulation_described, shift_undone, undone
+from clothkit.networks.canonical import (
+    described,
+    frame,
+    framed,
+    known,
+    manipulation_described,
+    shift_undone,
+    undone,
+    unframed,
+)
 from clothkit.networks.layers import dense, probabilistic_mesh, probabilistic_output, run
 from clothkit.networks.net import Net
 from clothkit.networks.settings import PEMDConfig, Start
 
 LAYERS = 16
 """Neuron layers of M: 0 is its input, 15 its output."""
-
-FRAME = 5
-"""Numbers in which a frame is written behind a canonical net's latents."""
 
 
 class Encoder(nn.Module):
@@ -190,15 +196,8 @@ def step(
     if not net.config.canonical:
         return run(module, net.params, latent, trace, manipulation, method="step")
     units, found = unframed(latent)
-    same = jnp.all(trace[..., -FRAME:] == latent[..., -FRAME:], axis=-1, keepdims=True)
-    units, left, shift = run(
-        module,
-        net.params,
-        units,
-        jnp.where(same, trace[..., :-FRAME], 0),
-        manipulation_described(manipulation, found),
-        method="step",
-    )
+    described_so = manipulation_described(manipulation, found)
+    units, left, shift = run(module, net.params, units, known(trace, latent), described_so, method="step")
     return framed(units, found), framed(left, found), shift_undone(shift, found)
 
 
@@ -241,16 +240,3 @@ def rollout(
     trace = None if trace is None else jnp.asarray(trace)
     latents, traces, shifts = unrolled(partial(step, net), latent, jnp.asarray(manipulations), trace)
     return decode(net, latents), traces, shifts
-
-
-def framed(units: Float[Array, "*batch latent"], found: Frame) -> Float[Array, "*batch latent_and_frame"]:
-    """A latent or a trace with the frame that it is in."""
-    matrix = jnp.broadcast_to(found.matrix, (*units.shape[:-1], 2, 2)).reshape(*units.shape[:-1], 4)
-    k = jnp.broadcast_to(found.k, units.shape[:-1])[..., None]
-    return jnp.concatenate([units, matrix, k.astype(units.dtype)], axis=-1)
-
-
-def unframed(latent: Float[Array, "*batch latent_and_frame"]) -> tuple[Float[Array, "*batch latent"], Frame]:
-    """The opposite of `framed`."""
-    matrix = latent[..., -FRAME:-1].reshape(*latent.shape[:-1], 2, 2)
-    return latent[..., :-FRAME], Frame(matrix, latent[..., -1].astype(jnp.int32))

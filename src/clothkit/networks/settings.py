@@ -57,6 +57,8 @@ class EMDVoxelConfig:
     """Factor on the feature maps of E's and D's layers, 32, 32, 64, 128 and 256; rounded, at least one each."""
     dense: bool = False
     """Fully connected E and D, as in the mesh version, in place of convolutions."""
+    canonical: bool = False
+    """Whether the net sees all voxels in one of the eight descriptions that right angles and mirrors make."""
     encoder: Annotated[tuple[Count, ...], MinLen(1)] = (2048, 1024)
     """`dense` only."""
     decoder: Annotated[tuple[Count, ...], MinLen(1)] = (1024, 2048)

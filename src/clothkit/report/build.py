@@ -8,7 +8,7 @@ import pandas as pd
 
 from clothkit.cloth.equivalents import relabel
 from clothkit.dataset.tasks import Task, tasks_of
-from clothkit.report import camera_tables, metrics, page, planning_tables, tables
+from clothkit.report import camera_tables, captions, metrics, page, planning_tables, tables
 from clothkit.report.figures.calibration import calibration
 from clothkit.report.figures.camera import camera
 from clothkit.report.figures.curves import curves
@@ -78,7 +78,7 @@ def build(folder: Path, inputs: Inputs, settings: ReportConfig, *, scale: str) -
         splits=tables.splits(inputs.dataset),
         attempts=tables.attempts(inputs.attempts),
         tasks={str(split): rows["sequence"].nunique() for split, rows in inputs.planning.groupby("split")},
-        canonical=inputs.canonical,
+        canonical=captions.canonical(inputs.canonical, inputs.voxels_canonical),
         figures=draw_figures(folder / "figures", inputs, errors, settings),
     )
     for name in TABLES:

@@ -9,10 +9,10 @@ INTRO = (
     "ones, but for the largest errors.\n"
 )
 CANONICAL = (
-    "The nets that predict meshes see each cloth in one canonical description, whatever its direction and labels; "
-    "those of the voxel baseline (*a2*, *b4*, *b5*) see voxels as they are, as the paper's do, and have that much "
-    "less.\n"
+    "The nets that predict meshes see each cloth in one canonical description, whatever its direction and labels{}.\n"
 )
+VOXELS_CANONICAL = "; those of the voxel baseline (*a2*, *b4*, *b5*) see voxels in one of eight, likewise"
+VOXELS_AS_THEY_ARE = "; those of the voxel baseline (*a2*, *b4*, *b5*) see voxels as they are, as the paper's do"
 PAPER = (
     "The paper's figures are from another simulator, 3,493 training sequences, and 100 test and 100 training sequences "
     "in each table.\n"
@@ -161,3 +161,8 @@ CAPTIONS = {
     "curves": "Validation errors during training, with their values where the score was best (dots). Tasks: "
     "manipulations / state that they start from; states: manipulations that lie behind them.",
 }
+
+
+def canonical(meshes: bool, voxels: bool) -> str:
+    """What is told of the descriptions in which nets see cloths; nothing where they see them as they are."""
+    return CANONICAL.format(VOXELS_CANONICAL if voxels else VOXELS_AS_THEY_ARE) if meshes else ""

@@ -32,6 +32,8 @@ class Inputs:
     """Of the nets a, b and vtm."""
     canonical: bool
     """Whether net a sees cloths in canonical descriptions."""
+    voxels_canonical: bool
+    """Whether net a of the voxel baseline does."""
     estimation: pd.DataFrame
     prediction: pd.DataFrame
     calibration: pd.DataFrame
@@ -61,6 +63,7 @@ def paths(data: Path, settings: ReportConfig) -> list[Path]:
         data / "raw/attempts.parquet",
         *(data / f"nets/pemd_{net}/history.parquet" for net in NETS),
         data / "nets/pemd_a/net.json",
+        data / "nets/emd_voxel_a/net.json",
         data / "nets/vtm/history.parquet",
         evaluation / "estimation.parquet",
         evaluation / "estimates.zarr",
@@ -85,6 +88,7 @@ def read(data: Path, settings: ReportConfig) -> Inputs:
         attempts=rows.read(data / "raw/attempts.parquet", rows.ATTEMPTS),
         histories={**forward, "vtm": rows.read(data / "nets/vtm/history.parquet", rows.HISTORY)},
         canonical=_canonical(data / "nets/pemd_a/net.json"),
+        voxels_canonical=_canonical(data / "nets/emd_voxel_a/net.json"),
         estimation=rows.read(evaluation / "estimation.parquet", rows.ESTIMATION),
         prediction=rows.read(evaluation / "prediction.parquet", rows.PREDICTION),
         calibration=rows.read(evaluation / "calibration.parquet", rows.CALIBRATION),

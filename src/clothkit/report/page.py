@@ -32,8 +32,8 @@ class Contents:
     attempts: pd.DataFrame
     tasks: Mapping[str, int]
     """Sequences that were planned for, by split."""
-    canonical: bool
-    """Whether the forward models see cloths in canonical descriptions."""
+    canonical: str
+    """What is told of the descriptions in which nets see cloths."""
     figures: Sequence[str]
 
 
@@ -58,7 +58,7 @@ def page(contents: Contents) -> str:
     parts = [
         f"# Report: {contents.scale}\n",
         captions.INTRO,
-        captions.CANONICAL if contents.canonical else "",
+        contents.canonical,
         f"Planned and executed: every task of {counts} sequences. {captions.PAPER}",
         "## Test set in short: mean errors\n",
         markdown.table(short(contents), ["what", "system"]),

@@ -80,7 +80,7 @@ def _short(contents: Contents) -> Html:
         headline(contents),
         tables.paired(short(contents), ("what", "system"), label="In short", judged=list(captions.SYSTEMS)),
         paragraph(captions.INTRO),
-        *([paragraph(captions.CANONICAL)] if contents.canonical else []),
+        *([paragraph(contents.canonical)] if contents.canonical else []),
         paragraph(f"Planned and executed: every task of {counts} sequences. {captions.PAPER}"),
         id="short",
     )
