@@ -1,12 +1,13 @@
 """How much should planning avoid what the nets do not know?  python studies/alpha.py [SEQUENCES] [options]
 
-Plans and executes every task of the first validation sequences (10 if not said) with system main, for each of the
+Plans and executes every task of the first validation sequences (10 if not said) with a system, for each of the
 weights of the uncertainty term, and, at the weight in force, for other values of beta and gamma (eqs. 13 and 15). A row
 per setting and task goes to reports/<scale>/studies/alpha.csv; what is there already is not done again. Draws error
 against alpha, beta and gamma for each plan length, mean and 95 % bootstrap interval over sequences, to alpha.png.
 Needs the nets, the normalisation and the dataset (`dvc repro normalise`).
 
-`--alphas A ..` (0 0.1 0.3 1 3 10), `--betas B ..` (2.5 10), `--gammas G ..` (0 2.5).
+`--alphas A ..` (0 0.1 0.3 1 3 10), `--betas B ..` (2.5 10), `--gammas G ..` (0 2.5). `--system NAME` (main) takes
+another, b1 for instance, whose rows and figure go to alpha_b1.csv and .png.
 """
 
 import argparse
@@ -39,8 +40,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sequences", type=int, nargs="?", default=10)
     parser.add_argument("--alphas", type=float, nargs="+", default=[0, 0.1, 0.3, 1, 3, 10])
-    parser.add_argument("--betas", type=float, nargs="+", default=[2.5, 10])
-    parser.add_argument("--gammas", type=float, nargs="+", default=[0, 2.5])
+    parser.add_argument("--betas", type=float, nargs="*", default=[2.5, 10])
+    parser.add_argument("--gammas", type=float, nargs="*", default=[0, 2.5])
+    parser.add_argument(
+        "--system", choices=[name for name, system in SYSTEMS.items() if system.alpha is None], default="main"
+    )
     asked = parser.parse_args()
     params = load_params(Path("params.yaml"))
     usual = Weights(params.alpha, params.beta, params.gamma)
@@ -52,21 +56,22 @@ def main() -> None:
     sequences = dataset.indices("validation")[: asked.sequences].tolist()
     folder = Path("reports") / params.scale / "studies"
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / "alpha.csv"
+    name = asked.system
+    path = folder / ("alpha.csv" if name == "main" else f"alpha_{name}.csv")
     table = pd.read_csv(path) if path.exists() else pd.DataFrame(columns=[*NAMES, "sequence", "length", "error"])
     for weights in settings:
         done = set(known(table, weights)["sequence"])
         missing = [sequence for sequence in sequences if sequence not in done]
         if missing:
-            planner = assemble(SYSTEMS["main"], Path("data"), weights, params.stages.plan, simulate.candidates)
+            planner = assemble(SYSTEMS[name], Path("data"), weights, params.stages.plan, simulate.candidates)
             simulator = partial(execute, settings=simulate.simulation)
             sessions, _ = try_out(dataset, missing, "validation", planner, simulator)
-            found = rows(sessions, "main").assign(**weights._asdict())
+            found = rows(sessions, name).assign(**weights._asdict())
             table = pd.concat([table, found], ignore_index=True)
             table.to_csv(path, index=False, lineterminator="\n", float_format="%.5g")
         means = known(table, weights).groupby("length")["error"].mean().round(4).tolist()
         print(f"alpha {weights.alpha:g}, beta {weights.beta:g}, gamma {weights.gamma:g}: {means}", flush=True)
-    draw(table, usual._asdict(), folder / "alpha.png")
+    draw(table, usual._asdict(), path.with_suffix(".png"))
 
 
 if __name__ == "__main__":
