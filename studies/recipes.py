@@ -55,6 +55,7 @@ VARIANTS: dict[str, dict[str, dict[str, Any]]] = {
         "noise 0": {"noise": 0.0},
         "start 1": {"training.start.residual": 1.0},
         "hold 1": {"hold": 1.0},
+        "muon 3, hold 1, canonical": {**HELD, "hold": 1.0, "net.canonical": True},
     },
     "vtm": {
         "base": BASE,
@@ -75,6 +76,8 @@ VARIANTS: dict[str, dict[str, dict[str, Any]]] = {
         "rates x 2": {"training.muon_learning_rate": 1.4e-2, "training.learning_rate": 2e-3},
         "hold 1": {"hold": 1.0},
         "rare 0.001": {"rare": 0.001},
+        "muon 3, hold 0.5, rare 0.001": {**HELD, "rare": 0.001},
+        "muon 3, hold 0.5, rare 0.001, canonical": {**HELD, "rare": 0.001, "net.canonical": True},
     },
 }
 
