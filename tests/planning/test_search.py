@@ -9,14 +9,13 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from clothkit.cloth.equivalents import COUNT, compose, equivalents, inverse, relabel, relabel_manipulation
+from clothkit.cloth.equivalents import COUNT, INVERSE, compose, equivalents, inverse, relabel, relabel_manipulation
 from clothkit.cloth.mesh import error, whiten
 from clothkit.cloth.silhouette import pixel_centres
 from clothkit.manipulation.geometry import release_points, to_cartesian
 from clothkit.planning.draw import EXTENT, FOLD_POINT, RASTER, Candidates
 from clothkit.planning.loss import Weights, accuracy, diff, uncertainty
 from clothkit.planning.search import (
-    INVERSE,
     UNKNOWN,
     Fixed,
     Found,

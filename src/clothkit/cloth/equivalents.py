@@ -5,6 +5,7 @@ then 2 reverses u, then 4 reverses v. The eight are the dihedral group of the sq
 """
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 from numpy import ndarray
 
@@ -23,6 +24,10 @@ def compose(first: int, second: int) -> int:
 def inverse(k: int) -> int:
     """The k that undoes `k`."""
     return next(j for j in range(COUNT) if compose(k, j) == 0)
+
+
+INVERSE = np.array([inverse(k) for k in range(COUNT)], np.int32)
+"""The k that undoes each."""
 
 
 def relabel(

@@ -5,11 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from clothkit.cloth.equivalents import COUNT, inverse, relabel_batch
+from clothkit.cloth.equivalents import INVERSE, relabel_batch
 from clothkit.cloth.mesh import ProbabilisticMesh, best_label, distance, error
-
-INVERSE = np.array([inverse(k) for k in range(COUNT)], np.int32)
-"""For each k in 0..7 the equivalent that undoes it."""
 
 IDEAL_SIGMA_RATIO = float(np.sqrt(2 / np.pi))
 """The sigma ratio of a perfectly calibrated prediction: mean deviation over standard deviation of a normal."""

@@ -17,11 +17,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from clothkit.cloth import grid
-from clothkit.cloth.equivalents import COUNT, REVERSE_U, REVERSE_V, SWAP, inverse, relabel, relabel_manipulation
+from clothkit.cloth.equivalents import INVERSE, REVERSE_U, REVERSE_V, SWAP, relabel, relabel_manipulation
 from clothkit.cloth.mesh import Mesh, ProbabilisticMesh
 from clothkit.manipulation.turns import turn, turn_manipulation, turn_mesh
-
-INVERSE = np.array([inverse(k) for k in range(COUNT)], np.int32)
 
 GRID = np.asarray(grid.flat())[..., :2]
 """Where the vertices of the flat cloth lie [normalised], centred."""

@@ -8,9 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
-from clothkit.cloth.equivalents import equivalents_of_manipulation, relabel_manipulation
+from clothkit.cloth.equivalents import INVERSE, equivalents_of_manipulation, relabel_manipulation
 from clothkit.planning.forward import Forward, unroll
-from clothkit.planning.search import INVERSE
 
 
 class Expected(NamedTuple):

@@ -13,7 +13,7 @@ import numpy as np
 from annotated_types import Ge, Gt, Le, MultipleOf, Predicate
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
-from clothkit.cloth.equivalents import COUNT, compose, inverse, relabel_manipulation, relabel_manipulation_batch
+from clothkit.cloth.equivalents import COUNT, INVERSE, compose, relabel_manipulation, relabel_manipulation_batch
 from clothkit.cloth.grid import SIDE
 from clothkit.config import config
 from clothkit.manipulation.geometry import release_points
@@ -30,7 +30,6 @@ NEAR = 0.15
 """Standard deviation of what moves a plan that begins near another, geodesic or normalised."""
 
 COMPOSED = np.array([[compose(j, k) for k in range(COUNT)] for j in range(COUNT)], np.int32)
-INVERSE = np.array([inverse(k) for k in range(COUNT)], np.int32)
 
 
 @config
@@ -45,7 +44,7 @@ class SearchConfig:
     patience: Annotated[int, Gt(0)] = 5
     """A strain that has not improved for so many iterations starts anew."""
     every: Annotated[int, Gt(0), Predicate(lambda every: SIDE % every == 0)] = 1
-    """The strains' losses run over each `every`-th vertex along u and v; the choice among their best plans over all."""
+    """The strains' losses run over one of every `every` vertices along u and v; all count in the last choice."""
     fold: bool = False
     """Whether first manipulations must be of the kind that was recorded: with q on the cloth (section 4.4)."""
     near: Annotated[float, Ge(0), Le(1)] = 0.0
@@ -246,8 +245,8 @@ def planning_loss(
 ) -> tuple[Float[Array, " strains"], Float[Array, "strains terms"], Int[Array, " strains"]]:
     """Eq. (13) of each strain's plan, its terms, and the goal's relative labelling; with one net the plain NLL.
 
-    A relative labelling that is `UNKNOWN` is the one that makes the accuracy terms least, as in eq. (12). Over each
-    `every`-th vertex.
+    A relative labelling that is `UNKNOWN` is the one that makes the accuracy terms least, as in eq. (12). Over one of
+    every `every` vertices along u and v.
     """
     # Intermediate states are decoded, along with the outcome, only where the loss asks for them.
     decoded = slice(None) if explicit else slice(-1, None)

@@ -7,11 +7,10 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from clothkit.cloth import voxels
-from clothkit.cloth.equivalents import relabel
+from clothkit.cloth.equivalents import INVERSE, relabel
 from clothkit.cloth.mesh import best_label
 from clothkit.dataset.store import Dataset
 from clothkit.evaluation.camera_settings import UNMEASURED
-from clothkit.evaluation.errors import INVERSE
 from clothkit.report import panels
 from clothkit.report.draw import draw, draw_heights, relief_colours
 

@@ -9,11 +9,10 @@ import pandas as pd
 from jaxtyping import Float
 from matplotlib.axes import Axes
 
-from clothkit.cloth.equivalents import relabel, relabel_manipulation
+from clothkit.cloth.equivalents import INVERSE, relabel, relabel_manipulation
 from clothkit.cloth.mesh import best_label
 from clothkit.dataset.store import Dataset
 from clothkit.dataset.tasks import Task
-from clothkit.evaluation.errors import INVERSE
 from clothkit.manipulation.geometry import to_cartesian
 from clothkit.planning.record import Sessions
 from clothkit.report import panels
