@@ -1,10 +1,11 @@
 """What trains a net best in the same time?  python studies/recipes.py NET MINUTES [VARIANT ..] [--seeds 0 1 2]
 
-NET is pemd or vtm. Every variant (all of VARIANTS[NET] if none is named) changes the settings of the scale in force, is
-given as many iterations as fit into so many CPU minutes by a measurement of its own, and is trained with its schedule
-over them. The validation score after each tenth goes to reports/<scale>/studies/recipes_<net>.csv beside iterations
-and CPU minutes (compilation and validation left out), with the variant, its settings and its seed; what is there
-already is not done again. recipes_<net>.png shows them. Needs `dvc repro augment`.
+NET is pemd or vtm. Every variant (all of VARIANTS[NET] if none is named) changes BASES[NET], which changes the settings
+of the scale in force: what a study compares does not move when the settings do. It is given as many iterations as fit
+into so many CPU minutes by a measurement of its own, and is trained with its schedule over them. The validation score
+after each tenth goes to reports/<scale>/studies/recipes_<net>.csv beside iterations and CPU minutes (compilation and
+validation left out), with the variant, its settings and its seed; what is there already is not done again.
+recipes_<net>.png shows them. Needs `dvc repro augment`.
 """
 
 import argparse
@@ -27,12 +28,13 @@ from clothkit.report.figures.studies import recipes as draw
 
 CHECKS = 10
 TIMED = 30  # iterations by which a variant's pace is measured
-BASE: dict[str, Any] = {}
+BASE: dict[str, Any] = {"hold": 0.0, "training.muon_iterations": 5, "net.canonical": False, "net.least_std": 0.01}
+BASES: dict[str, dict[str, Any]] = {"pemd": BASE, "vtm": {**BASE, "rare": 0.0}}
 HELD = {"training.muon_iterations": 3, "hold": 0.5}
 FAST = {"training.batch": 512, "training.muon_iterations": 3}
 VARIANTS: dict[str, dict[str, dict[str, Any]]] = {
     "pemd": {
-        "base": BASE,
+        "base": {},
         "paper": {"training.recipe": "paper", "training.batch": 64, "training.learning_rate": 5e-5},
         "paper, 10 x rate": {"training.recipe": "paper", "training.batch": 64, "training.learning_rate": 5e-4},
         "adamw": {"training.muon_width": 0},
@@ -56,9 +58,15 @@ VARIANTS: dict[str, dict[str, dict[str, Any]]] = {
         "start 1": {"training.start.residual": 1.0},
         "hold 1": {"hold": 1.0},
         "muon 3, hold 1, canonical": {**HELD, "hold": 1.0, "net.canonical": True},
+        "muon 3, hold 1, canonical, least std 0.003": {
+            **HELD,
+            "hold": 1.0,
+            "net.canonical": True,
+            "net.least_std": 0.003,
+        },
     },
     "vtm": {
-        "base": BASE,
+        "base": {},
         "paper": {"training.recipe": "paper", "training.batch": 64, "training.learning_rate": 5e-5},
         "adamw": {"training.muon_width": 0},
         "hold 0.5": {"hold": 0.5},
@@ -163,7 +171,8 @@ def main() -> None:
             changes = VARIANTS[asked.net][variant]
             known = (table["variant"] == variant) & (table["seed"] == seed) & (table["budget"] == asked.minutes)
             if not known.any():
-                rows = study(asked.net, changed(settings, {**changes, "training.seed": seed}), asked.minutes)
+                wanted = {**BASES[asked.net], **changes, "training.seed": seed}
+                rows = study(asked.net, changed(settings, wanted), asked.minutes)
                 of = {"budget": asked.minutes, "variant": variant, "changes": json.dumps(changes), "seed": seed}
                 table = pd.concat([table, pd.DataFrame([{**of, **row} for row in rows])], ignore_index=True)
                 table.to_csv(path, index=False, lineterminator="\n", float_format="%.5g")
