@@ -30,7 +30,7 @@ from clothkit.simulation.settings import SimulationConfig
 PARAMS = Path("params.yaml")
 COMPILED_BYTES = 2**30
 """What compiled programs may take on disk."""
-_WEIGHTS = Weights(alpha=1.0, beta=5.0, gamma=1.25)
+_WEIGHTS = Weights(alpha=0.01, beta=5.0, gamma=1.25)
 
 Kind = Literal["mesh", "voxels", "points"]
 

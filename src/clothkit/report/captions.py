@@ -47,7 +47,7 @@ INTERVALS = f"*mean 95 % low* and *high* are {_INTERVALS}"
 INTERVALS_BELOW = f"*95 % of mean*: {_INTERVALS}"
 PLANNING_VOXELS = (
     "The same outcomes and goals in voxels: mean absolute difference of voxel values, both sides free of noise and "
-    "unoccluded, a vertex per grid point. It is the format in which *b4* and *b5* plan.\n"
+    "unoccluded, a vertex per grid point.\n"
 )
 PLANNING_COMPARISONS = (
     "Two planners on the same tasks: mean difference (system minus the one it is held against: below zero the first is "
