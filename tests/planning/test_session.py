@@ -176,6 +176,7 @@ def test_best_of_restarts_by_hand() -> None:
     losses = np.array([3, 2, 4, 1, 5, 6.0], np.float32)[None, :, None]
     restarts = np.array([0, 0, 1, 0, 1, 0], bool)[None, :, None]
     np.testing.assert_array_equal(best_of_restarts(losses, restarts, 4)[0, 0], [2, 1, 6, np.nan])
+    np.testing.assert_array_equal(best_of_restarts(losses, restarts, 2)[0, 0], [2, 1])
 
 
 def test_an_interrupted_run_goes_on_to_the_same_rows(tmp_path: Path) -> None:

@@ -90,14 +90,14 @@ def losses(
         traces = tuple(jnp.zeros((count, *latent.shape)) for latent in blank)
         none = Candidates(jnp.zeros((1, 2)), jnp.int32(0))
         problem = Problem(state, goal, none, traces, jnp.int32(UNKNOWN), jnp.asarray(False), plan)
-        every = jax.vmap(equivalents_of_manipulation, out_axes=1)(plan)[:count]
+        relabelled = jax.vmap(equivalents_of_manipulation, out_axes=1)(plan)[:count]
         loss, _, _ = planning_loss(
             forward,
             nets,
             fix(forward, nets, problem),
             reference,
             weights,
-            every,
+            relabelled,
             jnp.arange(count),
             jnp.full(count, UNKNOWN),
             explicit=explicit,

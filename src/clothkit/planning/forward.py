@@ -51,7 +51,7 @@ class Forward(NamedTuple):
     points: Callable[..., Any] = points
     """state, grasp points [*p 2] -> xy [*p 2], normalised"""
     target: Callable[..., Any] = whiten
-    """goals [*g *state] -> goals as the losses take them"""
+    """goals, thinned or not [*g *state] -> goals as the losses take them"""
     thinned: Callable[..., Any] = thinned
     """goals, every -> what of them thinned predictions are compared with"""
     accuracy: Callable[..., Any] = loss.accuracy

@@ -26,8 +26,8 @@ def rows(sessions: Sessions, system: str) -> pd.DataFrame:
     accuracy_a is its loss and accuracy_b is missing), expected (error that the nets expect), grasp_offered, and
     estimate_error (not aligned). expected and estimate_error are missing for systems that see voxels.
     """
-    every = np.arange(len(sessions))
-    outcome, goal = sessions.state[every, sessions.length], sessions.goal
+    task = np.arange(len(sessions))
+    outcome, goal = sessions.state[task, sessions.length], sessions.goal
     acted = np.arange(sessions.null.shape[1]) < sessions.length[:, None]
     terms = sessions.terms[:, 0]
     fired = sessions.cancelled & acted

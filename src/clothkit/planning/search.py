@@ -17,7 +17,7 @@ from clothkit.cloth.equivalents import COUNT, INVERSE, compose, relabel_manipula
 from clothkit.cloth.grid import SIDE
 from clothkit.config import config
 from clothkit.manipulation.geometry import release_points
-from clothkit.manipulation.vector import is_single
+from clothkit.manipulation.vector import is_null, is_single
 from clothkit.planning.draw import Candidates, folds, random_plans, snap
 from clothkit.planning.forward import Forward, unroll
 from clothkit.planning.irprop import IRpropConfig, irprop_minus
@@ -127,7 +127,7 @@ class _State(NamedTuple):
 
 
 class Fixed(NamedTuple):
-    """What does not change during a search: for each net, latents of the equivalents; goals as the losses take them."""
+    """What does not change during a search: for each net, latents of the equivalents; and the goal's equivalents."""
 
     latents: tuple[Float[Array, "labels latent"], ...]
     traces: tuple[Float[Array, "labels latent"], ...]
@@ -175,9 +175,10 @@ def _search_one(
         return jnp.sum(loss), (loss, relative)
 
     def iterate(state: _State, key: PRNGKeyArray) -> tuple[_State, tuple[Array, Array]]:
-        fresh = _start(forward, problem, length, settings, key=key)
+        key_fresh, key_near = jax.random.split(key)
+        fresh = _start(forward, problem, length, settings, key=key_fresh)
         if settings.near:
-            fresh = _some_near(forward, state.best, fresh, problem, settings, key=jax.random.fold_in(key, 1))
+            fresh = _some_near(forward, state.best, fresh, problem, settings, key=key_near)
         strains = _choose(state.restart, fresh, state.strains)
         gradient, (loss, relative) = jax.grad(total, has_aux=True)(strains.plan, strains.common, strains.relative)
         strange = _strange(strains, problem, settings)
@@ -203,20 +204,21 @@ def _search_one(
     keys = jax.random.split(key_search, settings.iterations(length))
     (_, best, _), (losses, restarts) = jax.lax.scan(iterate, state, keys)
     # Among the strains' best plans the whole mesh decides.
-    loss, terms, _ = losses_of(best.plan, best.common, best.relative)
+    loss, terms, relatives = losses_of(best.plan, best.common, best.relative)
     winner = jnp.argmin(jnp.where(jnp.isinf(best.loss), jnp.inf, loss))
-    plan, common, relative = best.plan[winner], best.common[winner], best.relative[winner]
+    plan, common, relative = best.plan[winner], best.common[winner], relatives[winner]
     plan = relabel_manipulation(plan, jnp.asarray(INVERSE)[common])
     return Found(plan, loss[winner], terms[winner], common, relative, losses, restarts)
 
 
 def _strange(strains: _Strains, problem: Problem, settings: SearchConfig) -> Bool[Array, " strains"]:
     """Strains whose first manipulation is of a kind that was never recorded: the nets' word on it is worthless, and
-    they agree on it. Their hands are on different sides of m, or q is off the cloth."""
-    strange = ~jnp.asarray(release_points(strains.grasps, strains.plan[:, 0, 4:]).same_side)
+    they agree on it. Their hands are on different sides of m, or q is off the cloth. Nulls were recorded, whatever."""
+    first = strains.plan[:, 0]
+    strange = ~jnp.asarray(release_points(strains.grasps, first[:, 4:]).same_side) & ~is_null(first)
     if settings.fold:
         assert problem.covered is not None, "a search with `fold` is told what the cloth covers"
-        strange |= ~folds(problem.covered, strains.grasps, strains.plan[:, 0])
+        strange |= ~folds(problem.covered, strains.grasps, first)
     return strange
 
 
@@ -226,7 +228,7 @@ def fix(forward: Forward, nets: tuple[Any, ...], problem: Problem) -> Fixed:
     return Fixed(
         tuple(forward.encode(net, states) for net in nets),
         tuple(jnp.asarray(trace) for trace in problem.traces),
-        forward.target(forward.equivalents(problem.goal)),
+        forward.equivalents(problem.goal),
     )
 
 
@@ -248,6 +250,7 @@ def planning_loss(
     A relative labelling that is `UNKNOWN` is the one that makes the accuracy terms least, as in eq. (12). Over one of
     every `every` vertices along u and v.
     """
+    explicit = explicit and len(nets) > 1
     # Intermediate states are decoded, along with the outcome, only where the loss asks for them.
     decoded = slice(None) if explicit else slice(-1, None)
     states = [
@@ -256,7 +259,8 @@ def planning_loss(
     ]
     outcomes = [jax.tree.map(lambda part: part[-1], predicted) for predicted in states]
     spans = reference.spans if len(nets) > 1 else (None,)
-    goals = forward.thinned(fixed.goals, every)
+    # Whitened as predictions are: by what there is of them.
+    goals = forward.target(forward.thinned(fixed.goals, every))
     each = [forward.accuracy_of_each(goals, outcome, span) for outcome, span in zip(outcomes, spans, strict=True)]
     nearest = jnp.argmin(jax.lax.stop_gradient(sum(each)), axis=1)
     found = jnp.asarray(COMPOSED)[nearest, jnp.asarray(INVERSE)[common]]

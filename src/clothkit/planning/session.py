@@ -52,8 +52,7 @@ def run_sessions(tasks: Tasks, planner: Planner, execute: Execute) -> tuple[Sess
     carried = _Carried(np.zeros_like(sessions.estimate[:, 0]), no_traces(planner, len(sessions)), nowhere)
     for step in range(int(sessions.length.max())):
         acting = np.flatnonzero(sessions.length > step)
-        with _timed(clock["estimates"], len(acting)):
-            _observe(sessions, carried, acting, step, planner)
+        _observe(sessions, carried, acting, step, planner, clock)
         for length in range(1, STEPS + 1):
             chosen = acting[sessions.length[acting] - step == length]
             if len(chosen):
@@ -79,7 +78,9 @@ def no_traces(planner: Planner, count: int) -> tuple[np.ndarray, ...]:
     return tuple(np.zeros((count, forward.labels, width), np.float32) for width in widths)
 
 
-def _observe(sessions: Sessions, carried: _Carried, acting: np.ndarray, step: int, planner: Planner) -> None:
+def _observe(
+    sessions: Sessions, carried: _Carried, acting: np.ndarray, step: int, planner: Planner, clock: Clock
+) -> None:
     """Estimates and candidates of the current states; where nothing was done, those of the step before."""
     idle = acting[sessions.null[acting, step - 1]] if step else acting[:0]
     sessions.estimate[idle, step] = sessions.estimate[idle, step - 1]
@@ -87,9 +88,10 @@ def _observe(sessions: Sessions, carried: _Carried, acting: np.ndarray, step: in
     moved = np.setdiff1d(acting, idle)
     if not len(moved):
         return
-    sessions.estimate[moved, step], carried.shift[moved] = planner.sight.see(
-        sessions.state[moved, step], carried.expected[moved] if step else None
-    )
+    with _timed(clock["estimates"], len(moved)):
+        sessions.estimate[moved, step], carried.shift[moved] = planner.sight.see(
+            sessions.state[moved, step], carried.expected[moved] if step else None
+        )
     for task in moved:
         found = planner.sight.grasps(sessions.estimate[task, step], planner.grasping)
         sessions.candidates[task, step, : len(found)] = found
@@ -217,8 +219,9 @@ def _note(
 def best_of_restarts(
     losses: Float[np.ndarray, "task iteration strain"], restarts: np.ndarray, most: int
 ) -> Float[np.ndarray, "task strain restart"]:
-    """The lowest loss of each strain from one restart to the next; NaN for restarts that never came."""
-    run = np.cumsum(restarts, axis=1) - restarts
+    """The lowest loss of each strain from one restart to the next, the last one's with those after it; NaN for
+    restarts that never came, or of which nothing counted."""
+    run = np.minimum(np.cumsum(restarts, axis=1) - restarts, most - 1)
     found = [np.where(run == number, losses, np.inf).min(1) for number in range(most)]
     best = np.stack(found, axis=-1).astype(np.float32)
     return np.where(np.isinf(best), np.nan, best).astype(np.float32)
