@@ -1,10 +1,11 @@
 """How much should planning avoid what the nets do not know?  python studies/alpha.py [SEQUENCES] [options]
 
-Plans and executes every task of the first validation sequences (10 if not said) with a system, for each of the
-weights of the uncertainty term, and, at the weight in force, for other values of beta and gamma (eqs. 13 and 15). A row
-per setting and task goes to reports/<scale>/studies/alpha.csv; what is there already is not done again. Draws error
-against alpha, beta and gamma for each plan length, mean and 95 % bootstrap interval over sequences, to alpha.png.
-Needs the nets, the normalisation and the dataset (`dvc repro normalise`).
+Plans and executes every task of the first validation sequences (10 if not said) with a system, for each of the weights
+of the uncertainty term, and, at the weight in force, for other values of beta and gamma (eqs. 13 and 15). A row per
+setting and task goes to reports/<scale>/studies/alpha.csv; what is there already is not done again, unless it was made
+with other nets or other settings (`made_with`), whose rows are dropped. Draws error against alpha, beta and gamma for
+each plan length, mean and 95 % bootstrap interval over sequences, to alpha.png. Needs the nets, the normalisation and
+the dataset (`dvc repro normalise`).
 
 `--alphas A ..` (0 0.1 0.3 1 3 10), `--betas B ..` (2.5 10), `--gammas G ..` (0 2.5). `--system NAME` (main) takes
 another, b1 for instance, whose rows and figure go to alpha_b1.csv and .png.
@@ -16,12 +17,13 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from made_with import NAME, made_with, read
 
 from clothkit.dataset import store
 from clothkit.params import load_params
 from clothkit.planning.evaluate import try_out
 from clothkit.planning.loss import Weights
-from clothkit.planning.planner import assemble
+from clothkit.planning.planner import artifacts, assemble
 from clothkit.planning.rows import rows
 from clothkit.planning.systems import SYSTEMS
 from clothkit.report.figures.studies import weights as draw
@@ -52,21 +54,24 @@ def main() -> None:
     settings += [usual, *(usual._replace(beta=value) for value in asked.betas)]
     settings += [usual._replace(gamma=value) for value in asked.gammas]
     simulate = params.stages.simulate
-    dataset = store.load(Path("data/meshes.zarr"))
+    data, meshes = Path("data"), Path("data/meshes.zarr")
+    dataset = store.load(meshes)
     sequences = dataset.indices("validation")[: asked.sequences].tolist()
     folder = Path("reports") / params.scale / "studies"
     folder.mkdir(parents=True, exist_ok=True)
     name = asked.system
     path = folder / ("alpha.csv" if name == "main" else f"alpha_{name}.csv")
-    table = pd.read_csv(path) if path.exists() else pd.DataFrame(columns=[*NAMES, "sequence", "length", "error"])
+    inputs = [meshes, *artifacts(SYSTEMS[name], data).values()]
+    made = made_with(inputs, params.stages.plan, simulate.candidates, simulate.simulation)
+    table = read(path, [*NAMES, "sequence", "length", "error"], made)
     for weights in settings:
         done = set(known(table, weights)["sequence"])
         missing = [sequence for sequence in sequences if sequence not in done]
         if missing:
-            planner = assemble(SYSTEMS[name], Path("data"), weights, params.stages.plan, simulate.candidates)
+            planner = assemble(SYSTEMS[name], data, weights, params.stages.plan, simulate.candidates)
             simulator = partial(execute, settings=simulate.simulation)
             sessions, _ = try_out(dataset, missing, "validation", planner, simulator)
-            found = rows(sessions, name).assign(**weights._asdict())
+            found = rows(sessions, name).assign(**weights._asdict(), **{NAME: made})
             table = pd.concat([table, found], ignore_index=True)
             table.to_csv(path, index=False, lineterminator="\n", float_format="%.5g")
         means = known(table, weights).groupby("length")["error"].mean().round(4).tolist()

@@ -165,11 +165,12 @@ def main() -> None:
     settings = getattr(params.stages, f"train_{asked.net}")
     path = Path("reports") / params.scale / "studies" / f"recipes_{asked.net}.csv"
     path.parent.mkdir(parents=True, exist_ok=True)
-    table = pd.read_csv(path) if path.exists() else pd.DataFrame(columns=["budget", "variant", "seed"])
+    table = pd.read_csv(path) if path.exists() else pd.DataFrame(columns=["budget", "variant", "seed", "changes"])
     for seed in asked.seeds:
         for variant in asked.variants or VARIANTS[asked.net]:
             changes = VARIANTS[asked.net][variant]
             known = (table["variant"] == variant) & (table["seed"] == seed) & (table["budget"] == asked.minutes)
+            known &= table["changes"] == json.dumps(changes)
             if not known.any():
                 wanted = {**BASES[asked.net], **changes, "training.seed": seed}
                 rows = study(asked.net, changed(settings, wanted), asked.minutes)

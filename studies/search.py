@@ -4,9 +4,10 @@ Plans and executes every task of the first validation sequences (5 if not said) 
 different sizes: numbers of strains; and, at the strains in force, numbers of iterations, vertices that the loss runs
 over, restarts near the best plan, and first manipulations that need not fold the cloth. A row per search and task goes
 to reports/<scale>/studies/search.csv, with the seconds per plan of that length; what is there already is not done
-again. search.png shows, for each plan length, error, search failures (the recorded plan has the lower loss) and the
-first plan's loss against seconds per plan. Prints also how the loss falls from restart to restart. Needs the nets, the
-normalisation and the dataset (`dvc repro normalise`).
+again, unless it was made with other nets or other settings (`made_with`), whose rows are dropped. search.png shows, for
+each plan length, error, search failures (the recorded plan has the lower loss) and the first plan's loss against
+seconds per plan. Prints also how the loss falls from restart to restart. Needs the nets, the normalisation and the
+dataset (`dvc repro normalise`).
 
 `--strains N ..` (16 32 64 128 256 512), `--iterations F ..` (0.5 2: multiples of those in force), `--every N ..` (1 4),
 `--near SHARE ..` (0 0.8).
@@ -19,12 +20,13 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from made_with import NAME, made_with, read
 
 from clothkit.dataset import store
 from clothkit.params import load_params
 from clothkit.planning.evaluate import cost, try_out
 from clothkit.planning.loss import Weights
-from clothkit.planning.planner import assemble
+from clothkit.planning.planner import artifacts, assemble
 from clothkit.planning.record import Sessions
 from clothkit.planning.rows import rows
 from clothkit.planning.search import SearchConfig
@@ -65,23 +67,27 @@ def main() -> None:
     params = load_params(Path("params.yaml"))
     simulate, plan = params.stages.simulate, params.stages.plan
     weights = Weights(params.alpha, params.beta, params.gamma)
-    dataset = store.load(Path("data/meshes.zarr"))
+    data, meshes = Path("data"), Path("data/meshes.zarr")
+    dataset = store.load(meshes)
     sequences = dataset.indices("validation")[: asked.sequences].tolist()
     folder = Path("reports") / params.scale / "studies"
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "search.csv"
-    table = pd.read_csv(path) if path.exists() else pd.DataFrame(columns=[*KEYS, "sequence"])
+    others = {name: value for name, value in dataclasses.asdict(plan.search).items() if name not in KEYS}
+    inputs = [meshes, *artifacts(SYSTEMS["main"], data).values()]
+    made = made_with(inputs, others, plan.refine, weights, simulate.candidates, simulate.simulation)
+    table = read(path, [*KEYS, "sequence"], made)
     for size in searches(plan.search, asked):
         of_search = {name: getattr(size, name) for name in KEYS}
         same = np.all([table[name] == value for name, value in of_search.items()], axis=0)
         missing = [sequence for sequence in sequences if sequence not in set(table.loc[same, "sequence"])]
         if missing:
             settings = dataclasses.replace(plan, search=size)
-            planner = assemble(SYSTEMS["main"], Path("data"), weights, settings, simulate.candidates)
+            planner = assemble(SYSTEMS["main"], data, weights, settings, simulate.candidates)
             simulator = partial(execute, settings=simulate.simulation)
             sessions, clock = try_out(dataset, missing, "validation", planner, simulator)
             seconds = {int(n): spent / count for n, (count, spent) in cost(clock)["plans"].items()}
-            found = rows(sessions, "main").assign(**of_search)
+            found = rows(sessions, "main").assign(**of_search, **{NAME: made})
             found["seconds"] = found["length"].map(seconds)
             table = pd.concat([table, found], ignore_index=True)
             table.to_csv(path, index=False, lineterminator="\n", float_format="%.5g")

@@ -44,6 +44,10 @@ def test_an_interval_over_sequences_weighs_them_by_their_tasks() -> None:
     assert interval(total, count) == (1, 1)
 
 
+def test_too_few_sequences_have_no_interval() -> None:
+    assert np.isnan(interval(np.array([0.3]), np.ones(1, int))).all()
+
+
 def rows(sequences: int = 12) -> pd.DataFrame:
     rng = np.random.default_rng(3)
     return pd.DataFrame(
@@ -58,7 +62,7 @@ def rows(sequences: int = 12) -> pd.DataFrame:
                 "voxel_error": 0.01 + 0.01 * (system == "a2") + (not better) + 0.001 * rng.normal(),
             }
             for split in ("test", "train")
-            for system in ("main", "a1", "a2")
+            for system in ("main", "main_occluded", "a2")
             for better in (True, False)
             for sequence in range(sequences)
             for start, length in TASKS
@@ -76,7 +80,7 @@ def test_main_and_a2_are_compared_task_by_task() -> None:
     better = tidy[tidy["better"] & (tidy["split"] == "test") & (tidy["length"] == 2)]
     means = better.groupby("system")["voxel_error"].mean()
     row = found[(found["split"] == "test") & (found["column"] == "2/all")].iloc[0]
-    assert row["difference"] == pytest.approx(means["main"] - means["a2"])
+    assert row["difference"] == pytest.approx(means["main_occluded"] - means["a2"])
     assert row["low"] < row["difference"] < row["high"] < 0
     assert row["sequences"] == 12
     assert row["p"] < 0.01
@@ -85,6 +89,6 @@ def test_main_and_a2_are_compared_task_by_task() -> None:
 def test_tasks_that_one_system_lacks_are_left_out() -> None:
     tidy = rows()
     tidy = tidy[~((tidy["system"] == "a2") & (tidy["sequence"] == 3))]
-    found = compare(tidy[tidy["better"]], "voxel_error", "main", "a2")
+    found = compare(tidy[tidy["better"]], "voxel_error", "main_occluded", "a2")
     assert set(found["sequences"]) == {11}
     assert np.isfinite(found[["difference", "low", "high", "p"]]).all().all()

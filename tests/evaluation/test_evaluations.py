@@ -87,8 +87,21 @@ def test_prediction_rows(dataset: Dataset, forward: dict[str, Net], estimates: e
     given = prediction.starts(dataset, estimates._asdict())
     tidy = prediction.rows(dataset, given, forward, "b", EvaluatePredictionConfig(batch=2))
     # Three sequences have six tasks, the short one three.
+    occluded = tidy["system"] == prediction.OCCLUDED
+    tidy, seen = tidy[~occluded], tidy[occluded]
     assert len(tidy) == 2 * 2 * (3 * 6 + 3)
     assert not tidy.isna().any().any()
+    # What a camera sees of main's better net, against what it sees of the truth.
+    of_main = tidy.query("system == 'main' and net == 'b' and sequence == 2 and start == 1 and length == 2").iloc[0]
+    row = seen.query("sequence == 2 and start == 1 and length == 2").iloc[0]
+    assert len(seen) == 3 * 6 + 3
+    assert row["error_no_action"] == of_main["error_no_action"]
+    assert row["position_error"] == of_main["position_error"]
+    views = [np.asarray(voxels.observe(dataset.vertices[2, i])) for i in (1, 3)]
+    assert row["voxel_error_no_action"] == pytest.approx(np.mean(views[0] != views[1]), rel=1e-4)
+    made, _, _ = rollout(forward["b"], given.meshes["main"][given.sequence == 2, 1], dataset.manipulation[2:3, 1:3])
+    certain = occupancy(ProbabilisticMesh(*(np.asarray(part)[1] for part in made)), occluded=True)
+    assert row["voxel_error"] == pytest.approx(np.abs(np.asarray(certain)[0] - views[1]).mean(), rel=1e-4)
     assert (tidy.loc[tidy["sequence"] == 3, ["start", "length"]].sum(axis=1) <= 2).all()
     assert set(tidy.loc[tidy["better"], "net"]) == {"b"}
     assert set(zip(tidy["start"], tidy["length"], strict=True)) == set(TASKS)

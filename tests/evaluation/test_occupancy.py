@@ -79,6 +79,16 @@ def test_a_certain_prediction_is_the_voxels_of_its_mesh() -> None:
     assert float(differences(occupancy(certain), truth)[0]) == pytest.approx(0, abs=1e-6)
 
 
+def test_a_certain_prediction_occluded_is_what_a_camera_sees_of_its_mesh() -> None:
+    rng = np.random.default_rng(3)
+    mesh = grid.flat() + np.array([0.013, 0.017, 0.004]) + rng.normal(0, [0.003, 0.003, 0.02], (1, 32, 32, 3))
+    certain = ProbabilisticMesh(mesh.astype(np.float32), np.full(mesh.shape, 1e-6, np.float32))
+    found, seen = np.asarray(occupancy(certain, occluded=True)), np.asarray(voxels.observe(certain.mean))
+    # But for a vertex that lies on the border of voxels.
+    assert np.mean(np.abs(found - seen) > 1e-3) < 1e-4
+    assert (np.diff(found, axis=-1) <= 1e-6).all()
+
+
 def test_what_is_above_or_below_the_viewport_counts_at_its_ends() -> None:
     mean = np.broadcast_to(np.array([0.03, 0.03, 0.0], np.float32), (2, 32, 32, 3)).copy()
     mean[0, ..., 2], mean[1, ..., 2] = -1, 1

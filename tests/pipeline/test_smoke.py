@@ -131,7 +131,7 @@ def test_the_chain_ends_with_tables_pictures_and_metrics(finished: Checkout) -> 
     assert (ours[["1/0", "2/1", "3/all"]].to_numpy() > 0).all()
     table = pd.read_csv(report / "tables" / "table_4.csv")
     ours = table[(table["source"] == "clothkit") & (table["statistic"] == "mean")]
-    assert {"main", "a1", "a2"} <= set(ours["system"])
+    assert {"main", "a1", "main_occluded", "a2"} <= set(ours["system"])
     assert (ours[["1/0", "2/1", "3/all"]].to_numpy() > 0).all()
 
 

@@ -8,6 +8,7 @@ from clothkit.dataset.tasks import TASKS
 from clothkit.evaluation import camera_planning, planning
 from clothkit.evaluation.comparisons import of_predictions
 from clothkit.report import camera_tables, page, planning_tables, tables
+from clothkit.report.rows import VOXEL_SYSTEMS
 from tests.evaluation import camera_rows
 from tests.evaluation.planning_rows import planning_rows
 
@@ -31,7 +32,7 @@ def tidy_tasks(systems: tuple[str, ...], *, sequences: int = 4, seed: int = 0) -
                 "position_error": 0.01 * (sequence + length) + (net == "b"),
                 "position_no_action": 0.1 * length,
                 "voxel_error": rng.uniform(0.01, 0.02) + (net == "b"),
-                "voxel_error_no_action": 0.05 + 0.01 * (system == "a2"),
+                "voxel_error_no_action": 0.05 + 0.01 * (system in VOXEL_SYSTEMS),
             }
             for split in ("test", "train")
             for system in systems
@@ -83,8 +84,8 @@ def contents_of(planners: tuple[str, ...], figures: list[str]) -> page.Contents:
         table_2=tables.estimation(tidy_estimates()),
         table_3=tables.prediction(tidy, ("main", "a1")),
         table_5=tables.position(tidy, ("main", "a1")),
-        table_4=tables.prediction_voxels(tidy_tasks(("main", "a2")), ("main", "a2")),
-        comparisons=tables.comparisons(of_predictions(tidy_tasks(("main", "a2")))),
+        table_4=tables.prediction_voxels(tidy_tasks(("main", *VOXEL_SYSTEMS)), ("main", *VOXEL_SYSTEMS)),
+        comparisons=tables.comparisons(of_predictions(tidy_tasks(VOXEL_SYSTEMS))),
         table_6=planning_tables.planning(planned, intervals, planners),
         table_7=planning_tables.planning_voxels(planned, intervals, planners),
         planning_comparisons=planning_tables.comparisons(planning.comparisons(planned), planners),

@@ -20,6 +20,7 @@ from clothkit.report.figures.largest import Failure, largest
 from clothkit.report.figures.sessions import of_record, sessions
 from clothkit.report.html import page as html
 from clothkit.report.inputs import Inputs
+from clothkit.report.rows import VOXEL_SYSTEMS
 from clothkit.report.settings import ReportConfig
 from tests.evaluation import camera_rows
 from tests.evaluation.planning_rows import planning_rows
@@ -72,7 +73,7 @@ def inputs(dataset: Dataset) -> Inputs:
     prediction = pd.DataFrame(
         [
             {**common, **shift, **in_voxels, **task, "system": system, "net": net, "better": net == "b"}
-            for system in ("main", "a1", "a2")
+            for system in ("main", "a1", *VOXEL_SYSTEMS)
             for net in ("a", "b")
             for task in tasks
         ]
@@ -104,7 +105,7 @@ def inputs(dataset: Dataset) -> Inputs:
                 for length in (1, 2, 3)
             ]
         ),
-        prediction=prediction.assign(error=prediction["error"].where(prediction["system"] != "a2")),
+        prediction=prediction.assign(error=prediction["error"].mask(prediction["system"].isin(VOXEL_SYSTEMS))),
         comparisons=of_predictions(prediction),
         planning=planned,
         planning_comparisons=planning.comparisons(planned),

@@ -22,6 +22,9 @@ from clothkit.evaluation.settings import EvaluatePredictionConfig
 from clothkit.networks.net import Net
 from clothkit.networks.pemd import rollout
 
+OCCLUDED = "main_occluded"
+"""Main's predictions as a camera above would see them: what can be held against those of the voxel baseline."""
+
 
 class Starts(NamedTuple):
     """What each system starts from, n evaluated sequences [normalised], NaN past a sequence's length.
@@ -59,8 +62,8 @@ def rows(
     error_no_action, position_error, position_no_action [cloth length], sigma_ratio, voxel_error, voxel_error_no_action
     [mean voxel difference, 0..1]. Predictions are not aligned beyond the centring; no action is (design 2), but in
     voxels. position_error is that of the predicted centre shift, eq. (7); position_no_action that of no shift at all.
-    Voxels of predictions are eq. (16)'s, those of states
-    undoubled, free of noise and unoccluded (design 6.14).
+    Voxels of predictions are eq. (16)'s, those of states undoubled, free of noise and unoccluded (design 6.14). The
+    rows of main's better net come again as system `OCCLUDED`, with all voxels doubled and occluded, and without error.
     """
     tidy = []
     jobs = [(system, net, task) for system in given.meshes for net in sorted(nets) for task in TASKS]
@@ -76,28 +79,35 @@ def rows(
         final = ProbabilisticMesh(predicted.mean[-1], predicted.std[-1])
         occupied = np.asarray(voxels.of_mesh(truth))
         moved = dataset.centre[sequence, end] - dataset.centre[sequence, start]
-        tidy.append(
-            pd.DataFrame(
-                {
-                    "split": [SPLITS[code] for code in dataset.split[sequence]],
-                    "system": system,
-                    "net": net,
-                    "better": net == better,
-                    "sequence": sequence,
-                    "start": start,
-                    "length": length,
-                    "error": np.asarray(errors(final.mean, truth)),
-                    "error_no_action": np.asarray(errors(dataset.vertices[sequence, start], truth, aligned=True)),
-                    "position_error": np.linalg.norm(shift.sum(0) - moved, axis=-1) / CLOTH_SIDE,
-                    "position_no_action": np.linalg.norm(moved, axis=-1) / CLOTH_SIDE,
-                    "sigma_ratio": np.asarray(sigma_ratio(final, truth)),
-                    "voxel_error": _voxel_errors(final, occupied, settings.batch),
-                    "voxel_error_no_action": np.asarray(
-                        differences(voxels.of_mesh(dataset.vertices[sequence, start]), occupied)
-                    ),
-                }
-            )
+        first = dataset.vertices[sequence, start]
+        found = pd.DataFrame(
+            {
+                "split": [SPLITS[code] for code in dataset.split[sequence]],
+                "system": system,
+                "net": net,
+                "better": net == better,
+                "sequence": sequence,
+                "start": start,
+                "length": length,
+                "error": np.asarray(errors(final.mean, truth)),
+                "error_no_action": np.asarray(errors(first, truth, aligned=True)),
+                "position_error": np.linalg.norm(shift.sum(0) - moved, axis=-1) / CLOTH_SIDE,
+                "position_no_action": np.linalg.norm(moved, axis=-1) / CLOTH_SIDE,
+                "sigma_ratio": np.asarray(sigma_ratio(final, truth)),
+                "voxel_error": _voxel_errors(final, occupied, settings.batch),
+                "voxel_error_no_action": np.asarray(differences(voxels.of_mesh(first), occupied)),
+            }
         )
+        tidy.append(found)
+        if system == "main" and net == better:
+            seen = np.asarray(voxels.observe(truth))
+            measured = {
+                "voxel_error": _voxel_errors(final, seen, settings.batch, occluded=True),
+                "voxel_error_no_action": np.asarray(differences(voxels.observe(first), seen)),
+            }
+            tidy.append(
+                found.assign(system=OCCLUDED, error=np.float32(np.nan), sigma_ratio=np.float32(np.nan), **measured)
+            )
     return pd.concat(tidy, ignore_index=True)
 
 
@@ -139,13 +149,15 @@ def predict(
     return ProbabilisticMesh(mean, std), shift
 
 
-def _voxel_errors(mesh: ProbabilisticMesh, truth: Bool[np.ndarray, "n 32 32 16"], batch: int) -> np.ndarray:
+def _voxel_errors(
+    mesh: ProbabilisticMesh, truth: Bool[np.ndarray, "n 32 32 16"], batch: int, *, occluded: bool = False
+) -> np.ndarray:
     """Mean voxel differences [n] of predicted meshes, in batches of one size, so that memory is bounded."""
     parts = []
     for first in range(0, len(truth), batch):
         chosen = np.minimum(np.arange(first, first + batch), len(truth) - 1)
-        found = differences(occupancy(ProbabilisticMesh(mesh.mean[chosen], mesh.std[chosen])), truth[chosen])
-        parts.append(np.asarray(found)[: len(truth) - first])
+        predicted = occupancy(ProbabilisticMesh(mesh.mean[chosen], mesh.std[chosen]), occluded=occluded)
+        parts.append(np.asarray(differences(predicted, truth[chosen]))[: len(truth) - first])
     return np.concatenate(parts)
 
 

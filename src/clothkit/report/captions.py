@@ -31,7 +31,8 @@ VOXELS = (
     "The same predictions in voxels: mean absolute difference of voxel values. *a2* is the paper's voxel baseline, "
     "which sees, and predicts, voxels. Meshes become voxels by eq. (16), and their truth is unoccluded, a vertex per "
     "grid point. *a2* predicts what a camera above sees, and its truth is that: occluded, at twice the mesh's "
-    "resolution; so is its *no action*.\n"
+    "resolution; so is its *no action*. *main_occluded* has *main*'s predictions brought into that format, which makes "
+    "the two comparable.\n"
 )
 COMPARISONS = (
     "The two on the same tasks: mean difference (system minus the one it is held against: below zero the first is "
@@ -111,6 +112,7 @@ SYSTEMS = {
     "main": "sees voxels only; two mesh nets",
     "a1": "main, from true meshes",
     "a2": "two voxel nets",
+    "main_occluded": "main's predictions, as a camera above would see them",
     "b1": "main, from true meshes",
     "b2": "main with one net",
     "b3": "main without the uncertainty term",

@@ -63,8 +63,8 @@ FAILURES = (
 CAMERA_ESTIMATION = ("condition", "tilt", "noise", "seen", "voxel_error", "centre_error", "iou", "error")
 CAMERA_PLANNING = (*PLANNING, "condition", "tilt", "noise", "iou", "iou_no_action", "iou_seen")
 
-VOXEL_SYSTEMS = ("a2",)
-"""Systems that predict voxels: they have no error in cloth lengths."""
+VOXEL_SYSTEMS = ("main_occluded", "a2")
+"""Systems whose predictions are voxels as a camera sees them: they have no error in cloth lengths."""
 
 _NUMBERS = ("error", "error_no_action", "voxel_error", "voxel_error_no_action")
 

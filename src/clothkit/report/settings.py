@@ -15,7 +15,7 @@ class ReportConfig:
 
     predictors: Annotated[tuple[str, ...], MinLen(1)] = ("main", "a1")
     """Systems of tables 3 and 5."""
-    voxel_predictors: Annotated[tuple[str, ...], MinLen(1)] = ("main", "a1", "a2")
+    voxel_predictors: Annotated[tuple[str, ...], MinLen(1)] = ("main", "a1", "main_occluded", "a2")
     """Systems of table 4."""
     planners: Annotated[tuple[str, ...], MinLen(1)] = ("main", "b1", "b2", "b3", "b4", "b5", "unrefined")
     """Systems of tables 6 to 8, the first of which is shown in pictures."""

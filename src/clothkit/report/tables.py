@@ -54,7 +54,8 @@ def position(tidy: pd.DataFrame, systems: Sequence[str]) -> pd.DataFrame:
 def prediction_voxels(tidy: pd.DataFrame, systems: Sequence[str]) -> pd.DataFrame:
     """Table 4: the net with the better validation score, from rows of both.
 
-    The truth of a2, whose nets predict occluded voxels, is occluded, and so is its *no action* (design 6.14).
+    The truth of a2, whose nets predict occluded voxels, is occluded, and so is its *no action* (design 6.14). It can be
+    held against main_occluded.
     """
     rows.require(tidy, systems)
     names = {system: NO_ACTION_OCCLUDED for system in systems if system in rows.VOXEL_SYSTEMS}
