@@ -37,12 +37,6 @@ def test_medians_and_moments_by_hand() -> None:
     assert found.mu[0] == pytest.approx(np.mean(differences), rel=1e-2)
     assert found.sigma[0] == pytest.approx(np.std(differences), rel=1e-2)
     assert (np.array(found.low) < np.array(found.high)).all()
-    in_logarithms = normalise(toy.FORWARD, toy.NETS, data, NormaliseConfig(draws=2, logarithm=True))
-    assert in_logarithms.logarithm
-    assert not found.logarithm
-    assert in_logarithms.low == found.low
-    assert in_logarithms.mu[0] == pytest.approx(np.mean(np.log(differences)), abs=1e-2)
-    assert in_logarithms.sigma[0] == pytest.approx(np.std(np.log(differences)), rel=1e-2)
     reference = found.reference(2)
     assert reference.spans[1] == (np.float32(found.low[1][1]), np.float32(found.high[1][1]))
     assert reference.spread.mean.shape == (2,)
@@ -66,9 +60,6 @@ def test_files(tmp_path: Path) -> None:
     path = tmp_path / "mesh.json"
     save(path, toy.NORMALISATION, {"seed": 0})
     assert load(path) == toy.NORMALISATION
-    logarithms = dataclasses.replace(toy.NORMALISATION, mu=(-2.0,) * 3, logarithm=True)
-    save(path, logarithms, {"seed": 0})
-    assert load(path) == logarithms
     stored = json.loads(path.read_text())
     path.write_text(json.dumps({**stored, "high": [[-2.0] * 3] * 2}))
     with pytest.raises(InputError, match=r"mesh\.json.*low below high"):

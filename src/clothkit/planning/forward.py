@@ -1,7 +1,6 @@
 """What a search asks of a forward model and of the states that it predicts, for any net and representation."""
 
 from collections.abc import Callable
-from functools import cache
 from typing import Any, NamedTuple
 
 import jax
@@ -15,9 +14,6 @@ from clothkit.cloth.mesh import ProbabilisticMesh, whiten
 from clothkit.manipulation.geometry import to_cartesian
 from clothkit.networks import pemd
 from clothkit.planning import loss
-
-LEAST_DIFF = 1e-8
-"""What logarithms add to diff: two nets may say the same."""
 
 
 def points(state: Float[Array, "u v 3"], grasps: Float[Array, "*points 2"]) -> Float[Array, "*points 2"]:
@@ -63,16 +59,6 @@ class Forward(NamedTuple):
 
 
 MESH = Forward(pemd.encode, pemd.step, pemd.decode)
-
-
-@cache
-def logarithmic(forward: Forward) -> Forward:
-    """The same forward model, with the logarithm of diff in place of diff in eq. (15)."""
-
-    def diff(a: Any, b: Any) -> Float[Array, "*batch"]:
-        return jnp.log(forward.diff(a, b) + LEAST_DIFF)
-
-    return forward._replace(diff=diff)
 
 
 class Rollout(NamedTuple):

@@ -16,7 +16,7 @@ from clothkit.dataset.store import STEPS, Dataset
 from clothkit.errors import InputError
 from clothkit.planning.batches import in_batches
 from clothkit.planning.draw import random_manipulations
-from clothkit.planning.forward import Forward, logarithmic, unroll
+from clothkit.planning.forward import Forward, unroll
 from clothkit.planning.loss import Range, Spread
 from clothkit.planning.recorded import Recorded, in_meshes
 from clothkit.planning.search import Reference
@@ -44,11 +44,9 @@ class Normalisation:
     high: tuple[tuple[float, ...], ...]
     """[net][length - 1]: median NLL of the recorded outcome under random plans."""
     mu: tuple[float, ...]
-    """[step - 1]: mean of diff between the nets' predictions, or of its logarithm."""
+    """[step - 1]: mean of diff between the nets' predictions."""
     sigma: tuple[float, ...]
     """[step - 1]: its standard deviation."""
-    logarithm: bool = False
-    """Whether `mu` and `sigma` are of logarithms."""
 
     def __post_init__(self) -> None:
         values = np.array([*self.low, *self.high, self.mu, self.sigma], float)
@@ -86,7 +84,6 @@ def normalise(
     recorded: Callable[..., Recorded] = in_meshes,
 ) -> Normalisation:
     """The reference values of two nets, up to the longest sequence. Eq. (14)'s i runs over 0..3 - n (design 6.9)."""
-    forward = logarithmic(forward) if settings.logarithm else forward
     key = jax.random.key(settings.seed)
     low, high, mu, sigma = [], [], [], []
     for length in range(1, int(validation.length.max()) + 1):
@@ -95,7 +92,7 @@ def normalise(
         found = in_batches(score, together, tasks.start, tasks.goal, tasks.plan)
         low.append([float(np.median(scores)) for scores in found[:2]])
         mu.append(float(found[2].mean()))
-        sigma.append(max(float(found[2].std()), LEAST_DEVIATION * abs(mu[-1])))
+        sigma.append(max(float(found[2].std()), LEAST_DEVIATION * mu[-1]))
         losses: list[list[np.ndarray]] = [[], []]
         for draw in range(settings.draws):
             random = random_manipulations(tasks.plan.shape[:2], key=jax.random.fold_in(key, STEPS * draw + length))
@@ -105,8 +102,7 @@ def normalise(
         medians = [float(np.median(np.concatenate(of_net))) for of_net in losses]
         high.append([max(median, least + LEAST_SPAN) for median, least in zip(medians, low[-1], strict=True)])
     # From a row per length to a row per net.
-    lows, highs = (tuple(zip(*each, strict=True)) for each in (low, high))
-    return Normalisation(lows, highs, tuple(mu), tuple(sigma), settings.logarithm)
+    return Normalisation(tuple(zip(*low, strict=True)), tuple(zip(*high, strict=True)), tuple(mu), tuple(sigma))
 
 
 def _stretches(dataset: Dataset, length: int) -> tuple[np.ndarray, np.ndarray]:
@@ -141,13 +137,11 @@ def load(path: Path) -> Normalisation:
     """Read the values. Raises InputError for a file that is missing, damaged or lacks a field."""
     try:
         stored = json.loads(path.read_text())
-        low, high = (tuple(tuple(row) for row in stored[name]) for name in ("low", "high"))
-        return Normalisation(low, high, tuple(stored["mu"]), tuple(stored["sigma"]), bool(stored["logarithm"]))
+        rows = {name: tuple(tuple(row) for row in stored[name]) for name in ("low", "high")}
+        return Normalisation(**rows, mu=tuple(stored["mu"]), sigma=tuple(stored["sigma"]))
     except OSError as error:
         raise InputError(f"{path}: not found; run the stage that writes it (dvc repro)") from error
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     except (ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            f"{path}: expected JSON with low, high, mu, sigma and logarithm, could not read it ({error})"
-        ) from error
+        raise InputError(f"{path}: expected JSON with low, high, mu and sigma, could not read it ({error})") from error

@@ -1,7 +1,7 @@
 """A system with its nets, its eyes and its settings: what sessions are run with."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,6 @@ from clothkit.dataset.store import STEPS
 from clothkit.manipulation.candidates import CandidateConfig
 from clothkit.networks import store
 from clothkit.planning import normalisation
-from clothkit.planning.forward import logarithmic
 from clothkit.planning.loss import Weights
 from clothkit.planning.normalisation import Normalisation
 from clothkit.planning.record import Sizes
@@ -77,9 +76,6 @@ def assemble(system: System, data: Path, weights: Weights, settings: PlanConfig,
     settings = settings.of(system)
     vtm = store.load(found["vtm"]) if "vtm" in found else None
     sight = VoxelSight() if system.voxels else MeshSight(vtm, settings.refine, refine=system.refine)
-    reference = normalisation.load(found["reference"])
-    if reference.logarithm:
-        sight = replace(sight, forward=logarithmic(sight.forward))
     folders = {net: found[net] for net in ("a", "b")}
     better = better_net(folders)
     names = sorted(folders) if system.nets == 2 else [better]
@@ -88,7 +84,7 @@ def assemble(system: System, data: Path, weights: Weights, settings: PlanConfig,
         sight,
         nets=tuple(store.load(folders[net]) for net in names),
         better=names.index(better),
-        normalisation=reference,
+        normalisation=normalisation.load(found["reference"]),
         weights=weights if system.alpha is None else weights._replace(alpha=system.alpha),
         settings=settings,
         grasping=grasping,

@@ -20,8 +20,6 @@ class NormaliseConfig:
 
     draws: Count = 8
     """Random plans per validation task, for high."""
-    logarithm: bool = False
-    """Whether u_i of eq. (15) compares logarithms of diff, which cloths of many folds have larger by decades."""
     seed: Seed = 0
 
 
