@@ -60,6 +60,13 @@ def without(name: str) -> Callable[[], None]:
     return make
 
 
+def higher() -> None:
+    """Params by which voxels reach higher than the net knows."""
+    params = json.loads(Path("params.yaml").read_text())
+    params["app"] = {"cloud": {"height": 0.25}}
+    Path("params.yaml").write_text(json.dumps(params))
+
+
 CLOUD = np.random.default_rng(0).uniform(0, 0.4, (2000, 3)) * [1, 1, 0.01]
 TABLE = ("--table", 0, 0, 1, 0)
 DAMAGED = ("--data", "damaged")
@@ -94,6 +101,12 @@ STATES: list[tuple[Callable[[], None], tuple[object, ...], str, str]] = [
     (raw("cloth.zarr", "x"), ("cloth.zarr:0/1",), "cloth.zarr", "can't be read as a zarr store"),
     (nothing, ("{files}/cloud.npz", "--system", "b1"), "cloud.npz", "plans from a mesh"),
     (nothing, (START, "--data", "nowhere"), "nowhere/nets/pemd_a", "not found"),
+    (
+        higher,
+        ("{files}/cloud.npz",),
+        "app.cloud.height",
+        "is 0.25, but the net that estimates knows voxels up to 0.125",
+    ),
     (without("nets/vtm"), ("{files}/cloud.npz", *DAMAGED), "damaged/nets/vtm", "not found"),
     (without("normalisation/mesh.json"), (START, *DAMAGED), "normalisation/mesh.json", "not found"),
     (without("nets/pemd_b/net.json"), (START, *DAMAGED), "pemd_b/net.json", "no such file"),

@@ -114,6 +114,20 @@ def test_a_planner_sees_what_its_camera_shows(net: Net) -> None:
     np.testing.assert_allclose(blind.states, sight.estimates(np.asarray(voxels.observe(truth[::-1])), truth[::-1]))
 
 
+def test_eyes_look_as_high_as_their_net_knows(net: Net) -> None:
+    high = Net(VtMConfig(hidden=16, height=0.25), net.params)
+    truth = folded()[None] * np.array([1, 1, 4], np.float32)
+    seen = voxels.observe(truth, height=0.25)
+    assert (seen != voxels.observe(truth)).any()
+    sight = MeshSight(high, REFINE)
+    np.testing.assert_allclose(sight.see(truth, None).states, estimate(high, seen, REFINE).mesh, atol=1e-5)
+    before_camera = through_camera(dataclasses.replace(toy.planner("main"), sight=sight), PICTURE).sight
+    pictures = []
+    with mock.patch("clothkit.planning.camera_sight.take", lambda mesh, how: pictures.append(how) or take(mesh, how)):
+        before_camera.see(truth, None)
+    assert [how.cloud.height for how in pictures] == [0.25]
+
+
 def test_sessions_before_a_camera_are_held_against_those_without(tmp_path: Path) -> None:
     data = toy_dataset()
     data = dataclasses.replace(data, length=np.ones_like(data.length))

@@ -92,8 +92,15 @@ def vtm_of(data: Path) -> Net:
 
 def estimated(vtm: Net, seen: Seen, settings: Settings, *, expected: Believed | None = None) -> Estimate:
     """The estimate of one cloth, in a batch of one; its labels and refinement follow what was expected of it."""
+    _same_height(vtm, settings)
     predicted = None if expected is None else expected[None].astype(np.float32)
     return estimate(vtm, seen.observation.voxels[None], settings.plan.refine, predicted=predicted)
+
+
+def _same_height(vtm: Net, settings: Settings) -> None:
+    seen, known = settings.app.cloud.height, vtm.config.height
+    if seen != known:
+        raise InputError(f"app.cloud.height: is {seen}, but the net that estimates knows voxels up to {known}")
 
 
 def believed(
@@ -116,6 +123,7 @@ def believed(
         return mesh if expected is None else like(mesh, expected)
     vtm = vtm_of(data)
     if not system.refine:
+        _same_height(vtm, settings)
         predicted = None if expected is None else expected[None].astype(np.float32)
         return np.asarray(estimate_unrefined(vtm, seen.observation.voxels[None], predicted)[0])
     return np.asarray(estimated(vtm, seen, settings, expected=expected).mesh[0])

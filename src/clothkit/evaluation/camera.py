@@ -18,9 +18,11 @@ from clothkit.evaluation.arrays import Named
 from clothkit.evaluation.camera_settings import UNMEASURED, Condition, EvaluateCameraConfig
 from clothkit.evaluation.errors import errors
 from clothkit.networks.net import Net
+from clothkit.networks.vtm import seen_by
 from clothkit.observation.coverage import goal_iou
 from clothkit.observation.picture import Picture, PictureConfig, take
 from clothkit.planning.batches import in_batches
+from clothkit.planning.camera_sight import for_net
 
 NO_CAMERA = Condition(name="voxels")
 """What all other evaluations look at."""
@@ -90,7 +92,7 @@ def estimation(dataset: Dataset, vtm: Net, settings: EvaluateCameraConfig, refin
     place = [(s, state) for s in chosen.tolist() for state in range(1, min(STATES, int(dataset.length[s]) + 1))]
     sequence, state = np.array(place).T
     truth = dataset.vertices[sequence, state]
-    clean = np.asarray(voxels.observe(truth))
+    clean = np.asarray(seen_by(vtm, truth))
     # In turn after one, two and three manipulations, if a sequence is that long.
     stored = [
         place.index((s, min(1 + number % (STATES - 1), int(dataset.length[s]))))
@@ -102,7 +104,7 @@ def estimation(dataset: Dataset, vtm: Net, settings: EvaluateCameraConfig, refin
             none = np.zeros(len(truth))
             looked = Looked(clean, none, none + 1, [])
         else:
-            looked = look(truth, pictured(settings, condition), keep=stored, what=condition.name)
+            looked = look(truth, for_net(pictured(settings, condition), vtm), keep=stored, what=condition.name)
         mesh = in_batches(lambda seen: estimate(vtm, seen, refinement).mesh, TOGETHER, looked.voxels)
         seen = looked.voxels.any((1, 2, 3))
         measures = {

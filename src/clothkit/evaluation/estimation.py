@@ -7,7 +7,6 @@ import pandas as pd
 from jaxtyping import Bool, Float, Int
 from tqdm import tqdm
 
-from clothkit.cloth import voxels
 from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.dataset.store import SPLITS, STATES, Dataset
 from clothkit.estimation.estimate import estimate
@@ -15,6 +14,7 @@ from clothkit.evaluation.arrays import Named
 from clothkit.evaluation.errors import errors, labelled_errors, labels_of_truth, sigma_ratio
 from clothkit.evaluation.settings import EvaluateEstimationConfig
 from clothkit.networks.net import Net
+from clothkit.networks.vtm import seen_by
 
 
 class Estimates(NamedTuple):
@@ -56,7 +56,7 @@ def estimates(dataset: Dataset, net: Net, settings: EvaluateEstimationConfig) ->
     for start in tqdm(range(0, len(truth), settings.batch), desc="estimates", unit="batch"):
         # A last batch that is filled up needs no compilation of its own.
         chosen = np.minimum(np.arange(start, start + settings.batch), len(truth) - 1)
-        estimated = estimate(net, voxels.observe(truth[chosen]), settings.refine)
+        estimated = estimate(net, seen_by(net, truth[chosen]), settings.refine)
         label = labels_of_truth(estimated.mesh, truth[chosen])
         kept = min(settings.batch, len(truth) - start)
         parts.append(tuple(np.asarray(a)[:kept] for a in (*estimated.probabilistic, estimated.mesh, label)))

@@ -4,6 +4,7 @@ from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Le, MinLen
 
+from clothkit.cloth.voxels import HEIGHT
 from clothkit.config import config
 
 Count = Annotated[int, Gt(0)]
@@ -43,6 +44,8 @@ class VtMConfig:
     """As for the forward models."""
     canonical: bool = False
     """Whether the net sees all voxels lying widest along x (canonical.py); four views of eight are left then."""
+    height: Rate = HEIGHT
+    """Upper end of the voxels that it sees [normalised]."""
 
 
 @config
@@ -145,8 +148,6 @@ class TrainVtMConfig:
     """As for the forward models; whatever the recipe."""
     flat: Share = 0.05
     """Share of flat cloths among the examples: every sequence starts with the same one."""
-    height: Rate = 0.125
-    """Upper end of the voxel viewport [normalised]."""
     rare: Share = 0.0
     """Voxels that are occupied in no more than this share of the examples are left out: their weights are zero."""
 

@@ -2,12 +2,12 @@
 
 import flax.linen as nn
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree, Shaped
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree, Shaped
 from numpy import ndarray
 
 from clothkit.cloth.equivalents import COUNT, REVERSE_U, REVERSE_V, SWAP, equivalents, relabel
 from clothkit.cloth.mesh import Mesh, ProbabilisticMesh, distance
-from clothkit.cloth.voxels import RESOLUTION
+from clothkit.cloth.voxels import RESOLUTION, observe
 from clothkit.networks.canonical import lies_along_y
 from clothkit.networks.layers import dense, probabilistic_mesh, probabilistic_output, run
 from clothkit.networks.net import Net
@@ -33,6 +33,11 @@ class VtM(nn.Module):
 def initial(config: VtMConfig, start: Start = Start(), *, key: PRNGKeyArray) -> PyTree:  # noqa: B008
     """Weights to start training from."""
     return VtM(config, start).init(key, jnp.zeros(RESOLUTION))["params"]
+
+
+def seen_by(net: Net, mesh: Float[Array | ndarray, "*batch u v 3"]) -> Bool[Array, "*batch 32 32 16"]:
+    """What a camera above sees of meshes, up to the height that the net knows."""
+    return observe(mesh, height=net.config.height)
 
 
 def estimate(net: Net, voxels: Shaped[Array | ndarray, "*batch 32 32 16"]) -> ProbabilisticMesh:

@@ -64,9 +64,9 @@ def observed(
 ) -> Bool[Array, "batch 32 32 16"]:
     """Training input: doubled, duplicated with noise, occluded; without noise two copies are one."""
     if settings.noise == 0:
-        return voxels.observe(mesh, height=settings.height)
+        return voxels.observe(mesh, height=settings.net.height)
     noise_z = settings.noise * settings.noise_z_factor
-    return voxels.observe_noisily(mesh, noise=settings.noise, noise_z=noise_z, height=settings.height, key=key)
+    return voxels.observe_noisily(mesh, noise=settings.noise, noise_z=noise_z, height=settings.net.height, key=key)
 
 
 def shown(
@@ -149,7 +149,7 @@ def problem(settings: TrainVtMConfig, validation: Dataset, chosen: Int[np.ndarra
 
     @jax.jit
     def errors_of(params: PyTree, mesh: Float[Array, "batch u v 3"]) -> Float[Array, " batch"]:
-        mesh, seen = shown(mesh, voxels.observe(mesh, height=settings.height), settings.net)
+        mesh, seen = shown(mesh, voxels.observe(mesh, height=settings.net.height), settings.net)
         return meshes.error(estimated(params, seen).mean, mesh)
 
     longest = int(validation.length.max())

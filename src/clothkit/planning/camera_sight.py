@@ -5,9 +5,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from clothkit.cloth import voxels
 from clothkit.cloth.grid import flat
 from clothkit.errors import InputError
+from clothkit.networks.net import Net
+from clothkit.networks.vtm import seen_by
 from clothkit.observation.picture import PictureConfig, take
 from clothkit.planning.planner import Planner
 from clothkit.planning.sight import Meshes, MeshSight, States, View
@@ -24,16 +25,23 @@ class CameraSight(MeshSight):
 
         A cloth that no picture shows is taken for what was expected, or else for the flat one, in its true place.
         """
+        assert self.vtm is not None, "a sight that estimates has a net for it"
+        picture_of = for_net(self.picture, self.vtm)
         seen, shift = [], np.zeros((len(truth), 2), np.float32)
         for number, mesh in enumerate(truth):
             try:
-                picture = take(mesh, self.picture)
+                picture = take(mesh, picture_of)
             except InputError:
-                seen.append(np.asarray(voxels.observe(flat() if expected is None else expected[number])))
+                seen.append(np.asarray(seen_by(self.vtm, flat() if expected is None else expected[number])))
                 continue
             seen.append(picture.observation.voxels)
             shift[number] = picture.shift
         return View(self.estimates(np.stack(seen), expected), shift)
+
+
+def for_net(picture: PictureConfig, vtm: Net) -> PictureConfig:
+    """Pictures whose clouds become voxels up to the height that the net knows."""
+    return dataclasses.replace(picture, cloud=dataclasses.replace(picture.cloud, height=vtm.config.height))
 
 
 def through_camera(planner: Planner, picture: PictureConfig) -> Planner:

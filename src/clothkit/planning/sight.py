@@ -20,6 +20,7 @@ from clothkit.estimation.refine import RefineConfig, refine
 from clothkit.manipulation.candidates import CandidateConfig, candidates, voxel_candidates
 from clothkit.manipulation.geometry import to_cartesian, to_geodesic
 from clothkit.networks.net import Net
+from clothkit.networks.vtm import seen_by
 from clothkit.planning.batches import in_batches
 from clothkit.planning.draw import EXTENT, RASTER
 from clothkit.planning.forward import MESH, Forward
@@ -32,7 +33,8 @@ CORNERS = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]], np.float32)
 TOGETHER = 24
 """States that are estimated as one program."""
 
-_observe, _to_cartesian, _relabel_batch = jax.jit(voxels.observe), jax.jit(to_cartesian), jax.jit(relabel_batch)
+_observe, _seen_by = jax.jit(voxels.observe), jax.jit(seen_by)
+_to_cartesian, _relabel_batch = jax.jit(to_cartesian), jax.jit(relabel_batch)
 _distance_aligned, _best_label = jax.jit(distance_aligned), jax.jit(best_label)
 
 Meshes = Float[np.ndarray, "task u v 3"]
@@ -129,7 +131,7 @@ class MeshSight:
     def see(self, truth: Meshes, expected: States | None) -> View:
         if self.vtm is None:
             return _well_centred(truth)
-        return _well_centred(self.estimates(np.asarray(_observe(truth)), expected))
+        return _well_centred(self.estimates(np.asarray(_seen_by(self.vtm, truth)), expected))
 
     def estimates(self, seen: Shaped[np.ndarray, "task x y z"], expected: Meshes | None) -> Meshes:
         """The meshes that voxels show."""
