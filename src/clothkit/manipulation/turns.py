@@ -25,7 +25,7 @@ def turn_manipulation(
     return jnp.concatenate([manipulation[..., :4], turn(manipulation[..., 4:6], matrix)], axis=-1)
 
 
-def turn_mesh(mesh: Float[Array, "*batch u v 3"], matrix: Float[Array, "*batch 2 2"]) -> Float[Array, "*batch u v 3"]:
+def turn_mesh(mesh: Float[Array, "*batch u v 3"], matrix: Float[Array, "*#batch 2 2"]) -> Float[Array, "*batch u v 3"]:
     """The mesh turned or mirrored about z."""
     xy = turn(mesh[..., :2], matrix[..., None, None, :, :])
     return jnp.concatenate([xy, mesh[..., 2:]], axis=-1)

@@ -111,11 +111,17 @@ def shift_undone(shift: Float[Array, "*batch 2"], frame: Frame) -> Float[Array, 
 
 def voxel_frame(voxels: Shaped[Array, "*batch x y z"]) -> Frame:
     """The frame in which centred voxels are described canonically, of the eight that right angles and mirrors make."""
+    k = eighth(*_moments(voxels, 2), *_moments(voxels, 3))
+    return Frame(axes(k), k)
+
+
+def _moments(
+    voxels: Shaped[Array, "*batch x y z"], power: int
+) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+    """Of what voxels cover seen from above, along x and along y, about the middle, [*batch] each."""
     seen = jnp.any(voxels > 0, axis=-1)
     x, y = (jnp.arange(side) - (side - 1) / 2 for side in seen.shape[-2:])
-    moments = [(jnp.einsum("...xy,x->...", seen, x**n), jnp.einsum("...xy,y->...", seen, y**n)) for n in (2, 3)]
-    k = eighth(*moments[0], *moments[1])
-    return Frame(axes(k), k)
+    return jnp.einsum("...xy,x->...", seen, x**power), jnp.einsum("...xy,y->...", seen, y**power)
 
 
 def voxels_described(voxels: Shaped[Array, "*batch x y z"], frame: Frame) -> Shaped[Array, "*batch x y z"]:
@@ -147,7 +153,7 @@ def unframed(latent: Float[Array, "*batch units_and_frame"]) -> tuple[Float[Arra
     return latent[..., :-FRAME], Frame(matrix, latent[..., -1].astype(jnp.int32))
 
 
-def known(
+def trace_within(
     trace: Float[Array, "*batch units_and_frame"], latent: Float[Array, "*batch units_and_frame"]
 ) -> Float[Array, "*batch units"]:
     """A trace without its frame; zero if that is not the latent's."""
@@ -157,6 +163,5 @@ def known(
 
 def lies_along_y(voxels: Bool[Array, "*batch x y z"]) -> Bool[Array, "*batch"]:
     """Whether voxels, seen from above, lie wider along y than along x."""
-    seen = jnp.any(voxels, axis=-1)
-    x, y = (jnp.arange(side) - (side - 1) / 2 for side in seen.shape[-2:])
-    return jnp.einsum("...xy,y->...", seen, y**2) > jnp.einsum("...xy,x->...", seen, x**2)
+    along_x, along_y = _moments(voxels, 2)
+    return along_y > along_x

@@ -18,8 +18,8 @@ from clothkit.manipulation.vector import displacement, grasp_points
 from clothkit.networks.canonical import (
     cartesian_described,
     framed,
-    known,
     shift_undone,
+    trace_within,
     unframed,
     voxel_frame,
     voxels_described,
@@ -181,7 +181,7 @@ def step(
         return run(module, net.params, latent, trace, manipulation, method="step")
     units, found = unframed(latent)
     described_so = cartesian_described(manipulation, found)
-    units, left, shift = run(module, net.params, units, known(trace, latent), described_so, method="step")
+    units, left, shift = run(module, net.params, units, trace_within(trace, latent), described_so, method="step")
     return framed(units, found), framed(left, found), shift_undone(shift, found)
 
 

@@ -15,9 +15,9 @@ from clothkit.networks.canonical import (
     described,
     frame,
     framed,
-    known,
     manipulation_described,
     shift_undone,
+    trace_within,
     undone,
     unframed,
 )
@@ -197,7 +197,7 @@ def step(
         return run(module, net.params, latent, trace, manipulation, method="step")
     units, found = unframed(latent)
     described_so = manipulation_described(manipulation, found)
-    units, left, shift = run(module, net.params, units, known(trace, latent), described_so, method="step")
+    units, left, shift = run(module, net.params, units, trace_within(trace, latent), described_so, method="step")
     return framed(units, found), framed(left, found), shift_undone(shift, found)
 
 

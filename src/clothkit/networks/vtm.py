@@ -5,10 +5,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree, Shaped
 from numpy import ndarray
 
-from clothkit.cloth.equivalents import COUNT, REVERSE_U, REVERSE_V, SWAP, equivalents, relabel
+from clothkit.cloth.equivalents import COUNT, SWAP, equivalents, relabel
 from clothkit.cloth.mesh import Mesh, ProbabilisticMesh, distance
 from clothkit.cloth.voxels import RESOLUTION, observe
-from clothkit.networks.canonical import lies_along_y
+from clothkit.manipulation.turns import turn_mesh
+from clothkit.networks.canonical import axes, lies_along_y
 from clothkit.networks.layers import dense, probabilistic_mesh, probabilistic_output, run
 from clothkit.networks.net import Net
 from clothkit.networks.settings import Start, VtMConfig
@@ -77,29 +78,12 @@ def back(estimated: ProbabilisticMesh, k: int | Int[Array, "*batch"]) -> Probabi
 
 def turned(mesh: Mesh, k: int | Int[Array, "*batch"]) -> Float[Array, "*batch u v 3"]:
     """A mesh as equivalent k, done to x and y instead of u and v, shows it."""
-    x, y, z = _axes_of(mesh)
-    x, y = _swapped(x, y, k)
-    return jnp.stack([*_reversed(x, y, k), z], axis=-1)
+    return turn_mesh(jnp.asarray(mesh), axes(jnp.asarray(k)))
 
 
 def turned_back(mesh: Mesh, k: int | Int[Array, "*batch"]) -> Float[Array, "*batch u v 3"]:
     """The opposite of `turned`."""
-    x, y, z = _axes_of(mesh)
-    return jnp.stack([*_swapped(*_reversed(x, y, k), k), z], axis=-1)
-
-
-def _axes_of(mesh: Mesh) -> Float[Array, "xyz *batch u v"]:
-    return jnp.moveaxis(jnp.asarray(mesh), -1, 0)
-
-
-def _swapped(x: Array, y: Array, k: int | Array) -> tuple[Array, Array]:
-    swap = jnp.asarray(k)[..., None, None] & SWAP > 0
-    return jnp.where(swap, y, x), jnp.where(swap, x, y)
-
-
-def _reversed(x: Array, y: Array, k: int | Array) -> tuple[Array, Array]:
-    signs = (jnp.where(jnp.asarray(k)[..., None, None] & bit, -1, 1) for bit in (REVERSE_U, REVERSE_V))
-    return tuple(sign * axis for sign, axis in zip(signs, (x, y), strict=True))  # type: ignore[return-value]
+    return turn_mesh(jnp.asarray(mesh), jnp.swapaxes(axes(jnp.asarray(k)), -1, -2))
 
 
 def relabelled_like(values: Mesh, like: Mesh, mesh: Mesh) -> Float[Array, "*batch u v 3"]:
