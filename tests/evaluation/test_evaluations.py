@@ -14,7 +14,7 @@ from clothkit.dataset.tasks import TASKS
 from clothkit.errors import InputError
 from clothkit.estimation.refine import RefineConfig
 from clothkit.evaluation import arrays, estimation, prediction
-from clothkit.evaluation.occupancy import occupancy
+from clothkit.evaluation.occupancy import occupancy, seen_occupancy
 from clothkit.evaluation.settings import EvaluateEstimationConfig, EvaluatePredictionConfig
 from clothkit.networks import pemd, vtm
 from clothkit.networks.net import Net
@@ -100,8 +100,10 @@ def test_prediction_rows(dataset: Dataset, forward: dict[str, Net], estimates: e
     views = [np.asarray(voxels.observe(dataset.vertices[2, i])) for i in (1, 3)]
     assert row["voxel_error_no_action"] == pytest.approx(np.mean(views[0] != views[1]), rel=1e-4)
     made, _, _ = rollout(forward["b"], given.meshes["main"][given.sequence == 2, 1], dataset.manipulation[2:3, 1:3])
-    certain = occupancy(ProbabilisticMesh(*(np.asarray(part)[1] for part in made)), occluded=True)
-    assert row["voxel_error"] == pytest.approx(np.abs(np.asarray(certain)[0] - views[1]).mean(), rel=1e-4)
+    expected = seen_occupancy(
+        ProbabilisticMesh(*(np.asarray(part)[1] for part in made)), draws=256, key=jax.random.key(9)
+    )
+    assert row["voxel_error"] == pytest.approx(np.abs(np.asarray(expected)[0] - views[1]).mean(), rel=0.05)
     assert (tidy.loc[tidy["sequence"] == 3, ["start", "length"]].sum(axis=1) <= 2).all()
     assert set(tidy.loc[tidy["better"], "net"]) == {"b"}
     assert set(zip(tidy["start"], tidy["length"], strict=True)) == set(TASKS)

@@ -12,13 +12,16 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, Shaped
 
 from clothkit.cloth.mesh import ProbabilisticMesh
-from clothkit.cloth.voxels import HEIGHT, RESOLUTION, double
+from clothkit.cloth.voxels import HEIGHT, RESOLUTION, observe
 
 SAMPLES = 1024
 """Random samples per vertex in the paper."""
 
-_TOGETHER = (8, 9)
-"""Vertices combined in one pass over the voxels, which is what bounds the speed: the first that divides them all."""
+DRAWS = 16
+"""Meshes drawn from a prediction to be looked at; differences from binary voxels are linear, so that few will do."""
+
+_TOGETHER = 8
+"""Vertices combined in one pass over the voxels, which is what bounds the speed."""
 
 
 def _shares(edges: Float[np.ndarray, " edges"], mean: Array, std: Array) -> Float[Array, "... bins"]:
@@ -34,31 +37,22 @@ def _edges(height: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return np.linspace(-1, 1, nx + 1), np.linspace(-1, 1, ny + 1), z
 
 
-@partial(jax.jit, static_argnames=("occluded", "height"))
-def occupancy(
-    mesh: ProbabilisticMesh, *, occluded: bool = False, height: float = HEIGHT
-) -> Float[Array, "batch 32 32 16"]:
+@partial(jax.jit, static_argnames="height")
+def occupancy(mesh: ProbabilisticMesh, *, height: float = HEIGHT) -> Float[Array, "batch 32 32 16"]:
     """Eq. (16): the probability that at least one vertex falls into each voxel, 0..1.
 
     Exact: each vertex's share of a voxel is the integral of its normal distribution over it, a product of differences
-    of one-dimensional distribution functions. `occluded`: the probability that a vertex of the mesh at twice its
-    resolution falls into a voxel or above it, which is what `voxels.observe` makes of a mesh that is certain.
+    of one-dimensional distribution functions.
     """
-    if occluded:
-        mesh = ProbabilisticMesh(*(double(part) for part in mesh))
-    vertices = mesh.mean.shape[-3] * mesh.mean.shape[-2]
-    together = next(count for count in _TOGETHER if vertices % count == 0)
-    mean, std = (jnp.asarray(part).reshape(len(part), -1, together, 3) for part in mesh)
+    mean, std = (jnp.asarray(part).reshape(len(part), -1, _TOGETHER, 3) for part in mesh)
 
     def combine(occupied: Array, vertices: tuple[Array, Array]) -> tuple[Array, None]:
         mean, std = vertices
         x, y, z = (_shares(edges, mean[..., i], std[..., i]) for i, edges in enumerate(_edges(height)))
         columns = x[..., :, None] * y[..., None, :]
-        if occluded:
-            z = jax.lax.cumsum(z, axis=z.ndim - 1, reverse=True)
         # Eq. (16)'s product, each vertex taking its share of what is still empty: as exact as a sum of logarithms for
         # shares near 0 and near 1, without the logarithms.
-        for i in range(together):
+        for i in range(_TOGETHER):
             occupied = occupied + columns[:, i, :, :, None] * z[:, i, None, None, :] * (1 - occupied)
         return occupied, None
 
@@ -88,6 +82,18 @@ def sampled_occupancy(
     start = jnp.ones((mean.shape[1], nx * ny * nz))
     empty, _ = jax.lax.scan(combine, start, (mean, std, jax.random.split(key, len(mean))))
     return (1 - empty).reshape(-1, *RESOLUTION)
+
+
+@partial(jax.jit, static_argnames="draws")
+def seen_occupancy(mesh: ProbabilisticMesh, *, draws: int = DRAWS, key: PRNGKeyArray) -> Float[Array, "batch 32 32 16"]:
+    """The share of meshes drawn from a prediction, each vertex by itself as in eq. (16), in which a camera above sees a
+    voxel occupied: doubled and occluded."""
+    mean, std = (jnp.asarray(part) for part in mesh)
+
+    def draw(key: PRNGKeyArray) -> Array:
+        return observe(mean + std * jax.random.normal(key, mean.shape)).astype(jnp.float32)
+
+    return jnp.mean(jax.lax.map(draw, jax.random.split(key, draws)), axis=0)
 
 
 @jax.jit

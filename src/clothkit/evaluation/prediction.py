@@ -17,7 +17,7 @@ from clothkit.dataset.tasks import TASKS
 from clothkit.errors import InputError
 from clothkit.evaluation.arrays import Named
 from clothkit.evaluation.errors import errors, relabelled, sigma_ratio
-from clothkit.evaluation.occupancy import differences, occupancy
+from clothkit.evaluation.occupancy import differences, occupancy, seen_occupancy
 from clothkit.evaluation.settings import EvaluatePredictionConfig
 from clothkit.networks.net import Net
 from clothkit.networks.pemd import rollout
@@ -63,7 +63,7 @@ def rows(
     [mean voxel difference, 0..1]. Predictions are not aligned beyond the centring; no action is (design 2), but in
     voxels. position_error is that of the predicted centre shift, eq. (7); position_no_action that of no shift at all.
     Voxels of predictions are eq. (16)'s, those of states undoubled, free of noise and unoccluded (design 6.14). The
-    rows of main's better net come again as system `OCCLUDED`, with all voxels doubled and occluded, and without error.
+    rows of main's better net come again as system `OCCLUDED`, all voxels being what a camera would see (`seen_occupancy`), without error.
     """
     tidy = []
     jobs = [(system, net, task) for system in given.meshes for net in sorted(nets) for task in TASKS]
@@ -102,7 +102,7 @@ def rows(
         if system == "main" and net == better:
             seen = np.asarray(voxels.observe(truth))
             measured = {
-                "voxel_error": _voxel_errors(final, seen, settings.batch, occluded=True),
+                "voxel_error": _voxel_errors(final, seen, settings.batch, seen=True),
                 "voxel_error_no_action": np.asarray(differences(voxels.observe(first), seen)),
             }
             tidy.append(
@@ -150,13 +150,14 @@ def predict(
 
 
 def _voxel_errors(
-    mesh: ProbabilisticMesh, truth: Bool[np.ndarray, "n 32 32 16"], batch: int, *, occluded: bool = False
+    mesh: ProbabilisticMesh, truth: Bool[np.ndarray, "n 32 32 16"], batch: int, *, seen: bool = False
 ) -> np.ndarray:
     """Mean voxel differences [n] of predicted meshes, in batches of one size, so that memory is bounded."""
     parts = []
     for first in range(0, len(truth), batch):
         chosen = np.minimum(np.arange(first, first + batch), len(truth) - 1)
-        predicted = occupancy(ProbabilisticMesh(mesh.mean[chosen], mesh.std[chosen]), occluded=occluded)
+        some = ProbabilisticMesh(mesh.mean[chosen], mesh.std[chosen])
+        predicted = seen_occupancy(some, key=jax.random.key(first)) if seen else occupancy(some)
         parts.append(np.asarray(differences(predicted, truth[chosen]))[: len(truth) - first])
     return np.concatenate(parts)
 

@@ -31,8 +31,8 @@ VOXELS = (
     "The same predictions in voxels: mean absolute difference of voxel values. *a2* is the paper's voxel baseline, "
     "which sees, and predicts, voxels. Meshes become voxels by eq. (16), and their truth is unoccluded, a vertex per "
     "grid point. *a2* predicts what a camera above sees, and its truth is that: occluded, at twice the mesh's "
-    "resolution; so is its *no action*. *main_occluded* has *main*'s predictions brought into that format, which makes "
-    "the two comparable.\n"
+    "resolution; so is its *no action*. *main_occluded* are *main*'s predictions in that format, as the share of "
+    "meshes drawn from them in which a camera sees a voxel occupied: those two can be held against each other.\n"
 )
 COMPARISONS = (
     "The two on the same tasks: mean difference (system minus the one it is held against: below zero the first is "
