@@ -63,7 +63,8 @@ def rows(
     [mean voxel difference, 0..1]. Predictions are not aligned beyond the centring; no action is (design 2), but in
     voxels. position_error is that of the predicted centre shift, eq. (7); position_no_action that of no shift at all.
     Voxels of predictions are eq. (16)'s, those of states undoubled, free of noise and unoccluded (design 6.14). The
-    rows of main's better net come again as system `OCCLUDED`, all voxels being what a camera would see (`seen_occupancy`), without error.
+    rows of main's better net come again as system `OCCLUDED`, all voxels being what a camera would see
+    (`seen_occupancy`), without error.
     """
     tidy = []
     jobs = [(system, net, task) for system in given.meshes for net in sorted(nets) for task in TASKS]
