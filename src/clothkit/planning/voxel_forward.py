@@ -42,7 +42,7 @@ def target(goals: Shaped[Array, "*goals x y z"]) -> Float[Array, "*goals x y z"]
     return jnp.asarray(goals, jnp.float32)
 
 
-def whole(goals: Float[Array, "*goals x y z"], every: int) -> Float[Array, "*goals x y z"]:
+def whole(goals: Shaped[Array, "*goals x y z"], every: int) -> Shaped[Array, "*goals x y z"]:
     """All voxels."""
     return goals
 
