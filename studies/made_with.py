@@ -21,5 +21,6 @@ def made_with(paths: Iterable[Path], *settings: Any) -> str:
 
 def read(path: Path, columns: list[str], of: str) -> pd.DataFrame:
     """The rows that are there already and were made with the same; none, with some columns, if none were."""
-    table = pd.read_csv(path) if path.exists() else pd.DataFrame(columns=[*columns, NAME])
+    # As text: some digests look like numbers.
+    table = pd.read_csv(path, dtype={NAME: str}) if path.exists() else pd.DataFrame(columns=[*columns, NAME])
     return table[table[NAME] == of] if NAME in table else table[:0]

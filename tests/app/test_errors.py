@@ -105,7 +105,7 @@ STATES: list[tuple[Callable[[], None], tuple[object, ...], str, str]] = [
         higher,
         ("{files}/cloud.npz",),
         "app.cloud.height",
-        "is 0.25, but the net that estimates knows voxels up to 0.125",
+        "is 0.25, but data/nets/vtm knows voxels up to 0.125",
     ),
     (without("nets/vtm"), ("{files}/cloud.npz", *DAMAGED), "damaged/nets/vtm", "not found"),
     (without("normalisation/mesh.json"), (START, *DAMAGED), "normalisation/mesh.json", "not found"),

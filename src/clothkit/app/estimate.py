@@ -53,7 +53,7 @@ def command(file: str, *, out: Path, sigma: Path | None, data: Path, mask: str |
     with part("look"):
         seen = look(file, how, mask=mask)
     with part("estimate"):
-        found = estimated(vtm_of(data), seen, given)
+        found = estimated(vtm_of(data, given), seen, given)
     mesh, mean = (np.asarray(part[0], float) for part in (found.mesh, found.probabilistic.mean))
     std = np.asarray(found.probabilistic.std[0], float)
     place, scale = seen.pose.normalised_to_table, seen.pose.scale

@@ -82,25 +82,21 @@ def _check_description(path: Path) -> None:
         raise InputError(f"{path}: expected a net's kind and widths, found something else") from error
 
 
-def vtm_of(data: Path) -> Net:
-    """The net that sees meshes in voxels. Raises InputError."""
+def vtm_of(data: Path, settings: Settings) -> Net:
+    """The net that sees meshes in voxels. Raises InputError, also when clouds become voxels of another height."""
     path = data / "nets/vtm"
     if not path.exists():
         raise InputError(f"{path}: not found, it sees meshes in voxels; dvc repro makes it")
-    return store.load(path)
+    vtm, height = store.load(path), settings.app.cloud.height
+    if height != vtm.config.height:
+        raise InputError(f"app.cloud.height: is {height}, but {path} knows voxels up to {vtm.config.height}")
+    return vtm
 
 
 def estimated(vtm: Net, seen: Seen, settings: Settings, *, expected: Believed | None = None) -> Estimate:
     """The estimate of one cloth, in a batch of one; its labels and refinement follow what was expected of it."""
-    _same_height(vtm, settings)
     predicted = None if expected is None else expected[None].astype(np.float32)
     return estimate(vtm, seen.observation.voxels[None], settings.plan.refine, predicted=predicted)
-
-
-def _same_height(vtm: Net, settings: Settings) -> None:
-    seen, known = settings.app.cloud.height, vtm.config.height
-    if seen != known:
-        raise InputError(f"app.cloud.height: is {seen}, but the net that estimates knows voxels up to {known}")
 
 
 def believed(
@@ -121,9 +117,8 @@ def believed(
                 "system main estimates it"
             )
         return mesh if expected is None else like(mesh, expected)
-    vtm = vtm_of(data)
+    vtm = vtm_of(data, settings)
     if not system.refine:
-        _same_height(vtm, settings)
         predicted = None if expected is None else expected[None].astype(np.float32)
         return np.asarray(estimate_unrefined(vtm, seen.observation.voxels[None], predicted)[0])
     return np.asarray(estimated(vtm, seen, settings, expected=expected).mesh[0])
@@ -134,7 +129,7 @@ def goal_of(system: System, seen: Seen, data: Path, settings: Settings) -> Belie
     if system.voxels:
         return seen.observation.voxels
     mesh = mesh_of(seen)
-    return np.asarray(estimated(vtm_of(data), seen, settings).mesh[0]) if mesh is None else mesh
+    return np.asarray(estimated(vtm_of(data, settings), seen, settings).mesh[0]) if mesh is None else mesh
 
 
 def mesh_of(seen: Seen) -> Float[np.ndarray, "u v 3"] | None:

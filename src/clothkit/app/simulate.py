@@ -97,7 +97,7 @@ def command(
     mesh, pose = (mesh_of(seen), seen.pose) if seen else _start(plan, source)
     if mesh is None and seen:
         with part("estimate"):
-            mesh = np.asarray(estimated(vtm_of(data), seen, given).mesh[0])
+            mesh = np.asarray(estimated(vtm_of(data, given), seen, given).mesh[0])
     assert mesh is not None
     with part("simulate"):
         hands = seen.pose if seen and seen.kind == "points" and plan.frame == "camera" else None

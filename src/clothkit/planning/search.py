@@ -213,7 +213,7 @@ def _search_one(
 
 def _strange(strains: _Strains, problem: Problem, settings: SearchConfig) -> Bool[Array, " strains"]:
     """Strains whose first manipulation is of a kind that was never recorded: the nets' word on it is worthless, and
-    they agree on it. Their hands are on different sides of m, or q is off the cloth. Nulls were recorded, whatever."""
+    they agree on it. Their hands are on different sides of m, or q is off the cloth. Nulls of all kinds are known."""
     first = strains.plan[:, 0]
     strange = ~jnp.asarray(release_points(strains.grasps, first[:, 4:]).same_side) & ~is_null(first)
     if settings.fold:

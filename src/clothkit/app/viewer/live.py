@@ -80,7 +80,7 @@ def begin(
     if truth is None:
         truth = look.estimate
         if system.voxels:
-            truth = np.asarray(estimated(vtm_of(data), start, settings).mesh[0])
+            truth = np.asarray(estimated(vtm_of(data, settings), start, settings).mesh[0])
     wanted = goal_of(system, goal, data, settings)
     mesh = mesh_of(goal)
     shown = Session(title, length, wanted if mesh is None else mesh, (truth,), (matched(Step(look), truth),))
@@ -94,7 +94,7 @@ def look_at(planner: Planner, seen: Seen, data: Path, settings: Settings, *, pas
     if system.voxels or system.true_meshes or not system.refine:
         state, sigma = believed(system, seen, data, settings, expected=expected), None
     else:
-        found = estimated(vtm_of(data), seen, settings, expected=expected)
+        found = estimated(vtm_of(data, settings), seen, settings, expected=expected)
         state, sigma = np.asarray(found.mesh[0]), np.asarray(found.probabilistic.std[0])
     return Look(state, sigma, planner.sight.grasps(state, planner.grasping))
 
