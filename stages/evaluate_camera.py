@@ -12,7 +12,7 @@ from clothkit.planning import record
 from clothkit.planning.loss import Weights
 from clothkit.planning.planner import artifacts, assemble
 from clothkit.planning.systems import SYSTEMS
-from clothkit.simulation.executor import execute
+from clothkit.simulation.executor import end_workers, execute
 from clothkit.stage import stage
 
 DATA = Path("data")
@@ -35,6 +35,7 @@ def main() -> None:
         simulator = partial(execute, settings=simulate.simulation)
         without = record.load(SESSIONS)
         planning = camera_planning.planning(dataset, planner, simulator, without, s.params, work=work / made_with)
+        end_workers()
         arrays.save(work / "pictures.zarr", estimation.arrays, s.attributes)
         write_rows(work / "estimation.parquet", estimation.rows, s.attributes)
         write_rows(work / "planning.parquet", planning, s.attributes)

@@ -5,6 +5,8 @@ import sys
 from functools import partial
 from pathlib import Path
 
+import pandas as pd
+
 from clothkit.dataset import store
 from clothkit.dataset.rows import write_rows
 from clothkit.planning.evaluate import cost, evaluate
@@ -13,7 +15,7 @@ from clothkit.planning.planner import artifacts, assemble
 from clothkit.planning.record import save
 from clothkit.planning.rows import rows
 from clothkit.planning.systems import SYSTEMS
-from clothkit.simulation.executor import execute
+from clothkit.simulation.executor import end_workers, execute
 from clothkit.stage import stage
 
 DATA = Path("data")
@@ -34,9 +36,11 @@ def main(name: str) -> None:
         simulator = partial(execute, settings=simulate.simulation)
         sessions, clock = evaluate(store.load(MESHES), planner, simulator, work=pieces)
         s.costs.update(cost(clock))
+        end_workers()
         attributes = {**s.attributes, **planner.weights._asdict()}
         save(work / "sessions.zarr", sessions, attributes)
-        write_rows(work / "rows.parquet", rows(sessions, name), attributes)
+        found = pd.concat([rows(piece, name) for piece in sessions], ignore_index=True)
+        write_rows(work / "rows.parquet", found, attributes)
         s.publish(work / "sessions.zarr", f"data/evaluation/planning/sessions_{name}.zarr")
         s.publish(work / "rows.parquet", f"data/evaluation/planning/{name}.parquet")
 

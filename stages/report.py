@@ -9,7 +9,7 @@ from clothkit.report import page
 from clothkit.report.build import build
 from clothkit.report.html import page as html
 from clothkit.report.inputs import paths, read
-from clothkit.report.timings import table_8, timings
+from clothkit.report.timings import table_8, timings, training
 from clothkit.stage import stage
 
 DATA, TIMINGS = Path("data"), Path(".work/timings")
@@ -39,7 +39,7 @@ def main() -> None:
         costs.to_csv(report / "timings.csv", index=False, lineterminator="\n")
         speed = table_8(TIMINGS, s.params.planners)
         speed.to_csv(report / "table_8.csv", index=False, float_format="%.5g", lineterminator="\n")
-        (report / "table_8.md").write_text(page.table_8(speed))
+        (report / "table_8.md").write_text(page.table_8(speed, training(costs)))
         run = html.Run((report / "params.yaml").read_text(), costs, speed)
         (report / "index.html").write_text(html.page(contents, report / "figures", run))
         for out in OUTS:

@@ -1,11 +1,12 @@
 """What trains a net best in the same time?  python studies/recipes.py NET MINUTES [VARIANT ..] [--seeds 0 1 2]
 
-NET is pemd or vtm. Every variant (all of VARIANTS[NET] if none is named) changes BASES[NET], which changes the settings
-of the scale in force: what a study compares does not move when the settings do. It is given as many iterations as fit
-into so many CPU minutes by a measurement of its own, and is trained with its schedule over them. The validation score
-after each tenth goes to reports/<scale>/studies/recipes_<net>.csv beside iterations and CPU minutes (compilation and
-validation left out), with the variant, its settings and its seed; what is there already is not done again.
-recipes_<net>.png shows them. Needs `dvc repro augment`.
+NET is pemd, vtm or emd_voxel. Every variant (all of VARIANTS[NET] if none is named) changes BASES[NET], which changes
+the settings of the scale in force: what a study compares does not move when the settings do. It is given as many
+iterations as fit into so many CPU minutes by a measurement of its own, and is trained with its schedule over them. The
+validation score after each tenth goes to reports/<scale>/studies/recipes_<net>.csv beside iterations and CPU minutes
+(compilation and validation left out), with the variant, its settings and its seed; what is there already is not done
+again, unless it was made with other data or another base (`made_with`), whose rows are dropped. recipes_<net>.png shows
+them. Scores of pemd and vtm are in cloth lengths, those of emd_voxel mean voxel differences. Needs `dvc repro augment`.
 """
 
 import argparse
@@ -19,9 +20,10 @@ from typing import Any
 
 import jax
 import pandas as pd
+from made_with import NAME, made_with, read
 
 from clothkit.dataset import store
-from clothkit.networks import pemd_training, vtm_training
+from clothkit.networks import emd_voxel_training, pemd_training, vtm_training
 from clothkit.networks.training import Problem, train
 from clothkit.params import load_params
 from clothkit.report.figures.studies import recipes as draw
@@ -29,8 +31,13 @@ from clothkit.report.figures.studies import recipes as draw
 CHECKS = 10
 TIMED = 30  # iterations by which a variant's pace is measured
 BASE: dict[str, Any] = {"hold": 0.0, "training.muon_iterations": 5, "net.canonical": False, "net.least_std": 0.01}
-BASES: dict[str, dict[str, Any]] = {"pemd": BASE, "vtm": {**BASE, "rare": 0.0}}
+BASES: dict[str, dict[str, Any]] = {
+    "pemd": BASE,
+    "vtm": {**BASE, "rare": 0.0},
+    "emd_voxel": {"training.muon_iterations": 5, "training.learning_rate": 1e-3, "net.canonical": False},
+}
 HELD = {"training.muon_iterations": 3, "hold": 0.5}
+TUNED = {"training.muon_iterations": 3, "training.learning_rate": 3e-3}
 FAST = {"training.batch": 512, "training.muon_iterations": 3}
 VARIANTS: dict[str, dict[str, dict[str, Any]]] = {
     "pemd": {
@@ -87,7 +94,24 @@ VARIANTS: dict[str, dict[str, dict[str, Any]]] = {
         "muon 3, hold 0.5, rare 0.001": {**HELD, "rare": 0.001},
         "muon 3, hold 0.5, rare 0.001, canonical": {**HELD, "rare": 0.001, "net.canonical": True},
     },
+    "emd_voxel": {
+        "base": {},
+        "paper": {"training.recipe": "paper", "training.learning_rate": 5e-5},
+        "adamw": {"training.muon_width": 0},
+        "muon 3": {"training.muon_iterations": 3},
+        "rate x 3": {"training.learning_rate": 3e-3},
+        "muon 3, rate x 3": TUNED,
+        "muon 3, rate x 3, muon's x 2": {**TUNED, "training.muon_learning_rate": 1.4e-2},
+        "muon 3, rate x 3, batch 32": {**TUNED, "training.batch": 32},
+        "muon 3, rate x 3, batch 128": {**TUNED, "training.batch": 128},
+        "muon 3, rate x 3, narrower": {**TUNED, "net.width": 0.125},
+        "muon 3, rate x 3, canonical": {**TUNED, "net.canonical": True},
+    },
 }
+
+
+FORWARD: dict[str, Any] = {"pemd": pemd_training, "emd_voxel": emd_voxel_training}
+"""The modules of forward models, which learn from sequences; VtM learns from states."""
 
 
 class Enough(Exception):
@@ -134,8 +158,9 @@ def learn(settings: Any, problem: Problem, data: Any, *, stop: int = 0) -> list[
 
 def posed(net: str, settings: Any, training: Any, validation: Any) -> tuple[Problem, Any]:
     """The problem and its data."""
-    if net == "pemd":
-        return pemd_training.problem(settings, pemd_training.sequences(validation)), pemd_training.sequences(training)
+    if net in FORWARD:
+        sequences = pemd_training.sequences
+        return FORWARD[net].problem(settings, sequences(validation)), sequences(training)
     states = vtm_training.states(training)
     return vtm_training.problem(settings, validation, vtm_training.taken(states, settings)), states
 
@@ -143,7 +168,7 @@ def posed(net: str, settings: Any, training: Any, validation: Any) -> tuple[Prob
 def study(net: str, settings: Any, minutes: float) -> list[dict[str, Any]]:
     """The rows of one variant and seed, trained for so many CPU minutes."""
     meshes = store.load(Path("data/meshes.zarr"))
-    learnt = store.load(Path("data/augmented.zarr")) if net == "pemd" else meshes.of_split("train")
+    learnt = store.load(Path("data/augmented.zarr")) if net in FORWARD else meshes.of_split("train")
     short = changed(settings, {"training.validate_every": TIMED, "training.steps_per_call": 10})
     problem, data = posed(net, short, learnt, meshes.of_split("validation"))
     second = learn(short, problem, data, stop=2)[-1]
@@ -165,7 +190,8 @@ def main() -> None:
     settings = getattr(params.stages, f"train_{asked.net}")
     path = Path("reports") / params.scale / "studies" / f"recipes_{asked.net}.csv"
     path.parent.mkdir(parents=True, exist_ok=True)
-    table = pd.read_csv(path) if path.exists() else pd.DataFrame(columns=["budget", "variant", "seed", "changes"])
+    made = made_with([Path("data/meshes.zarr"), Path("data/augmented.zarr")], changed(settings, BASES[asked.net]))
+    table = read(path, ["budget", "variant", "seed", "changes"], made)
     for seed in asked.seeds:
         for variant in asked.variants or VARIANTS[asked.net]:
             changes = VARIANTS[asked.net][variant]
@@ -174,8 +200,14 @@ def main() -> None:
             if not known.any():
                 wanted = {**BASES[asked.net], **changes, "training.seed": seed}
                 rows = study(asked.net, changed(settings, wanted), asked.minutes)
-                of = {"budget": asked.minutes, "variant": variant, "changes": json.dumps(changes), "seed": seed}
-                table = pd.concat([table, pd.DataFrame([{**of, **row} for row in rows])], ignore_index=True)
+                of = {
+                    "budget": asked.minutes,
+                    "variant": variant,
+                    "changes": json.dumps(changes),
+                    "seed": seed,
+                    NAME: made,
+                }
+                table = pd.concat([table, pd.DataFrame([{**of, **row, NAME: made} for row in rows])], ignore_index=True)
                 table.to_csv(path, index=False, lineterminator="\n", float_format="%.5g")
                 known = table.index >= len(table) - len(rows)
             best = table[known].sort_values("score").iloc[0]
@@ -185,7 +217,8 @@ def main() -> None:
                 flush=True,
             )
     # Budgets are not to be compared: the one that was asked for.
-    draw(table[table["budget"] == asked.minutes], path.with_suffix(".png"))
+    unit = "mean voxel difference" if asked.net == "emd_voxel" else "cloth length"
+    draw(table[table["budget"] == asked.minutes], path.with_suffix(".png"), unit=unit)
 
 
 if __name__ == "__main__":

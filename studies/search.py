@@ -3,11 +3,11 @@
 Plans and executes every task of the first validation sequences (5 if not said) with system main and searches of
 different sizes: numbers of strains; and, at the strains in force, numbers of iterations, vertices that the loss runs
 over, restarts near the best plan, and first manipulations that need not fold the cloth. A row per search and task goes
-to reports/<scale>/studies/search.csv, with the seconds per plan of that length; what is there already is not done
-again, unless it was made with other nets or other settings (`made_with`), whose rows are dropped. search.png shows, for
-each plan length, error, search failures (the recorded plan has the lower loss) and the first plan's loss against
-seconds per plan. Prints also how the loss falls from restart to restart. Needs the nets, the normalisation and the
-dataset (`dvc repro normalise`).
+to reports/<scale>/studies/search.csv, with the seconds per plan of that length, and what each restart of a search found
+to search_restarts.csv; what is there already is not done again, unless it was made with other nets or other settings
+(`made_with`), whose rows are dropped. search.png shows, for each plan length, error, search failures (the recorded plan
+has the lower loss) and the first plan's loss against seconds per plan, and, for the search in force, the best of each
+restart. Needs the nets, the normalisation and the dataset (`dvc repro normalise`).
 
 `--strains N ..` (16 32 64 128 256 512), `--iterations F ..` (0.5 2: multiples of those in force), `--every N ..` (1 4),
 `--near SHARE ..` (0 0.8).
@@ -17,6 +17,7 @@ import argparse
 import dataclasses
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -48,11 +49,26 @@ def searches(usual: SearchConfig, asked: argparse.Namespace) -> list[SearchConfi
     return [*found, dataclasses.replace(usual, fold=not usual.fold)]
 
 
-def by_restart(sessions: Sessions) -> list[float]:
-    """Mean over first plans of the least loss of any strain, up to its first, second, .. restart."""
-    best = np.minimum.accumulate(np.where(np.isnan(sessions.restarts[:, 0]), np.inf, sessions.restarts[:, 0]), axis=-1)
-    least = best.min(axis=1)
-    return np.round(least[:, np.isfinite(sessions.restarts[:, 0]).any((0, 1))].mean(0), 3).tolist()
+def by_restart(sessions: Sessions) -> pd.DataFrame:
+    """What restarts find, of first plans: a row per length and restart (1, 2, ..).
+
+    best: mean of the lowest loss that any strain found from that restart to the next; least: of the lowest up to then.
+    Restarts that strains of only some of the tasks came to are left out.
+    """
+    best = np.nan_to_num(sessions.restarts[:, 0], nan=np.inf).min(axis=1)
+    found = []
+    for length in np.unique(sessions.length).tolist():
+        own = best[sessions.length == length]
+        own = own[:, np.isfinite(own).all(axis=0)]
+        least = np.minimum.accumulate(own, axis=1)
+        means = {"best": own.mean(0), "least": least.mean(0)}
+        found.append(pd.DataFrame({"length": length, "restart": np.arange(own.shape[1]) + 1, **means}))
+    return pd.concat(found, ignore_index=True)
+
+
+def _same(table: pd.DataFrame, of_search: dict[str, Any]) -> np.ndarray:
+    """Which rows are of this search."""
+    return np.all([table[name] == value for name, value in of_search.items()], axis=0)
 
 
 def main() -> None:
@@ -77,10 +93,13 @@ def main() -> None:
     inputs = [meshes, *artifacts(SYSTEMS["main"], data).values()]
     made = made_with(inputs, others, plan.refine, weights, simulate.candidates, simulate.simulation)
     table = read(path, [*KEYS, "sequence"], made)
+    of_restarts = folder / "search_restarts.csv"
+    restarts = read(of_restarts, [*KEYS, "length", "restart", "best", "least"], made)
     for size in searches(plan.search, asked):
         of_search = {name: getattr(size, name) for name in KEYS}
-        same = np.all([table[name] == value for name, value in of_search.items()], axis=0)
-        missing = [sequence for sequence in sequences if sequence not in set(table.loc[same, "sequence"])]
+        done = set(table.loc[_same(table, of_search), "sequence"])
+        # All of a size at once: what restarts find is told of all of them.
+        missing = sequences if done != set(sequences) else []
         if missing:
             settings = dataclasses.replace(plan, search=size)
             planner = assemble(SYSTEMS["main"], data, weights, settings, simulate.candidates)
@@ -89,11 +108,15 @@ def main() -> None:
             seconds = {int(n): spent / count for n, (count, spent) in cost(clock)["plans"].items()}
             found = rows(sessions, "main").assign(**of_search, **{NAME: made})
             found["seconds"] = found["length"].map(seconds)
-            table = pd.concat([table, found], ignore_index=True)
+            table = pd.concat([table[~_same(table, of_search)], found], ignore_index=True)
             table.to_csv(path, index=False, lineterminator="\n", float_format="%.5g")
-            print(f"{of_search}: loss by restart {by_restart(sessions)}", flush=True)
+            of_size = by_restart(sessions).assign(**of_search, **{NAME: made})
+            restarts = pd.concat([restarts[~_same(restarts, of_search)], of_size], ignore_index=True)
+            restarts.to_csv(of_restarts, index=False, lineterminator="\n", float_format="%.5g")
+            print(f"{of_search}: {found['error'].mean():.4f}", flush=True)
     print(table.groupby([*KEYS, "length"])[["seconds", "error", "loss"]].mean().round(4).to_string())
-    draw(table, {name: getattr(plan.search, name) for name in KEYS}, folder / "search.png")
+    usual = {name: getattr(plan.search, name) for name in KEYS}
+    draw(table, restarts[_same(restarts, usual)], usual, folder / "search.png")
 
 
 if __name__ == "__main__":

@@ -113,7 +113,7 @@ def write_data(folder: Path, params: Path) -> None:
     arrays.save(evaluations / "predictions.zarr", prediction.stored(dataset, starts, nets["a"], settings), about)
     for system in ("main", "b1"):
         done = sessions(dataset)
-        record.save(evaluations / f"planning/sessions_{system}.zarr", done, _about(given, "plan"))
+        record.save(evaluations / f"planning/sessions_{system}.zarr", [done], _about(given, "plan"))
         write_rows(evaluations / f"planning/{system}.parquet", rows(done, system), _about(given, "plan"))
 
 

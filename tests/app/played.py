@@ -77,7 +77,7 @@ def fill(folder: Path, nets: Path) -> Path:
     every = join([recorded(Task(0, 0, 2)), recorded(Task(1, 1, 1))])
     evaluation = folder / "evaluation/planning"
     evaluation.mkdir(parents=True)
-    save(evaluation / "sessions_main.zarr", every, {"system": "main"})
+    save(evaluation / "sessions_main.zarr", [every], {"system": "main"})
     outcomes = every.state[np.arange(len(every)), every.length]
     errors = [error_of(outcome, goal) for outcome, goal in zip(outcomes, every.goal, strict=True)]
     columns = {name: getattr(every, name) for name in ("split", "sequence", "start", "length")}

@@ -31,6 +31,7 @@ def planning_rows(
     )
     count = len(tidy)
     fired = rng.integers(0, 2, count)
+    layers = np.random.default_rng(seed + 1)
     voxels = tidy["system"].isin(VOXEL_SYSTEMS)
     return tidy.assign(
         error=rng.uniform(0.01, 0.1, count),
@@ -45,4 +46,8 @@ def planning_rows(
         expected=np.where(voxels, np.nan, rng.uniform(0.01, 0.08, count)),
         grasp_offered=rng.uniform(size=count) < 0.8,
         estimate_error=np.where(voxels, np.nan, rng.uniform(0.01, 0.08, count)),
+        error_labelled=layers.uniform(0.1, 0.2, count),
+        layers_reversed=layers.uniform(0, 0.5, count),
+        estimate_layers_reversed=np.where(voxels, np.nan, layers.uniform(0, 0.5, count)),
+        nulls_last=fired,
     )

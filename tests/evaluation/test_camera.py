@@ -135,7 +135,7 @@ def test_sessions_before_a_camera_are_held_against_those_without(tmp_path: Path)
     without, _ = evaluate(data, planner, toy.execute, work=tmp_path / "without")
     # Toy cloths fit no camera: eyes that are as good without one.
     with mock.patch.object(camera_planning, "through_camera", lambda planner, picture: planner):
-        tidy = camera_planning.planning(data, planner, toy.execute, without, SETTINGS, work=tmp_path / "with")
+        tidy = camera_planning.planning(data, planner, toy.execute, without.whole(), SETTINGS, work=tmp_path / "with")
     assert tidy["condition"].tolist() == ["voxels", "above", "noisy"]
     # The same eyes and the same draws: the same outcomes.
     assert tidy["error"].nunique() == 1
@@ -144,7 +144,7 @@ def test_sessions_before_a_camera_are_held_against_those_without(tmp_path: Path)
     assert np.isnan(tidy["iou_seen"].iloc[0])
     two = dataclasses.replace(SETTINGS, planned=2)
     with pytest.raises(InputError, match="1 of them were not planned for"):
-        camera_planning.planning(data, planner, toy.execute, first(without), two, work=tmp_path / "more")
+        camera_planning.planning(data, planner, toy.execute, first(without.whole()), two, work=tmp_path / "more")
 
 
 def first(sessions: Sessions) -> Sessions:

@@ -66,8 +66,11 @@ def cases() -> pd.DataFrame:
         (1, 0.02, 0.5, 0.5, 0.05, True, 0.03, 0, 0),  # near
         (2, 0.06, 0.5, 1.0, 0.01, True, 0.07, 2, 1),  # far off again
     ]
-    tidy = pd.DataFrame(main, columns=[*columns, *nulls]).assign(system="main")
-    voxels = tidy.assign(system="b4", estimate_error=np.nan, expected=np.nan)
+    tidy = pd.DataFrame(main, columns=[*columns, *nulls]).assign(
+        system="main", layers_reversed=[0.5, 0.2, 0.5, np.nan], estimate_layers_reversed=0.1
+    )
+    tidy["nulls_last"] = tidy["nulls_fired"]
+    voxels = tidy.assign(system="b4", estimate_error=np.nan, estimate_layers_reversed=np.nan, expected=np.nan)
     return pd.concat([tidy, voxels], ignore_index=True).assign(split="test", start=0, sequence=[*range(4)] * 2)
 
 
@@ -78,6 +81,7 @@ def test_failures_by_hand() -> None:
         "tasks": 3,
         "search_failure": 1 / 3,
         "model_failure": 1 / 3,
+        "layers_reversed": 1 / 3,
         "grasp_offered": 2 / 3,
         "nulls_fired": 1 / 3,
         "nulls_helped": 1,
@@ -102,14 +106,14 @@ def test_failures_by_hand() -> None:
 
 def test_shares_are_of_what_is_known() -> None:
     tidy = cases().query("system == 'main'")
-    tidy = tidy.assign(loss_recorded=tidy["loss_recorded"].where(tidy["sequence"] != 1), nulls_fired=0, nulls_helped=0)
+    tidy = tidy.assign(loss_recorded=tidy["loss_recorded"].where(tidy["sequence"] != 1), nulls_last=0, nulls_helped=0)
     found = planning.failures(tidy).set_index("length")
     assert found.loc["1", ["search_failure", "model_failure"]].tolist() == [0.5, 0]
     assert np.isnan(found.loc["1", "nulls_helped"])
 
 
 def test_the_first_cause_that_holds_is_named() -> None:
-    tidy = cases().query("system == 'main'").reset_index(drop=True)
+    tidy = cases().query("system == 'main'").reset_index(drop=True).assign(layers_reversed=0.1)
     assert planning.diagnosis(tidy).tolist() == [
         "search failure",
         "grasp point not offered",
@@ -120,6 +124,11 @@ def test_the_first_cause_that_holds_is_named() -> None:
     assert planning.diagnosis(offered)[1] == "estimate wrong"
     seen = offered.assign(estimate_error=0.01)
     assert planning.diagnosis(seen).tolist() == ["search failure", "model failure", "open", "open"]
+    turned = seen.assign(layers_reversed=0.3)
+    # The third is near its goal, whatever lies on top.
+    assert planning.diagnosis(turned).tolist() == [*["layers in another order"] * 2, "open", "layers in another order"]
+    unseen = turned.assign(estimate_layers_reversed=[0.3, 0.2, np.nan, 0.2])
+    assert planning.diagnosis(unseen)[0] == "estimate's layers in another order"
 
 
 def write_systems(folder: Path) -> pd.DataFrame:

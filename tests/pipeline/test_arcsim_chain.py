@@ -134,7 +134,8 @@ def test_the_chain_runs_on_from_arcsims_runs(tmp_path: Path) -> None:
     both = (nets["a"], nets["b"])
     sight = MeshSight(vtm, PLAN.refine)
     planner = Planner(system("main"), sight, both, 0, normalisation, weights, PLAN, candidates)
-    sessions, _ = evaluate(dataset, planner, toy.execute, work=tmp_path / "plan")
+    pieces, _ = evaluate(dataset, planner, toy.execute, work=tmp_path / "plan")
+    sessions = pieces.whole()
 
     seen = camera.estimation(dataset, vtm, CAMERA, REFINE)
     arrays.save(tmp_path / "pictures.zarr", seen.arrays, {})
@@ -176,7 +177,7 @@ def test_the_chain_runs_on_from_arcsims_runs(tmp_path: Path) -> None:
     # Three test sequences and one to three of training: a task each, and two more where there are two manipulations.
     tasks = inputs.planning.groupby("sequence").size()
     assert {s: int(n) for s, n in tasks.items()} == {s: 1 if dataset.length[s] == 1 else 3 for s in tasks.index}
-    record.save(tmp_path / "sessions.zarr", sessions, {})
+    record.save(tmp_path / "sessions.zarr", pieces, {})
     build(tmp_path / "report", inputs, REPORT, scale="smoke")
     pictures = {path.stem for path in (tmp_path / "report/figures").iterdir()}
     assert {"sequences", "estimates", "predictions", "scatter", "sessions_1", "sessions_2"} <= pictures

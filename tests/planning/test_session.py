@@ -1,6 +1,7 @@
 """Sessions in the toy world: goals are reached, nothing is done where nothing helps, and an interrupted run goes on."""
 
 import dataclasses
+import tracemalloc
 from pathlib import Path
 from unittest import mock
 
@@ -16,8 +17,9 @@ from clothkit.dataset.store import SPLITS, Dataset
 from clothkit.dataset.tasks import Task
 from clothkit.errors import InputError
 from clothkit.planning import planner as planners
+from clothkit.planning import record
 from clothkit.planning.evaluate import cost, evaluate
-from clothkit.planning.record import Tasks, join, load, save, tasks_of_dataset
+from clothkit.planning.record import Pieces, Tasks, blank, join, load, save, save_piece, tasks_of_dataset
 from clothkit.planning.rows import rows
 from clothkit.planning.search import Problem
 from clothkit.planning.session import best_of_restarts, run_sessions
@@ -130,7 +132,8 @@ def test_nothing_is_done_where_nothing_helps() -> None:
     assert sessions.null[0, :2].all()
     tidy = rows(sessions, "b1")
     # What the check has cancelled was tried on the side, and would have been worse.
-    assert len(calls) == tidy.nulls_fired[0] == tidy.nulls_helped[0]
+    assert len(calls) == tidy.nulls_fired[0]
+    assert tidy.nulls_last[0] == tidy.nulls_helped[0] == sessions.cancelled[0, 1]
     for step in (1, 2):
         np.testing.assert_array_equal(sessions.state[0, step], sessions.state[0, 0])
         np.testing.assert_array_equal(sessions.estimate[0, min(step, 1)], sessions.estimate[0, 0])
@@ -197,17 +200,37 @@ def test_an_interrupted_run_goes_on_to_the_same_rows(tmp_path: Path) -> None:
         evaluate(data, planner, killed, work=tmp_path / "broken")
     assert sorted(p.name for p in (tmp_path / "broken").iterdir()) == ["seconds_000.json", "sessions_000.npz"]
     resumed, _ = evaluate(data, planner, toy.execute, work=tmp_path / "broken")
-    pd.testing.assert_frame_equal(rows(whole, "b1"), rows(resumed, "b1"))
+    pd.testing.assert_frame_equal(rows(whole.whole(), "b1"), rows(resumed.whole(), "b1"))
     # Two pieces of one task; the first search, which compiles, is not counted.
-    assert cost(clock)["plans"] == {"1": (toy.BATCH, pytest.approx(clock["1"][1][1], abs=1e-3))}
+    assert cost(clock)["plans"] == {"1": (1, pytest.approx(clock["1"][1][1], abs=1e-3))}
     save(tmp_path / "a.zarr", whole, {"system": "b1"})
     save(tmp_path / "b.zarr", resumed, {"system": "b1"})
     files = [sorted(p for p in (tmp_path / f"{n}.zarr").rglob("*") if p.is_file()) for n in "ab"]
     assert [p.read_bytes() for p in files[0]] == [p.read_bytes() for p in files[1]]
     back = load(tmp_path / "a.zarr")
-    np.testing.assert_array_equal(back.plan, whole.plan)
-    assert back.split.tolist() == whole.split.tolist() == ["test"] * 2
+    np.testing.assert_array_equal(back.plan, whole.whole().plan)
+    assert back.split.tolist() == ["test"] * 2
     assert len(join([back, back])) == 4
+
+
+def test_memory_does_not_grow_with_the_number_of_tasks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(record, "SHARD", 6)
+    sessions = blank(tasks(*[Task(0, 0, 3)] * 4), toy.planner("b1").sizes)
+    save_piece(tmp_path / "piece.npz", sessions)
+
+    def peak(count: int) -> int:
+        tracemalloc.start()
+        save(tmp_path / f"{count}.zarr", Pieces([tmp_path / "piece.npz"] * count), {})
+        found = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return found
+
+    peak(2)
+    assert peak(12) < 1.2 * peak(3)
+    back = load(tmp_path / "12.zarr")
+    assert len(back) == 12 * 4
+    for name, values in vars(sessions).items():
+        np.testing.assert_array_equal(getattr(back, name), np.concatenate([values] * 12))
 
 
 def test_more_sequences_than_there_are_is_told(tmp_path: Path) -> None:

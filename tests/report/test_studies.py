@@ -87,7 +87,12 @@ def test_weights_and_search(tmp_path: Path, drawn: list[Figure]) -> None:
         ]
     )
     names = ["strains", "base_iterations", "iterations_per_step", "every", "near", "fold"]
-    studies.search(table, dict(zip(names, (64, 15, 15, 2, 0.5, True), strict=True)), tmp_path / "search.png")
+    restarts = pd.DataFrame(
+        {"length": [1, 1, 2, 3], "restart": [1, 2, 1, 1], "best": [3, 4, 5, 6], "least": [3, 3, 5, 6]}
+    )
+    usual = dict(zip(names, (64, 15, 15, 2, 0.5, True), strict=True))
+    studies.search(table, restarts, usual, tmp_path / "search.png")
     failures = drawn[1].axes[1]
     np.testing.assert_allclose(failures.lines[0].get_ydata(), [1, 0])
     assert [line.get_xdata().tolist() for line in failures.lines[1:5]] == [[960], [240], [], [480]]
+    assert [line.get_ydata().tolist() for line in drawn[1].axes[3].lines[:2]] == [[3, 3], [3, 4]]

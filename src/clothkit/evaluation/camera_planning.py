@@ -52,7 +52,7 @@ def planning(
         picture = pictured(settings, condition)
         eyes = through_camera(dataclasses.replace(planner, settings=asked), picture)
         sessions, _ = evaluate(dataset, eyes, execute, work=work / condition.name)
-        found.append(_scored(sessions, condition, picture))
+        found.append(_scored(sessions.whole(), condition, picture))
     return pd.concat(found, ignore_index=True)
 
 

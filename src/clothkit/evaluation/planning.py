@@ -18,13 +18,16 @@ ROWS = (
     "length",
     "error",
     "voxel_error",
+    "layers_reversed",
     "nulls_fired",
+    "nulls_last",
     "nulls_helped",
     "loss",
     "loss_recorded",
     "expected",
     "grasp_offered",
     "estimate_error",
+    "estimate_layers_reversed",
 )
 """Columns of tidy rows of planning that are needed here."""
 
@@ -35,6 +38,10 @@ PAIRS = (*(("main", other) for other in ("b1", "b2", "b3", "b4", "b5", "unrefine
 
 LARGE = 0.05
 """An outcome or an estimate that is farther off is called wrong [cloth length]."""
+
+REVERSED = 0.25
+"""Where a larger share of layers lies in another order, folds are in another order: it takes one half of those of a
+cloth that is folded twice."""
 
 
 def read(folder: Path, settings: EvaluatePlanningConfig) -> pd.DataFrame:
@@ -82,42 +89,61 @@ def failures(tidy: pd.DataFrame) -> pd.DataFrame:
 
     tasks; search_failure (share of plans that the nets themselves rate below the recorded manipulations: the search
     missed those); model_failure (share of plans that they rate at least as high, but whose outcome is LARGE off);
-    grasp_offered (share of starts with a candidate at every recorded grasp point); nulls_fired (manipulations that the
-    null check cancelled, per session); nulls_helped (share of these that would have led away from the goal); expected,
-    error (means of what the nets expect and of what came [cloth length]); error_estimate_good, error_estimate_bad (mean
-    errors of tasks whose first estimate is within LARGE, and beyond). NaN where a system has no such thing.
+    layers_reversed (share of tasks whose outcome is LARGE off and has more than REVERSED of its layers in another order
+    than the goal); grasp_offered (share of starts with a candidate at every recorded grasp point); nulls_fired
+    (manipulations that the null check cancelled, per session); nulls_helped (of those in a session's last step, the
+    share that would have led away from the goal); expected, error (means of what the nets expect and of what came
+    [cloth length]); error_estimate_good, error_estimate_bad (mean errors of tasks whose first estimate is within LARGE,
+    and beyond). NaN where a system has no such thing.
     """
     missed = tidy["loss_recorded"] < tidy["loss"]
     rated = tidy["loss"].notna() & tidy["loss_recorded"].notna()
     judged = tidy.assign(
         search_failure=missed.astype(float).where(rated),
-        model_failure=(~missed & (tidy["error"] > LARGE)).astype(float).where(rated),
+        model_failure=(~missed & _off(tidy)).astype(float).where(rated),
+        layers_reversed=(_off(tidy) & (tidy["layers_reversed"] > REVERSED)).astype(float),
         grasp_offered=tidy["grasp_offered"].astype(float),
         error_estimate_good=tidy["error"].where(tidy["estimate_error"] <= LARGE),
         error_estimate_bad=tidy["error"].where(tidy["estimate_error"] > LARGE),
     )
     counted = pd.concat([judged.assign(length=judged["length"].astype(str)), judged.assign(length="all")])
     groups = counted.groupby(["split", "system", "length"])
-    means = ("grasp_offered", "nulls_fired", "expected", "error", "error_estimate_good", "error_estimate_bad")
+    means = (
+        "layers_reversed",
+        "grasp_offered",
+        "nulls_fired",
+        "expected",
+        "error",
+        "error_estimate_good",
+        "error_estimate_bad",
+    )
     found = groups[["search_failure", "model_failure", *means]].mean()
-    fired = groups["nulls_fired"].sum()
+    last = groups["nulls_last"].sum()
     found.insert(0, "tasks", groups.size())
-    found.insert(5, "nulls_helped", groups["nulls_helped"].sum() / fired.where(fired > 0))
+    helped = groups["nulls_helped"].sum() / last.where(last > 0)
+    found.insert(found.columns.get_loc("nulls_fired") + 1, "nulls_helped", helped)
     return found.reset_index()
 
 
 def diagnosis(tidy: pd.DataFrame) -> pd.Series:
     """Why a task failed, in the words of section 6.4: the first that is true of its first plan.
 
-    grasp point not offered (no candidate near a recorded one); estimate wrong (LARGE off); search failure (the nets
-    rate the recorded manipulations better than what was found); model failure (they expected to come within LARGE of
-    the goal, and did not); open.
+    grasp point not offered (no candidate near a recorded one); estimate wrong (LARGE off); estimate's layers in another
+    order (more than REVERSED of them); layers in another order (likewise, the outcome's, which is LARGE off); search
+    failure (the nets rate the recorded manipulations better than what was found); model failure (they expected to come
+    within LARGE of the goal, and did not); open.
     """
     causes = {
         "grasp point not offered": ~tidy["grasp_offered"].astype(bool),
         "estimate wrong": tidy["estimate_error"] > LARGE,
+        "estimate's layers in another order": tidy["estimate_layers_reversed"] > REVERSED,
+        "layers in another order": _off(tidy) & (tidy["layers_reversed"] > REVERSED),
         "search failure": tidy["loss_recorded"] < tidy["loss"],
-        "model failure": (tidy["expected"] <= LARGE) & (tidy["error"] > LARGE),
+        "model failure": (tidy["expected"] <= LARGE) & _off(tidy),
     }
     found = np.select([cause.to_numpy() for cause in causes.values()], list(causes), default="open")
     return pd.Series(found, tidy.index, dtype=object, name="diagnosis")
+
+
+def _off(tidy: pd.DataFrame) -> pd.Series:
+    return tidy["error"] > LARGE

@@ -45,6 +45,7 @@ def note_recorded(sessions: Sessions, goals: np.ndarray, recorded: list[Stretch]
                 planner.normalisation.reference(length),
                 planner.weights,
                 float(planner.weights.alpha) > 0,
+                0 if sight.labelled else UNKNOWN,
             ),
             planner.settings.batch,
             sessions.estimate[chosen, 0],
@@ -71,25 +72,27 @@ def offered(wanted: Float[np.ndarray, "2 2"], offers: Float[np.ndarray, "c 2"]) 
     return np.asarray((distance.min(axis=1) <= NEAR).all())
 
 
-@partial(jax.jit, static_argnums=(0, 4))
+@partial(jax.jit, static_argnums=(0, 4, 5))
 def losses(
     forward: Forward,
     nets: tuple[Any, ...],
     reference: Reference,
     weights: Weights,
     explicit: bool,
+    relative: int,
     states: Shaped[Array, "task *state"],
     goals: Shaped[Array, "task *state"],
     plans: Float[Array, "task n 6"],
 ) -> Float[Array, " task"]:
-    """The planning loss of a given plan for each state and goal, the least over common equivalents and labellings."""
+    """The planning loss of a given plan for each state and goal, the least over common equivalents, and over the goal's
+    relabellings where `relative` is UNKNOWN."""
     count = forward.labels
 
     def one(state: Array, goal: Array, plan: Array) -> Array:
         blank = [jax.eval_shape(forward.encode, net, state) for net in nets]
         traces = tuple(jnp.zeros((count, *latent.shape)) for latent in blank)
         none = Candidates(jnp.zeros((1, 2)), jnp.int32(0))
-        problem = Problem(state, goal, none, traces, jnp.int32(UNKNOWN), jnp.asarray(False), plan)
+        problem = Problem(state, goal, none, traces, jnp.int32(relative), jnp.asarray(False), plan)
         relabelled = jax.vmap(equivalents_of_manipulation, out_axes=1)(plan)[:count]
         loss, _, _ = planning_loss(
             forward,
@@ -99,7 +102,7 @@ def losses(
             weights,
             relabelled,
             jnp.arange(count),
-            jnp.full(count, UNKNOWN),
+            jnp.full(count, relative),
             explicit=explicit,
         )
         return jnp.min(loss)

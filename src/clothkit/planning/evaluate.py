@@ -8,15 +8,15 @@ from typing import TypedDict
 from tqdm import tqdm
 
 from clothkit.dataset.store import Dataset
-from clothkit.dataset.tasks import tasks_of
+from clothkit.dataset.tasks import Task, tasks_of
 from clothkit.errors import InputError
 from clothkit.planning.planner import Planner
-from clothkit.planning.record import Sessions, Tasks, join, load_piece, save_piece, tasks_of_dataset
+from clothkit.planning.record import Pieces, Sessions, join, save_piece, tasks_of_dataset
 from clothkit.planning.session import Clock, Execute, run_sessions
 from clothkit.planning.settings import PlanConfig
 
 
-def pieces(dataset: Dataset, settings: PlanConfig) -> list[Tasks]:
+def pieces(dataset: Dataset, settings: PlanConfig) -> list[tuple[str, list[Task]]]:
     """All tasks of the first evaluated sequences of the test and the training split, a few sequences together."""
     found = []
     for split, count in (("test", settings.test), ("train", settings.train)):
@@ -25,30 +25,32 @@ def pieces(dataset: Dataset, settings: PlanConfig) -> list[Tasks]:
             raise InputError(f"plan.{split}: {count} sequences, but the dataset has {len(sequences)} for evaluation")
         for first in range(0, count, settings.together):
             chosen = sequences[:count][first : first + settings.together]
-            tasks = [task for s in chosen.tolist() for task in tasks_of(s, int(dataset.length[s]))]
-            found.append(tasks_of_dataset(dataset, tasks, split))
+            found.append((split, [task for s in chosen.tolist() for task in tasks_of(s, int(dataset.length[s]))]))
     return found
 
 
-def evaluate(dataset: Dataset, planner: Planner, execute: Execute, *, work: Path) -> tuple[Sessions, Clock]:
-    """The sessions of every task; those that `work` holds from an earlier run are not run again."""
+def evaluate(dataset: Dataset, planner: Planner, execute: Execute, *, work: Path) -> tuple[Pieces, Clock]:
+    """The sessions of every task; those that `work` holds from an earlier run are not run again.
+
+    They stay in `work`, so that memory does not grow with the number of tasks.
+    """
     work.mkdir(parents=True, exist_ok=True)
     todo = pieces(dataset, planner.settings)
     # Lengths without reference values are told now, not hours later.
-    planner.normalisation.reference(max(task.length for piece in todo for task in piece.task))
+    planner.normalisation.reference(max(task.length for _, tasks in todo for task in tasks))
     done, clock = [], defaultdict[str, list[tuple[int, float]]](list)
-    with tqdm(total=sum(len(piece.task) for piece in todo), desc=planner.system.name, unit="session") as bar:
-        for number, piece in enumerate(todo):
+    with tqdm(total=sum(len(tasks) for _, tasks in todo), desc=planner.system.name, unit="session") as bar:
+        for number, (split, tasks) in enumerate(todo):
             path, seconds = work / f"sessions_{number:03d}.npz", work / f"seconds_{number:03d}.json"
             if not path.exists():
-                sessions, calls = run_sessions(piece, planner, execute)
+                sessions, calls = run_sessions(tasks_of_dataset(dataset, tasks, split), planner, execute)
                 seconds.write_text(json.dumps(calls))
                 save_piece(path, sessions)
-            done.append(load_piece(path))
+            done.append(path)
             for what, of_piece in json.loads(seconds.read_text()).items():
                 clock[what] += [(count, spent) for count, spent in of_piece]
-            bar.update(len(piece.task))
-    return join(done), dict(clock)
+            bar.update(len(tasks))
+    return Pieces(done), dict(clock)
 
 
 def try_out(

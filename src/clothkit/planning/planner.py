@@ -67,7 +67,7 @@ def artifacts(system: System, data: Path) -> dict[str, Path]:
     kind, net = ("voxel", "emd_voxel") if system.voxels else ("mesh", "pemd")
     found = {name: data / f"nets/{net}_{name}" for name in ("a", "b")}
     found["reference"] = data / f"normalisation/{kind}.json"
-    return found if system.voxels or system.true_meshes else {**found, "vtm": data / "nets/vtm"}
+    return {**found, "vtm": data / "nets/vtm"} if system.estimates else found
 
 
 def assemble(system: System, data: Path, weights: Weights, settings: PlanConfig, grasping: CandidateConfig) -> Planner:

@@ -1,6 +1,7 @@
 """What a session leaves: everything that tables, figures and failure analysis ask for, as plain arrays."""
 
 import dataclasses
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -9,13 +10,16 @@ import zarr
 from jaxtyping import Bool, Float, Float16, Int8, Int64
 
 from clothkit.cloth.grid import SIDE
-from clothkit.dataset.store import STATES, STEPS, Dataset
+from clothkit.dataset.store import SPLITS, STATES, STEPS, Dataset
 from clothkit.dataset.tasks import Task
 
 MESH = ("u", "v", "xyz")
 SEEN = ("seen_0", "seen_1", "seen_2")
 SURE = ("std_0", "std_1", "std_2")
 _VERTICES = dict(zip(MESH, (SIDE, SIDE, 3), strict=True))
+
+SHARD = 120
+"""Tasks that are written together, and that share a file of each array: what bounds the memory, and the files."""
 
 
 class Stretch(NamedTuple):
@@ -192,18 +196,52 @@ def load_piece(path: Path) -> Sessions:
         return Sessions(**stored)
 
 
-def save(path: Path, sessions: Sessions, attributes: dict[str, Any]) -> None:
-    """Write sessions as a zarr v3 group, a chunk per task, all of an array in one shard."""
-    group = zarr.open_group(path, mode="w", zarr_format=3, attributes=attributes)
-    for name, (_, dimensions) in _FIELDS.items():
-        values = getattr(sessions, name)
-        if name == "split":
-            # Zarr has no stable type for strings: the names go to the attributes.
-            names = sorted(set(values.tolist()))
-            group.attrs["splits"] = names
-            values = np.array([names.index(value) for value in values], np.int8)
-        shape = tuple(max(1, length) for length in values.shape)
-        group.create_array(name, data=values, chunks=(1, *shape[1:]), shards=shape, dimension_names=dimensions)
+@dataclasses.dataclass(frozen=True)
+class Pieces:
+    """Sessions of many batches, one after the other, of which no more than one at a time is in memory."""
+
+    paths: Sequence[Path]
+
+    def __iter__(self) -> Iterator[Sessions]:
+        return map(load_piece, self.paths)
+
+    def whole(self) -> Sessions:
+        """All of them."""
+        return join(list(self))
+
+
+def save(path: Path, parts: Iterable[Sessions], attributes: dict[str, Any]) -> None:
+    """Write the sessions of batches, one after the other, as a zarr v3 group: a chunk per task, SHARD tasks a shard."""
+    # Zarr has no stable type for strings: the names go to the attributes.
+    group = zarr.open_group(path, mode="w", zarr_format=3, attributes={**attributes, "splits": list(SPLITS)})
+    for block in _blocks(parts, SHARD):
+        for name, (_, dimensions) in _FIELDS.items():
+            values = getattr(block, name)
+            if name == "split":
+                values = np.array([SPLITS.index(value) for value in values], np.int8)
+            if name in group:
+                group[name].append(values)  # type: ignore[union-attr]
+                continue
+            chunk = tuple(max(1, length) for length in values.shape[1:])
+            shards = (SHARD, *chunk)
+            group.create_array(name, data=values, chunks=(1, *chunk), shards=shards, dimension_names=dimensions)
+
+
+def _blocks(parts: Iterable[Sessions], size: int) -> Iterator[Sessions]:
+    """The same sessions in blocks of `size` tasks, the last of what is left."""
+    held: Sessions | None = None
+    for part in parts:
+        held = part if held is None else join([held, part])
+        while len(held) >= size:
+            yield _cut(held, slice(size))
+            held = _cut(held, slice(size, None))
+    if held is not None and len(held):
+        yield held
+
+
+def _cut(sessions: Sessions, chosen: slice) -> Sessions:
+    # Copied, so that nothing holds on to the rest.
+    return Sessions(**{name: getattr(sessions, name)[chosen].copy() for name in _FIELDS})
 
 
 def load(path: Path) -> Sessions:

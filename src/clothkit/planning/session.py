@@ -88,7 +88,7 @@ def _observe(
     moved = np.setdiff1d(acting, idle)
     if not len(moved):
         return
-    with _timed(clock["estimates"], len(moved)):
+    with _timed(clock["estimates"], len(moved)) if planner.system.estimates else contextlib.nullcontext():
         sessions.estimate[moved, step], carried.shift[moved] = planner.sight.see(
             sessions.state[moved, step], carried.expected[moved] if step else None
         )
@@ -110,9 +110,11 @@ def _plan(
     """Search, ask the nets what they expect, and check whether that is better than doing nothing."""
     problems = _problems(sessions, goals, carried, chosen, step, length, planner)
     find, batch = planner.finder(length), planner.settings.batch
+    # The last batch is filled up with copies, which are nobody's plans.
+    counts = iter([min(batch, len(chosen) - first) for first in range(0, len(chosen), batch)])
 
     def timed(problems: Problem, keys: jax.Array) -> Found:
-        with _timed(clock[str(length)], batch):
+        with _timed(clock[str(length)], next(counts)):
             return jax.block_until_ready(find(problems, keys))
 
     found: Found = in_batches(timed, batch, problems, _keys(sessions, chosen, step, planner.settings.seed))

@@ -25,6 +25,11 @@ class System:
     alpha: float | None = None
     """A weight of the uncertainty term that this system is about; None takes that of params.yaml."""
 
+    @property
+    def estimates(self) -> bool:
+        """Whether it makes meshes of voxels."""
+        return not (self.voxels or self.true_meshes)
+
 
 SYSTEMS = {
     system.name: system

@@ -66,7 +66,7 @@ def page(contents: Contents) -> str:
         _figure(contents, "sessions_1"),
         _figure(contents, "sessions_2"),
         _figure(contents, "sessions_3"),
-        _block("Table 6", "table_6", contents.table_6, captions.INTERVALS),
+        _block("Table 6", "table_6", contents.table_6, captions.LABELLED + captions.INTERVALS),
         _figure(contents, "scatter"),
         _block("Table 7", "table_7", contents.table_7, captions.PLANNING_VOXELS),
         _compared(contents.planning_comparisons),
@@ -130,9 +130,10 @@ def _compared(comparisons: pd.DataFrame) -> str:
     )
 
 
-def table_8(data: pd.DataFrame) -> str:
-    """The page of table 8 as a Markdown string."""
-    return f"# Table 8: seconds per plan\n\n{captions.SPEED_MEANS}\n{table('table_8', data)}"
+def table_8(data: pd.DataFrame, training: str) -> str:
+    """The page of table 8 as a Markdown string, with what is told of the nets' training."""
+    parts = ("# Table 8: seconds per plan\n", captions.SPEED_MEANS, table("table_8", data), training)
+    return "\n".join(part for part in parts if part)
 
 
 def table(name: str, data: pd.DataFrame) -> str:

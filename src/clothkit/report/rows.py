@@ -33,10 +33,13 @@ PLANNING = (
     "start",
     "length",
     "error",
+    "error_labelled",
     "error_no_action",
     "voxel_error",
     "voxel_error_no_action",
+    "layers_reversed",
     "estimate_error",
+    "estimate_layers_reversed",
     "expected",
     "loss",
     "loss_recorded",
@@ -51,6 +54,7 @@ FAILURES = (
     "tasks",
     "search_failure",
     "model_failure",
+    "layers_reversed",
     "grasp_offered",
     "nulls_fired",
     "nulls_helped",
@@ -61,12 +65,15 @@ FAILURES = (
 )
 
 CAMERA_ESTIMATION = ("condition", "tilt", "noise", "seen", "voxel_error", "centre_error", "iou", "error")
-CAMERA_PLANNING = (*PLANNING, "condition", "tilt", "noise", "iou", "iou_no_action", "iou_seen")
+CAMERA_PLANNING = (
+    *("system", "length", "error", "error_no_action"),
+    *("condition", "tilt", "noise", "iou", "iou_no_action", "iou_seen"),
+)
 
 VOXEL_SYSTEMS = ("main_occluded", "a2")
 """Systems whose predictions are voxels as a camera sees them: they have no error in cloth lengths."""
 
-_NUMBERS = ("error", "error_no_action", "voxel_error", "voxel_error_no_action")
+_NUMBERS = ("error", "error_labelled", "error_no_action", "voxel_error", "voxel_error_no_action")
 
 HISTORY = ("iteration", "score")
 ATTEMPTS = ("accepted", "reason")

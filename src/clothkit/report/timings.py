@@ -33,9 +33,9 @@ def timings(folder: Path) -> pd.DataFrame:
 def table_8(folder: Path, systems: Sequence[str]) -> pd.DataFrame:
     """Table 8: seconds of search per plan, by system and plan length, with the paper's rows below ours.
 
-    source, system, machine, 1, 2, 3 [s], estimate (seconds per estimate [s], which the paper does not tell). Empty
-    where a stage has left no note, or has planned or estimated nothing. Raises InputError for a note whose `plans` or
-    `estimates` are no [count, seconds].
+    source, system, machine, 1, 2, 3 [s], estimate (seconds per estimate of a mesh [s]; the paper's is of section 6.1).
+    Empty where a stage has left no note, or has planned or estimated nothing. Raises InputError for a note whose
+    `plans` or `estimates` are no [count, seconds].
     """
     own = []
     for system in systems:
@@ -53,6 +53,22 @@ def table_8(folder: Path, systems: Sequence[str]) -> pd.DataFrame:
     table = pd.DataFrame(own, columns=["source", "system", "machine", *LENGTHS, "estimate"])
     return pd.concat(
         [table.astype(dict.fromkeys((*LENGTHS, "estimate"), float)), paper.table_of(8, systems)], ignore_index=True
+    )
+
+
+def training(notes: pd.DataFrame) -> str:
+    """What is told of how long nets were trained, from `timings`: whether the voxel baseline had less; nothing where a
+    net was not trained in this run."""
+    minutes = notes.set_index("stage")["cpu_seconds"].astype(float) / 60
+    meshes, voxels = ([f"{kind}@{net}" for net in "ab"] for kind in ("train_pemd", "train_emd_voxel"))
+    if not minutes.index.is_unique or not {*meshes, *voxels} <= set(minutes.index):
+        return ""
+    less = minutes[voxels].sum() < 0.95 * minutes[meshes].sum()
+    said = [" and ".join(f"{minutes[net]:.0f}" for net in nets) for nets in (voxels, meshes)]
+    verdict = "**a comparison with less training than the mesh nets had**" if less else "no less than the mesh nets had"
+    return (
+        f"The voxel nets of *a2*, *b4* and *b5* were trained for {said[0]} CPU minutes, those that predict meshes for "
+        f"{said[1]}: {verdict}.\n"
     )
 
 

@@ -144,8 +144,17 @@ def _worlds(settings: SimulationConfig, count: int) -> Worlds:
     return Worlds(count, settings)
 
 
-@functools.cache
 def _shared_pool(workers: int) -> ProcessPoolExecutor:
-    pool = make_pool(workers)
-    atexit.register(pool.shutdown)
-    return pool
+    if workers not in _pools:
+        _pools[workers] = make_pool(workers)
+    return _pools[workers]
+
+
+_pools: dict[int, ProcessPoolExecutor] = {}
+
+
+@atexit.register
+def end_workers() -> None:
+    """End the worker processes. What they took counts as this process's children's from then on."""
+    while _pools:
+        _pools.popitem()[1].shutdown()

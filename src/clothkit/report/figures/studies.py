@@ -20,8 +20,8 @@ SHOWN = 6
 """Variants that are named in a figure; the others are grey."""
 
 
-def recipes(table: pd.DataFrame, path: Path, *, base: str = "base") -> None:
-    """Validation score [cloth length] against CPU minutes, a line per variant; the best by name, and `base`.
+def recipes(table: pd.DataFrame, path: Path, *, base: str = "base", unit: str = "cloth length") -> None:
+    """Validation score [`unit`] against CPU minutes, a line per variant; the best by name, and `base`.
 
     Columns: variant, seed, minutes, score. Of several seeds the mean is drawn, with its range.
     """
@@ -44,11 +44,11 @@ def recipes(table: pd.DataFrame, path: Path, *, base: str = "base") -> None:
     axis.set_yscale("log")
     axis.set_xlim(left=0, right=float(table["minutes"].max()))
     axis.set_ylim(0.95 * float(table["score"].min()), min(0.4, 1.05 * float(table["score"].max())))
-    axis.yaxis.set_major_locator(LogLocator(subs=(0.6, 0.7, 0.8, 1.0, 1.2, 1.5, 2.0, 3.0)))
+    axis.yaxis.set_major_locator(LogLocator(subs=(0.6, 0.7, 0.8, 1.0, 1.2, 1.5, 2.0, 3.0, 4.0)))
     axis.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.yaxis.set_minor_formatter("")
     axis.set_xlabel("CPU minutes", fontsize=8)
-    axis.set_ylabel("validation score [cloth length]", fontsize=8)
+    axis.set_ylabel(f"validation score [{unit}]", fontsize=8)
     panels.label_ends(axis, ends, least=0.06)
     panels.save(figure, path)
 
@@ -93,20 +93,22 @@ OTHERS = {
 """What, beside the strains, a search differs in: its marker, and its columns."""
 
 
-def search(table: pd.DataFrame, usual: Mapping[str, Any], path: Path) -> None:
+def search(table: pd.DataFrame, restarts: pd.DataFrame, usual: Mapping[str, Any], path: Path) -> None:
     """Error, search failures and loss of first plans against seconds per plan: a line per plan length, over strains.
 
     Columns: strains and those of `OTHERS`, of which `usual` has the values in force; length, seconds [s], error [cloth
     length], loss, loss_recorded. Markers off the lines stand for searches that differ from the usual one in one thing.
+    At the right what the `restarts` of the usual one find: length, restart, best (loss of its best strain), least (the
+    lowest up to then).
     """
-    figure, axes = panels.chart(3, width=3.0, height=2.9)
+    figure, axes = panels.chart(4, width=3.0, height=2.9)
     table = table.assign(failure=table["loss_recorded"] < table["loss"])
     titles = {
         "error": "planning error [cloth length]",
         "failure": "share of search failures",
         "loss": "loss of the first plan",
     }
-    for axis, (column, title) in zip(axes, titles.items(), strict=True):
+    for axis, (column, title) in zip(axes[:3], titles.items(), strict=True):
         for length, colour in zip((1, 2, 3), COLOURS, strict=True):
             means = table[table["length"] == length].groupby(list(usual))[["seconds", column]].mean().reset_index()
             line = _differing(means, usual, ["strains"]).sort_values("seconds")
@@ -125,6 +127,12 @@ def search(table: pd.DataFrame, usual: Mapping[str, Any], path: Path) -> None:
         axis.set_ylabel(title, fontsize=8)
         if column != "loss":
             axis.set_ylim(bottom=0)
+    for length, colour in zip((1, 2, 3), COLOURS, strict=True):
+        own = restarts[restarts["length"] == length]
+        axes[3].plot(own["restart"], own["least"], "-", color=colour, linewidth=1.2)
+        axes[3].plot(own["restart"], own["best"], "o", color=colour, markersize=3.0, fillstyle="none")
+    axes[3].set_xlabel("restart (dots: its best; line: the best so far)", fontsize=8)
+    axes[3].set_ylabel("loss of the first plan", fontsize=8)
     axes[0].legend(title="manipulations", fontsize=7, title_fontsize=7, frameon=False)
     marks = {name: marker for name, (marker, _) in OTHERS.items()}
     handles = [

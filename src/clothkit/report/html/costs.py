@@ -5,6 +5,7 @@ import pandas as pd
 from clothkit.report import captions
 from clothkit.report.html import tables
 from clothkit.report.html.elements import Html, element, inline, joined, paragraph
+from clothkit.report.timings import training
 
 SECTION = "time"
 """The id of the section; whoever compares pages leaves it out."""
@@ -12,6 +13,7 @@ SECTION = "time"
 
 def costs(timings: pd.DataFrame, table_8: pd.DataFrame) -> Html:
     """Table 8, and a bar for the seconds of each stage."""
+    told_of_training = training(timings)
     told = table_8.rename(columns={"1": "1 step", "2": "2 steps", "3": "3 steps", "estimate": "an estimate"})
     parts = [
         element("h3", "Table 8: seconds per plan"),
@@ -19,6 +21,7 @@ def costs(timings: pd.DataFrame, table_8: pd.DataFrame) -> Html:
         element("p", inline("[CSV](table_8.csv)")),
         tables.plain(told[["system", "source", *told.columns[2:]]].fillna({"machine": ""}), label="Table 8"),
         element("h3", "Time per stage"),
+        *([paragraph(told_of_training)] if told_of_training else []),
         paragraph(captions.TIMINGS),
         element("p", inline("[CSV](timings.csv)")),
         _stages(timings),

@@ -92,7 +92,7 @@ def _planning(contents: Contents, figures: Path) -> Html:
     failures = contents.failures[contents.failures["split"] == "test"].drop(columns="split")
     parts = [
         _pictures(contents, figures, "sessions_1", "sessions_2", "sessions_3"),
-        _table(contents, "table_6", "Table 6: planning, in meshes", captions.INTERVALS_BELOW),
+        _table(contents, "table_6", "Table 6: planning, in meshes", captions.LABELLED + captions.INTERVALS_BELOW),
         _pictures(contents, figures, "scatter"),
         _table(contents, "table_7", "Table 7: planning, in voxels", captions.PLANNING_VOXELS),
     ]
