@@ -37,6 +37,8 @@ BASES: dict[str, dict[str, Any]] = {
     "emd_voxel": {"training.muon_iterations": 5, "training.learning_rate": 1e-3, "net.canonical": False},
 }
 HELD = {"training.muon_iterations": 3, "hold": 0.5}
+OWN: dict[str, Any] = {"training.iterations": 1, "training.validate_every": 1, "training.seed": 0}
+"""What a study chooses by itself, whatever the scale says."""
 TUNED = {"training.muon_iterations": 3, "training.learning_rate": 3e-3}
 FAST = {"training.batch": 512, "training.muon_iterations": 3}
 VARIANTS: dict[str, dict[str, dict[str, Any]]] = {
@@ -190,7 +192,8 @@ def main() -> None:
     settings = getattr(params.stages, f"train_{asked.net}")
     path = Path("reports") / params.scale / "studies" / f"recipes_{asked.net}.csv"
     path.parent.mkdir(parents=True, exist_ok=True)
-    made = made_with([Path("data/meshes.zarr"), Path("data/augmented.zarr")], changed(settings, BASES[asked.net]))
+    inputs = [Path("data/meshes.zarr"), *([Path("data/augmented.zarr")] if asked.net in FORWARD else [])]
+    made = made_with(inputs, changed(settings, {**BASES[asked.net], **OWN}))
     table = read(path, ["budget", "variant", "seed", "changes"], made)
     for seed in asked.seeds:
         for variant in asked.variants or VARIANTS[asked.net]:

@@ -99,7 +99,8 @@ def main() -> None:
         of_search = {name: getattr(size, name) for name in KEYS}
         done = set(table.loc[_same(table, of_search), "sequence"])
         # All of a size at once: what restarts find is told of all of them.
-        missing = sequences if done != set(sequences) else []
+        known = done.issuperset(sequences) and _same(restarts, of_search).any()
+        missing = [] if known else sorted(done.union(sequences))
         if missing:
             settings = dataclasses.replace(plan, search=size)
             planner = assemble(SYSTEMS["main"], data, weights, settings, simulate.candidates)
@@ -109,10 +110,10 @@ def main() -> None:
             found = rows(sessions, "main").assign(**of_search, **{NAME: made})
             found["seconds"] = found["length"].map(seconds)
             table = pd.concat([table[~_same(table, of_search)], found], ignore_index=True)
-            table.to_csv(path, index=False, lineterminator="\n", float_format="%.5g")
             of_size = by_restart(sessions).assign(**of_search, **{NAME: made})
             restarts = pd.concat([restarts[~_same(restarts, of_search)], of_size], ignore_index=True)
             restarts.to_csv(of_restarts, index=False, lineterminator="\n", float_format="%.5g")
+            table.to_csv(path, index=False, lineterminator="\n", float_format="%.5g")
             print(f"{of_search}: {found['error'].mean():.4f}", flush=True)
     print(table.groupby([*KEYS, "length"])[["seconds", "error", "loss"]].mean().round(4).to_string())
     usual = {name: getattr(plan.search, name) for name in KEYS}

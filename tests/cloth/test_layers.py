@@ -28,6 +28,10 @@ def test_a_fold_from_below_is_the_other_way_round() -> None:
     assert reversed_share(folded(0), below) == 1
 
 
+def test_a_fold_that_is_missing_is_no_other_order() -> None:
+    assert np.isnan(reversed_share(folded(0), folded(1, 0)))
+
+
 def test_where_no_layers_lie_on_one_another_there_is_no_order() -> None:
     assert np.isnan(reversed_share(flat(), flat()))
     assert np.isnan(reversed_share(flat(), folded(0)))

@@ -81,7 +81,7 @@ def test_failures_by_hand() -> None:
         "tasks": 3,
         "search_failure": 1 / 3,
         "model_failure": 1 / 3,
-        "layers_reversed": 1 / 3,
+        "layers_reversed": 2 / 3,
         "grasp_offered": 2 / 3,
         "nulls_fired": 1 / 3,
         "nulls_helped": 1,
@@ -125,10 +125,9 @@ def test_the_first_cause_that_holds_is_named() -> None:
     seen = offered.assign(estimate_error=0.01)
     assert planning.diagnosis(seen).tolist() == ["search failure", "model failure", "open", "open"]
     turned = seen.assign(layers_reversed=0.3)
-    # The third is near its goal, whatever lies on top.
-    assert planning.diagnosis(turned).tolist() == [*["layers in another order"] * 2, "open", "layers in another order"]
+    assert planning.diagnosis(turned).tolist() == ["layers reversed"] * 4
     unseen = turned.assign(estimate_layers_reversed=[0.3, 0.2, np.nan, 0.2])
-    assert planning.diagnosis(unseen)[0] == "estimate's layers in another order"
+    assert planning.diagnosis(unseen)[0] == "estimate's layers reversed"
 
 
 def write_systems(folder: Path) -> pd.DataFrame:

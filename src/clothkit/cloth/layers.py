@@ -12,12 +12,15 @@ REACH = CLOTH_SIDE / (SIDE - 1)
 APART = 4
 """Vertices this near on the cloth are of one layer [grid steps]."""
 
+COMMON = 0.5
+"""Meshes that have a smaller share of the truth's overlaps are folded otherwise, in whatever order."""
+
 
 def reversed_share(mesh: Float[np.ndarray, "u v 3"], truth: Float[np.ndarray, "u v 3"]) -> float:
     """The share of pairs of vertices, on one another in both meshes, whose order in z is not the truth's.
 
-    Both under the same labels. NaN where no layers lie on one another in both. One half where a cloth is folded twice,
-    first over the other axis: of six pairs of layers three change places.
+    Both under the same labels. NaN where the truth has no layers on one another, or the mesh less than COMMON of them.
+    One half where a cloth is folded twice, first over the other axis: of six pairs of layers three change places.
     """
     a, b = (np.asarray(m, np.float64).reshape(-1, 3) for m in (mesh, truth))
     pairs = cKDTree(b[:, :2]).query_pairs(REACH, output_type="ndarray")
@@ -25,6 +28,6 @@ def reversed_share(mesh: Float[np.ndarray, "u v 3"], truth: Float[np.ndarray, "u
     far = np.maximum(np.abs(np.diff(u)), np.abs(np.diff(v)))[:, 0] >= APART
     near = np.linalg.norm(np.diff(a[pairs][..., :2], axis=1)[:, 0], axis=-1) <= REACH
     first, second = pairs[far & near].T
-    if not len(first):
+    if len(first) < max(1, COMMON * far.sum()):
         return float("nan")
     return float(np.mean((a[first, 2] > a[second, 2]) != (b[first, 2] > b[second, 2])))

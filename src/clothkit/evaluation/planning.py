@@ -89,8 +89,8 @@ def failures(tidy: pd.DataFrame) -> pd.DataFrame:
 
     tasks; search_failure (share of plans that the nets themselves rate below the recorded manipulations: the search
     missed those); model_failure (share of plans that they rate at least as high, but whose outcome is LARGE off);
-    layers_reversed (share of tasks whose outcome is LARGE off and has more than REVERSED of its layers in another order
-    than the goal); grasp_offered (share of starts with a candidate at every recorded grasp point); nulls_fired
+    layers_reversed (share of tasks whose outcome has the goal's folds, but more than REVERSED of its layers in another
+    order); grasp_offered (share of starts with a candidate at every recorded grasp point); nulls_fired
     (manipulations that the null check cancelled, per session); nulls_helped (of those in a session's last step, the
     share that would have led away from the goal); expected, error (means of what the nets expect and of what came
     [cloth length]); error_estimate_good, error_estimate_bad (mean errors of tasks whose first estimate is within LARGE,
@@ -100,8 +100,8 @@ def failures(tidy: pd.DataFrame) -> pd.DataFrame:
     rated = tidy["loss"].notna() & tidy["loss_recorded"].notna()
     judged = tidy.assign(
         search_failure=missed.astype(float).where(rated),
-        model_failure=(~missed & _off(tidy)).astype(float).where(rated),
-        layers_reversed=(_off(tidy) & (tidy["layers_reversed"] > REVERSED)).astype(float),
+        model_failure=(~missed & (tidy["error"] > LARGE)).astype(float).where(rated),
+        layers_reversed=(tidy["layers_reversed"] > REVERSED).astype(float),
         grasp_offered=tidy["grasp_offered"].astype(float),
         error_estimate_good=tidy["error"].where(tidy["estimate_error"] <= LARGE),
         error_estimate_bad=tidy["error"].where(tidy["estimate_error"] > LARGE),
@@ -121,29 +121,25 @@ def failures(tidy: pd.DataFrame) -> pd.DataFrame:
     last = groups["nulls_last"].sum()
     found.insert(0, "tasks", groups.size())
     helped = groups["nulls_helped"].sum() / last.where(last > 0)
-    found.insert(found.columns.get_loc("nulls_fired") + 1, "nulls_helped", helped)
+    found.insert(found.columns.tolist().index("nulls_fired") + 1, "nulls_helped", helped)
     return found.reset_index()
 
 
 def diagnosis(tidy: pd.DataFrame) -> pd.Series:
-    """Why a task failed, in the words of section 6.4: the first that is true of its first plan.
+    """Why a task failed, in the words of section 6.4: the first that is true of its first plan, and of its outcome.
 
-    grasp point not offered (no candidate near a recorded one); estimate wrong (LARGE off); estimate's layers in another
-    order (more than REVERSED of them); layers in another order (likewise, the outcome's, which is LARGE off); search
-    failure (the nets rate the recorded manipulations better than what was found); model failure (they expected to come
-    within LARGE of the goal, and did not); open.
+    grasp point not offered (no candidate near a recorded one); estimate wrong (LARGE off); estimate's layers reversed
+    (more than REVERSED of them); layers reversed (likewise, the outcome's); search failure (the nets rate the recorded
+    manipulations better than what was found); model failure (they expected to come within LARGE of the goal, and did
+    not); open.
     """
     causes = {
         "grasp point not offered": ~tidy["grasp_offered"].astype(bool),
         "estimate wrong": tidy["estimate_error"] > LARGE,
-        "estimate's layers in another order": tidy["estimate_layers_reversed"] > REVERSED,
-        "layers in another order": _off(tidy) & (tidy["layers_reversed"] > REVERSED),
+        "estimate's layers reversed": tidy["estimate_layers_reversed"] > REVERSED,
+        "layers reversed": tidy["layers_reversed"] > REVERSED,
         "search failure": tidy["loss_recorded"] < tidy["loss"],
-        "model failure": (tidy["expected"] <= LARGE) & _off(tidy),
+        "model failure": (tidy["expected"] <= LARGE) & (tidy["error"] > LARGE),
     }
     found = np.select([cause.to_numpy() for cause in causes.values()], list(causes), default="open")
     return pd.Series(found, tidy.index, dtype=object, name="diagnosis")
-
-
-def _off(tidy: pd.DataFrame) -> pd.Series:
-    return tidy["error"] > LARGE

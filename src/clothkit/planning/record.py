@@ -198,7 +198,7 @@ def load_piece(path: Path) -> Sessions:
 
 @dataclasses.dataclass(frozen=True)
 class Pieces:
-    """Sessions of many batches, one after the other, of which no more than one at a time is in memory."""
+    """Sessions of many batches, one after the other, read from their files when they are asked for."""
 
     paths: Sequence[Path]
 

@@ -33,7 +33,7 @@ VOXELS = (
     "grid point. *a2* predicts what a camera above sees, and its truth is that: occluded, at twice the mesh's "
     "resolution; so is its *no action*. *main_occluded* are *main*'s predictions in that format, as the share of "
     "meshes drawn from them in which a camera sees a voxel occupied: those two can be held against each other. How "
-    "long either's nets were trained is told [with the times](table_8.md).\n"
+    "long either's nets were trained is told [with the times](table_8.md), where that is known.\n"
 )
 COMPARISONS = (
     "The two on the same tasks: mean difference (system minus the one it is held against: below zero the first is "
@@ -80,9 +80,9 @@ FAILURES = (
     "Of each session's first plan, test set. *search_failure*: share of plans that the nets rate worse than the "
     "recorded manipulations, which the search missed; *model_failure*: share that they rate no worse, yet whose "
     "outcome is more than 0.05 off; *grasp_offered*: share of starts with a grasp candidate at each recorded grasp "
-    "point; *layers_reversed*: share whose outcome is more than 0.05 off and has more than a quarter of its layers in "
-    "another order than the goal (folding twice, first over the other axis, makes it a half); *nulls_fired*: "
-    "manipulations per session that the planner cancelled because it expected their plan to end no nearer to the goal, "
+    "point; *layers_reversed*: share whose outcome has the goal's folds, but more than a quarter of its layers in "
+    "another order (folding twice, first over the other axis, makes it a half); *nulls_fired*: manipulations per session "
+    "that the planner cancelled because it expected their plan to end no nearer to the goal, "
     "*nulls_helped*: of those in a session's last step, the share that would have led away from the goal, as the "
     "simulation of what was cancelled tells; *expected*, *error*: mean error that the nets expect, and that came; "
     "*error_estimate_good*, *error_estimate_bad*: mean error of tasks "
@@ -91,11 +91,11 @@ FAILURES = (
 LARGEST = (
     "The test tasks with the largest errors, and why, in the words of the paper's section 6.4; the first that holds: a "
     "recorded grasp point had no candidate nearby (*grasp point not offered*); the first estimate was more than 0.05 "
-    "off (*estimate wrong*); more than a quarter of its layers, or of the outcome's, lie in another order than in the "
-    "truth, or in the goal (*layers in another order*; the shares are in the table); the nets rate the recorded "
-    "manipulations better than the plan (*search failure*); they "
-    "expected an error of at most 0.05 (*model failure*); none of these (*open*): they knew that the plan is not good, "
-    "and think no better of the recorded manipulations. All of the first plan: what went wrong later is not told.\n"
+    "off (*estimate wrong*); more than a quarter of its layers lie in another order than the truth's (*estimate's "
+    "layers reversed*), or of the final outcome's in another order than the goal's (*layers reversed*); the nets rate "
+    "the recorded manipulations better than the plan (*search failure*); they expected an error of at most 0.05 "
+    "(*model failure*); none of these (*open*): they knew that the plan is not good, and think no better of the recorded "
+    "manipulations. All but *error* and *layers_reversed* are of the first plan: what went wrong later is not told.\n"
 )
 CAMERA = (
     "Test cloths before a simulated depth camera (section 6.5), tilted from straight down by so many degrees, with "

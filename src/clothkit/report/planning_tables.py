@@ -98,7 +98,7 @@ def _ordered(table: pd.DataFrame, column: str, order: Sequence[str]) -> pd.DataF
 def largest(tidy: pd.DataFrame, system: str, count: int) -> pd.DataFrame:
     """The test tasks of a system with the largest errors, the largest first, and why they failed.
 
-    LARGEST (errors, estimate_error and expected [cloth length]; all but the error of the first plan), diagnosis.
+    LARGEST (errors and expected [cloth length]; all but error and layers_reversed of the first plan), diagnosis.
     """
     own = tidy[(tidy["system"] == system) & (tidy["split"] == "test")]
     own = own.assign(diagnosis=diagnosis(own))
