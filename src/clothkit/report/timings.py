@@ -65,7 +65,7 @@ def training(notes: pd.DataFrame) -> str:
         return ""
     share = minutes[voxels].sum() / minutes[meshes].sum()
     said = [" and ".join(f"{minutes[net]:.0f}" for net in nets) for nets in (voxels, meshes)]
-    verdict = "*a comparison with less*" if share < 0.95 else "as long or longer" if share > 1 else "about as long"
+    verdict = "*a comparison with less*" if share < 0.95 else "as long or longer" if share >= 1 else "about as long"
     return (
         f"The voxel nets of *a2*, *b4* and *b5* were trained for {said[0]} CPU minutes in their last runs, "
         f"those that predict meshes for {said[1]}: {verdict}.\n"
