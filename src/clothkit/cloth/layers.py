@@ -7,7 +7,10 @@ from scipy.spatial import cKDTree
 from clothkit.cloth.grid import CLOTH_SIDE, SIDE
 
 REACH = CLOTH_SIDE / (SIDE - 1)
-"""Vertices this near in x and y lie on one another [normalised]."""
+"""Vertices of the truth that are this near in x and y lie on one another [normalised]."""
+
+SLACK = 3
+"""Folds are never quite the truth's: a mesh's vertices lie on one another within so many times REACH."""
 
 APART = 4
 """Vertices this near on the cloth are of one layer [grid steps]."""
@@ -26,7 +29,7 @@ def reversed_share(mesh: Float[np.ndarray, "u v 3"], truth: Float[np.ndarray, "u
     pairs = cKDTree(b[:, :2]).query_pairs(REACH, output_type="ndarray")
     u, v = np.divmod(pairs, SIDE)
     far = np.maximum(np.abs(np.diff(u)), np.abs(np.diff(v)))[:, 0] >= APART
-    near = np.linalg.norm(np.diff(a[pairs][..., :2], axis=1)[:, 0], axis=-1) <= REACH
+    near = np.linalg.norm(np.diff(a[pairs][..., :2], axis=1)[:, 0], axis=-1) <= SLACK * REACH
     first, second = pairs[far & near].T
     if len(first) < max(1, COMMON * far.sum()):
         return float("nan")
