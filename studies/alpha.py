@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from made_with import NAME, made_with, read
+from made_with import NAME, joined, made_with, read
 
 from clothkit.dataset import store
 from clothkit.params import load_params
@@ -72,7 +72,7 @@ def main() -> None:
             simulator = partial(execute, settings=simulate.simulation)
             sessions, _ = try_out(dataset, missing, "validation", planner, simulator)
             found = rows(sessions, name).assign(**weights._asdict(), **{NAME: made})
-            table = pd.concat([table, found], ignore_index=True)
+            table = joined(table, found)
             table.to_csv(path, index=False, lineterminator="\n", float_format="%.5g")
         means = known(table, weights).groupby("length")["error"].mean().round(4).tolist()
         print(f"alpha {weights.alpha:g}, beta {weights.beta:g}, gamma {weights.gamma:g}: {means}", flush=True)

@@ -24,3 +24,8 @@ def read(path: Path, columns: list[str], of: str) -> pd.DataFrame:
     # As text: some digests look like numbers.
     table = pd.read_csv(path, dtype={NAME: str}) if path.exists() else pd.DataFrame(columns=[*columns, NAME])
     return table[table[NAME] == of] if NAME in table else table[:0]
+
+
+def joined(table: pd.DataFrame, found: pd.DataFrame) -> pd.DataFrame:
+    """Rows below those that there are; numbers stay numbers, even below none."""
+    return pd.concat([table, found], ignore_index=True) if len(table) else found.reset_index(drop=True)

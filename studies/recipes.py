@@ -20,7 +20,7 @@ from typing import Any
 
 import jax
 import pandas as pd
-from made_with import NAME, made_with, read
+from made_with import NAME, joined, made_with, read
 
 from clothkit.dataset import store
 from clothkit.networks import emd_voxel_training, pemd_training, vtm_training
@@ -210,7 +210,7 @@ def main() -> None:
                     "seed": seed,
                     NAME: made,
                 }
-                table = pd.concat([table, pd.DataFrame([{**of, **row, NAME: made} for row in rows])], ignore_index=True)
+                table = joined(table, pd.DataFrame([{**of, **row, NAME: made} for row in rows]))
                 table.to_csv(path, index=False, lineterminator="\n", float_format="%.5g")
                 known = table.index >= len(table) - len(rows)
             best = table[known].sort_values("score").iloc[0]

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from made_with import NAME, made_with, read
+from made_with import NAME, joined, made_with, read
 
 from clothkit.dataset import store
 from clothkit.params import load_params
@@ -109,9 +109,9 @@ def main() -> None:
             seconds = {int(n): spent / count for n, (count, spent) in cost(clock)["plans"].items()}
             found = rows(sessions, "main").assign(**of_search, **{NAME: made})
             found["seconds"] = found["length"].map(seconds)
-            table = pd.concat([table[~_same(table, of_search)], found], ignore_index=True)
+            table = joined(table[~_same(table, of_search)], found)
             of_size = by_restart(sessions).assign(**of_search, **{NAME: made})
-            restarts = pd.concat([restarts[~_same(restarts, of_search)], of_size], ignore_index=True)
+            restarts = joined(restarts[~_same(restarts, of_search)], of_size)
             restarts.to_csv(of_restarts, index=False, lineterminator="\n", float_format="%.5g")
             table.to_csv(path, index=False, lineterminator="\n", float_format="%.5g")
             print(f"{of_search}: {found['error'].mean():.4f}", flush=True)
