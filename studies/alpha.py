@@ -7,7 +7,7 @@ with other nets or other settings (`made_with`), whose rows are dropped. Draws e
 each plan length, mean and 95 % bootstrap interval over sequences, to alpha.png. Needs the nets, the normalisation and
 the dataset (`dvc repro normalise`).
 
-`--alphas A ..` (0 0.1 0.3 1 3 10), `--betas B ..` (2.5 10), `--gammas G ..` (0 2.5). `--system NAME` (main) takes
+`--alphas A ..` (0 0.003 0.01 0.03 0.1 1 10), `--betas B ..` (2.5 10), `--gammas G ..` (0 2.5). `--system NAME` (main) takes
 another, b1 for instance, whose rows and figure go to alpha_b1.csv and .png.
 """
 
@@ -41,7 +41,7 @@ def main() -> None:
     """Do what is asked and print the mean errors."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sequences", type=int, nargs="?", default=10)
-    parser.add_argument("--alphas", type=float, nargs="+", default=[0, 0.1, 0.3, 1, 3, 10])
+    parser.add_argument("--alphas", type=float, nargs="+", default=[0, 0.003, 0.01, 0.03, 0.1, 1, 10])
     parser.add_argument("--betas", type=float, nargs="*", default=[2.5, 10])
     parser.add_argument("--gammas", type=float, nargs="*", default=[0, 2.5])
     parser.add_argument(
