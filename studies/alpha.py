@@ -7,8 +7,8 @@ with other nets or other settings (`made_with`), whose rows are dropped. Draws e
 each plan length, mean and 95 % bootstrap interval over sequences, to alpha.png. Needs the nets, the normalisation and
 the dataset (`dvc repro normalise`).
 
-`--alphas A ..` (0 0.003 0.01 0.03 0.1 1 10), `--betas B ..` (2.5 10), `--gammas G ..` (0 2.5). `--system NAME` (main) takes
-another, b1 for instance, whose rows and figure go to alpha_b1.csv and .png.
+`--alphas A ..` (0 0.003 0.01 0.03 0.1 1 10), `--betas B ..` (2.5 10), `--gammas G ..` (0 2.5). `--system NAME` (main)
+takes another, b1 for instance, whose rows and figure go to alpha_b1.csv and .png.
 """
 
 import argparse
