@@ -84,22 +84,22 @@ def _mean(rows: pd.DataFrame) -> Float[np.ndarray, "3"]:
     return np.array([total.sum() / count.sum(), *interval(total, count)])
 
 
+ITERATIONS = ["base_iterations", "iterations_per_step"]
 OTHERS = {
-    "iterations": ("x", ["base_iterations", "iterations_per_step"]),
     "vertices": ("s", ["every"]),
     "restarts": ("^", ["near"]),
     "kinds of manipulations": ("D", ["fold"]),
 }
-"""What, beside the strains, a search differs in: its marker, and its columns."""
+"""What, beside strains and iterations, a search differs in: its marker, and its columns."""
 
 
 def search(table: pd.DataFrame, restarts: pd.DataFrame, usual: Mapping[str, Any], path: Path) -> None:
     """Error, search failures and loss of first plans against seconds per plan: a line per plan length, over strains.
 
-    Columns: strains and those of `OTHERS`, of which `usual` has the values in force; length, seconds [s], error [cloth
-    length], loss, loss_recorded. Markers off the lines stand for searches that differ from the usual one in one thing.
-    At the right what the `restarts` of the usual one find: length, restart, best (loss of its best strain), least (the
-    lowest up to then).
+    Columns: strains, those of ITERATIONS and of OTHERS, of which `usual` has the values in force; length, seconds [s],
+    error [cloth length], loss, loss_recorded. Markers off the lines stand for searches that differ from the usual one in
+    one thing, dashed lines for other iterations, over strains again. At the right what the `restarts` of the usual one
+    find: length, restart, best (loss of its best strain), least (the lowest up to then).
     """
     figure, axes = panels.chart(4, width=3.0, height=2.9)
     table = table.assign(failure=table["loss_recorded"] < table["loss"])
@@ -115,6 +115,10 @@ def search(table: pd.DataFrame, restarts: pd.DataFrame, usual: Mapping[str, Any]
             axis.plot(
                 line["seconds"], line[column], "o-", color=colour, linewidth=1.2, markersize=3.5, label=f"{length}"
             )
+            for _, other in _differing(means, usual, ["strains", *ITERATIONS]).groupby(ITERATIONS):
+                if (other[ITERATIONS] != pd.Series({name: usual[name] for name in ITERATIONS})).any(axis=None):
+                    other = other.sort_values("seconds")
+                    axis.plot(other["seconds"], other[column], "x--", color=colour, linewidth=0.8, markersize=4.5)
             for marker, columns in OTHERS.values():
                 others = _differing(means, usual, columns)
                 others = others[(others[columns] != pd.Series({name: usual[name] for name in columns})).any(axis=1)]
@@ -134,7 +138,7 @@ def search(table: pd.DataFrame, restarts: pd.DataFrame, usual: Mapping[str, Any]
     axes[3].set_xlabel("restart (dots: its best; line: the best so far)", fontsize=8)
     axes[3].set_ylabel("loss of the first plan", fontsize=8)
     axes[0].legend(title="manipulations", fontsize=7, title_fontsize=7, frameon=False)
-    marks = {name: marker for name, (marker, _) in OTHERS.items()}
+    marks = {"iterations": "x", **{name: marker for name, (marker, _) in OTHERS.items()}}
     handles = [
         Line2D([], [], color=QUIET, marker=marker, linestyle="", fillstyle="none", label=name, markersize=4.5)
         for name, marker in marks.items()
