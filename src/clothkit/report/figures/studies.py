@@ -97,9 +97,9 @@ def search(table: pd.DataFrame, restarts: pd.DataFrame, usual: Mapping[str, Any]
     """Error, search failures and loss of first plans against seconds per plan: a line per plan length, over strains.
 
     Columns: strains, those of ITERATIONS and of OTHERS, of which `usual` has the values in force; length, seconds [s],
-    error [cloth length], loss, loss_recorded. Markers off the lines stand for searches that differ from the usual one in
-    one thing, dashed lines for other iterations, over strains again. At the right what the `restarts` of the usual one
-    find: length, restart, best (loss of its best strain), least (the lowest up to then).
+    error [cloth length], loss, loss_recorded. Markers off the lines stand for searches that differ from the usual one
+    in one thing, dashed lines for other iterations, over strains again. At the right what the `restarts` of the usual
+    one find: length, restart, best (loss of its best strain), least (the lowest up to then).
     """
     figure, axes = panels.chart(4, width=3.0, height=2.9)
     table = table.assign(failure=table["loss_recorded"] < table["loss"])
