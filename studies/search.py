@@ -7,7 +7,8 @@ to reports/<scale>/studies/search.csv, with the seconds per plan of that length,
 to search_restarts.csv; what is there already is not done again, unless it was made with other nets or other settings
 (`made_with`), whose rows are dropped. search.png shows, for each plan length, error, search failures (the recorded plan
 has the lower loss) and the first plan's loss against seconds per plan, and, for the search in force, the best of each
-restart. Needs the nets, the normalisation and the dataset (`dvc repro normalise`).
+restart. With no more sequences than are planned together, the seconds of the longest plans hold their compilation.
+Needs the nets, the normalisation and the dataset (`dvc repro normalise`).
 
 `--strains N ..` (16 32 64 128 256 512), `--iterations F ..` (0.5 2: multiples of those in force), `--every N ..` (1 4),
 `--near SHARE ..` (0 0.8).
