@@ -203,13 +203,7 @@ def main() -> None:
             if not known.any():
                 wanted = {**BASES[asked.net], **changes, "training.seed": seed}
                 rows = study(asked.net, changed(settings, wanted), asked.minutes)
-                of = {
-                    "budget": asked.minutes,
-                    "variant": variant,
-                    "changes": json.dumps(changes),
-                    "seed": seed,
-                    NAME: made,
-                }
+                of = {"budget": asked.minutes, "variant": variant, "changes": json.dumps(changes), "seed": seed}
                 table = joined(table, pd.DataFrame([{**of, **row, NAME: made} for row in rows]))
                 table.to_csv(path, index=False, lineterminator="\n", float_format="%.5g")
                 known = table.index >= len(table) - len(rows)

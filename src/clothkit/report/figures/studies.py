@@ -138,7 +138,8 @@ def search(table: pd.DataFrame, restarts: pd.DataFrame, usual: Mapping[str, Any]
     axes[3].set_xlabel("restart (dots: its best; line: the best so far)", fontsize=8)
     axes[3].set_ylabel("loss of the first plan", fontsize=8)
     axes[0].legend(title="manipulations", fontsize=7, title_fontsize=7, frameon=False)
-    marks = {"iterations": "x", **{name: marker for name, (marker, _) in OTHERS.items()}}
+    told = {"iterations": ("x", ITERATIONS), **OTHERS}
+    marks = {name: marker for name, (marker, of) in told.items() if (table[of].nunique() > 1).any()}
     handles = [
         Line2D([], [], color=QUIET, marker=marker, linestyle="", fillstyle="none", label=name, markersize=4.5)
         for name, marker in marks.items()
