@@ -47,7 +47,7 @@ POSITION = (
 _INTERVALS = "the ends of a bootstrap interval of our mean, drawn by sequences, since tasks of one share its states.\n"
 LABELLED = (
     "*mean, labelled* takes outcome and goal as the dataset labels them, and not the best of eight labellings; the "
-    "paper's figures are distances \"for each mesh vertex\", and it names no choice of labelling.\n"
+    'paper\'s figures are distances "for each mesh vertex", and it names no choice of labelling.\n'
 )
 INTERVALS = f"*mean 95 % low* and *high* are {_INTERVALS}"
 INTERVALS_BELOW = f"*95 % of mean*: {_INTERVALS}"
