@@ -3,9 +3,11 @@
 python benchmarks/planning.py [SYSTEM ..] [options]
 
 SYSTEM is main, b2, b3, b4 or b5 (the first three if none is named). For plans of one, two and three manipulations:
-seconds per plan, and, for systems that plan on meshes, how these stand to the time that the search's matrix products
-take by themselves, on the same shapes in the same run: for every weight matrix that the loss needs the forward product
-and the backward one for its input; weights need no gradient. The encoder, run once, is not counted.
+seconds per plan, beside the paper's (table 8, RTX 2080 Ti, 256 strains), and, for systems that plan on meshes, how
+these stand to the time that the search's matrix products take by themselves, on the same shapes in the same run: for
+every weight matrix that the loss needs the forward product and the backward one for its input; weights need no
+gradient. The encoder, run once, is not counted. With `main` go seconds per estimate of a mesh, without and with its
+refinement, beside those of section 6.1.
 
 `--scale NAME` takes the sizes of a scale (the one in force), `--strains`, `--batch` and `--every` change its settings,
 `--rounds N` (3) repeat and take the least of each time. Nets are untrained: values do not matter for the time.
@@ -26,7 +28,8 @@ from timed import in_a_row, least
 from clothkit.cloth.grid import SIDE, flat
 from clothkit.cloth.silhouette import silhouette
 from clothkit.cloth.voxels import observe
-from clothkit.networks import emd_voxel, pemd
+from clothkit.estimation.estimate import estimate, estimate_unrefined
+from clothkit.networks import emd_voxel, pemd, vtm
 from clothkit.networks.net import Net
 from clothkit.params import load_params
 from clothkit.planning.draw import EXTENT, RASTER, Candidates
@@ -34,6 +37,7 @@ from clothkit.planning.loss import Range, Spread, Weights
 from clothkit.planning.search import UNKNOWN, Problem, Reference, SearchConfig, search
 from clothkit.planning.sight import CORNERS, MeshSight, VoxelSight
 from clothkit.planning.systems import SYSTEMS, System
+from clothkit.report import paper
 
 LENGTHS = (1, 2, 3)
 CANDIDATES = 12
@@ -96,20 +100,14 @@ def measure(system: System, stages: Any, settings: SearchConfig, batch: int, rou
         asked = problems(system, nets, forward, length, batch)
         keys = jax.random.split(jax.random.key(0), batch)
         reference = Reference((Range(0.0, 1.0),) * 2, Spread(np.ones(length, np.float32), np.ones(length, np.float32)))
-        call = partial(
-            search,
-            forward,
-            nets,
-            asked,
-            reference,
-            Weights(float(explicit), 5.0, 1.25),
-            length=length,
-            settings=settings,
-            explicit=explicit,
-            keys=keys,
-        )
-        seconds = least(call, rounds)
-        row: dict[str, Any] = {"system": system.name, "length": length, "s a plan": round(seconds / batch, 3)}
+        given = (nets, asked, reference, Weights(float(explicit), 5.0, 1.25))
+        # Compiled ahead: at table 1's sizes one search takes minutes on a CPU.
+        program = search.lower(
+            forward, *given, length=length, settings=settings, explicit=explicit, keys=keys
+        ).compile()
+        seconds = least(partial(program, *given, keys=keys), rounds, compiled=True)
+        row: dict[str, Any] = {"system": system.name, "strains": settings.strains, "length": length}
+        row |= {"s a plan": round(seconds / batch, 3), "paper's": published(system.name, length)}
         if not system.voxels:
             rows = settings.strains * batch
             alone, flops = products_alone(nets[0].params, rows, length, explicit, settings.every, rounds)
@@ -125,8 +123,31 @@ def measure(system: System, stages: Any, settings: SearchConfig, batch: int, rou
     return found
 
 
+def published(system: str, length: int) -> float | None:
+    """The paper's seconds per plan, of 256 strains [s]; none where table 8 has no row."""
+    rows = paper.table_of(8, [system])
+    rows = rows[rows["machine"].str.contains("2080")]
+    return float(rows[str(length)].iloc[0]) if len(rows) else None
+
+
+def estimates(stages: Any, batch: int, rounds: int) -> list[dict]:
+    """Seconds per estimate, of VtM alone and refined: one at a time, as the paper's are, and many."""
+    settings = stages.train_vtm.net
+    net = Net(settings, vtm.initial(settings, key=jax.random.key(0)))
+    found = []
+    for count in sorted({1, batch}):
+        seen = np.repeat(np.asarray(observe(flat()))[None], count, axis=0)
+        for what, call, told in (
+            ("VtM", partial(estimate_unrefined, net, seen), 0.0037),
+            ("refined", partial(estimate, net, seen, stages.plan.refine), 0.5737),
+        ):
+            seconds = least(call, rounds) / count
+            found.append({"estimate": what, "at a time": count, "s each": round(seconds, 5), "paper's": told})
+    return found
+
+
 def main() -> None:
-    """Print the table."""
+    """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("systems", nargs="*", metavar="SYSTEM")
     parser.add_argument("--scale")
@@ -134,17 +155,20 @@ def main() -> None:
     parser.add_argument("--every", type=int, choices=[e for e in range(1, SIDE + 1) if SIDE % e == 0])
     parser.add_argument("--batch", type=int)
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--csv", type=Path)
+    parser.add_argument("--csv", type=Path, metavar="FOLDER", help="write the tables there, too")
     asked = parser.parse_args()
     params = load_params(Path("params.yaml"))
     stages: Any = params.scales[asked.scale or params.scale]
-    rows = []
-    for name in asked.systems or ("main", "b2", "b3"):
+    rows, names = [], asked.systems or ("main", "b2", "b3")
+    for name in names:
         plan = stages.plan.of(SYSTEMS[name])
         changed = {k: getattr(asked, k) for k in ("strains", "every") if getattr(asked, k) is not None}
         settings = dataclasses.replace(plan.search, **changed)
         rows += measure(SYSTEMS[name], stages, settings, asked.batch or plan.batch, asked.rounds)
     show(f"planning: {asked.scale or params.scale}", rows, csv=asked.csv)
+    if "main" in names:
+        seconds = estimates(stages, asked.batch or stages.plan.batch, asked.rounds)
+        show(f"estimates: {asked.scale or params.scale}", seconds, csv=asked.csv)
 
 
 if __name__ == "__main__":
