@@ -81,7 +81,7 @@ def products_alone(params: Any, rows: int, length: int, explicit: bool, every: i
         # M runs once a step; D for the outcome alone, or for every state where their difference counts.
         times, count = (length, rows) if names[0] == "M" else (1, rows * (length if explicit else 1))
         arrays = (jnp.ones((count, wide)), jnp.ones((wide, out)), jnp.ones((count, out)))
-        repeats = max(1, int(2e9 / (4 * count * wide * out)))
+        repeats = min(1000, max(1, int(2e9 / (4 * count * wide * out))))
         row = partial(in_a_row, partial(products, *arrays), repeats)
         seconds += times * least(row, rounds) / repeats
         flops += times * 4 * count * wide * out
