@@ -15,6 +15,7 @@ refinement, beside those of section 6.1.
 
 import argparse
 import dataclasses
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -139,7 +140,7 @@ def estimates(stages: Any, batch: int, rounds: int) -> list[dict]:
     found = []
     for count in sorted({1, batch}):
         seen = np.repeat(np.asarray(observe(flat()))[None], count, axis=0)
-        calls = {
+        calls: dict[str, Callable[[], Any]] = {
             "VtM": partial(estimate_unrefined, net, seen),
             "refined": partial(estimate, net, seen, stages.plan.refine),
         }
