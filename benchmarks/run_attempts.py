@@ -1,6 +1,7 @@
 """Attempted sequences of whichever clothkit is on the path, nothing thrown away: the other half of simulation.py.
 
     PYTHONPATH=CHECKOUT/src python benchmarks/run_attempts.py OUT.npz [--count 16] [--first 0] [--workers 1] [--side 32]
+        [--device cpu] [--block 4]
 
 Runs attempts of seed 0 with that checkout's default settings, and writes their states, when and how they came to rest,
 CPU and wall seconds (compiling left out) and peak memory. It uses only what every version of the simulation has.
@@ -13,6 +14,7 @@ import os
 import resource
 import time
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -21,7 +23,6 @@ from clothkit.simulation import attempts
 from clothkit.simulation.processes import make_pool
 from clothkit.simulation.settings import Limits, SimulateConfig, SimulationConfig
 
-BLOCK = 4  # attempts at a time, as in the simulate stage
 WARM_UP = 900_000  # number of the attempt that a process begins with, so that nothing is compiled later
 OPEN = Limits(height=9.0, residual_speed=9.0, strain_p99=9.0, strain_worst=9.0, intersections=10**6)
 
@@ -47,22 +48,22 @@ class Watch:
         return "" if quality.finite[index] else "not finite"
 
 
-def settings(side: int, changes: str) -> SimulateConfig:
-    """The default settings at so many vertices a side, with a JSON object of changes to the material."""
-    simulation = SimulationConfig(side=side)
+def settings(side: int, device: Any, changes: str) -> SimulateConfig:
+    """The default settings at so many vertices a side, on a device, with a JSON object of changes to the material."""
+    simulation = SimulationConfig(side=side, device=device)
     if changes:
         material = type(simulation.material)(**json.loads(changes))
-        simulation = SimulationConfig(side=side, material=material)
+        simulation = SimulationConfig(side=side, device=device, material=material)
     return SimulateConfig(sequences=1, seed=0, simulation=simulation, limits=OPEN)
 
 
-def run_block(first: int, count: int, side: int, changes: str) -> dict[str, np.ndarray]:
+def run_block(first: int, count: int, side: int, device: str, changes: str) -> dict[str, np.ndarray]:
     """A block of attempts: their arrays, `rested` [attempts 3], `solver_seconds` [3], and what the process used."""
-    warm_up(side, changes)
+    warm_up(side, device, changes)
     watch = Watch()
     attempts.perform, attempts.reason = watch.timed, watch.lenient  # type: ignore[assignment]
     started = time.process_time()
-    found = attempts.attempt_sequences(range(first, first + count), settings(side, changes))
+    found = attempts.attempt_sequences(range(first, first + count), settings(side, device, changes))
     attempts.perform = watch.perform
     spent = time.process_time() - started
     rested = np.zeros((count, 3), bool)
@@ -76,29 +77,31 @@ def run_block(first: int, count: int, side: int, changes: str) -> dict[str, np.n
 
 
 @functools.cache
-def warm_up(side: int, changes: str) -> None:
+def warm_up(side: int, device: str, changes: str) -> None:
     """Load or compile the kernels, once a process."""
     cv2.setNumThreads(1)
-    attempts.attempt_sequences(range(WARM_UP, WARM_UP + 1), settings(side, changes))
+    attempts.attempt_sequences(range(WARM_UP, WARM_UP + 1), settings(side, device, changes))
 
 
 def main() -> None:
     """Run the attempts and write what they gave."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path)
-    for name, default in (("first", 0), ("count", 16), ("workers", 1), ("side", 32)):
+    for name, default in (("first", 0), ("count", 16), ("workers", 1), ("side", 32), ("block", 4)):
         parser.add_argument(f"--{name}", type=int, default=default)
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
     parser.add_argument("--material", default="", help='JSON: {"shear_stiffness": 20.0}')
     options = parser.parse_args()
     last = options.first + options.count
-    jobs = [(at, min(BLOCK, last - at), options.side, options.material) for at in range(options.first, last, BLOCK)]
+    same = (options.side, options.device, options.material)
+    jobs = [(at, min(options.block, last - at), *same) for at in range(options.first, last, options.block)]
     if options.workers == 1:
-        warm_up(options.side, options.material)
+        warm_up(*same)
         started = time.perf_counter()
         blocks = [run_block(*job) for job in jobs]
     else:
         with make_pool(options.workers) as pool:
-            for warm in [pool.submit(warm_up, options.side, options.material) for _ in range(options.workers)]:
+            for warm in [pool.submit(warm_up, *same) for _ in range(options.workers)]:
                 warm.result()
             started = time.perf_counter()
             blocks = [done.result() for done in [pool.submit(run_block, *job) for job in jobs]]

@@ -4,6 +4,7 @@ WHAT is `vertices` (cost against vertices a side), `sequences` (against their nu
 (cost and quality of steps 1, 2, 3); all of them if not said. `--against PATH` puts another checkout of this repository
 beside this one on the same attempts. `--count N` attempts (16) for steps and --against, `--sizes 16 64 1024` for
 sequences, `--csv FOLDER` for csv files. `--material '{"shear_stiffness": 20.0}'` changes this checkout's material.
+`--device cuda` runs this checkout on a GPU, in one process and `--block` (4) attempts at a time: a GPU wants hundreds.
 
 States are judged alike whoever made them, and nothing is thrown away, so step 3 starts from bad states too. `sound`:
 no intersection, nothing below the table, gap at least half the thickness, strain p99 <= 3 % and worst <= 10 %, height
@@ -34,15 +35,17 @@ ON_EACH_SIDE = 4  # attempts; 64 a side take minutes
 FAULTS = ("crossed", "high", "p99", "worst", "thin", "below", "restless")
 
 
-def run(count: int, *, workers: int = 1, side: int = 32, source: Path | None = None, material: str = "") -> dict:
-    """What run_attempts.py writes, of the clothkit in a source folder (of this one if not said)."""
+def run(count: int, *, workers: int = 1, side: int = 32, source: Path | None = None, how: dict | None = None) -> dict:
+    """What run_attempts.py writes, of the clothkit in a source folder (of this one if not said).
+
+    `how` are the options of run_attempts.py that stay the same for a whole table.
+    """
     source = source or Path(clothkit.__file__).parents[1]
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "attempts.npz"
-        sizes = {"count": count, "workers": workers, "side": side}
+        sizes = {"count": count, "workers": workers, "side": side} | (how or {})
         command = [sys.executable, str(HERE / "run_attempts.py"), str(out)]
         command += [word for name, value in sizes.items() for word in (f"--{name}", str(value))]
-        command += ["--material", material] if material else []
         subprocess.run(command, check=True, env=os.environ | {"PYTHONPATH": str(source)})
         with np.load(out) as arrays:
             return dict(arrays)
@@ -114,11 +117,11 @@ def quality_rows(name: str, got: dict, side: int = 32) -> list[dict]:
     return [*rows, whole | {"CPU s each": round(spent / manipulations(got), 3), "CPU s a sound sequence": per_sound}]
 
 
-def vertices_rows(material: str) -> list[dict]:
+def vertices_rows(how: dict) -> list[dict]:
     """A row per number of vertices."""
     rows = []
     for side in SIDES:
-        got = run(ON_EACH_SIDE, side=side, material=material)
+        got = run(ON_EACH_SIDE, side=side, how=how)
         judged = judge(got, side)
         per = float(got["cpu_seconds"].sum()) / manipulations(got)
         rows.append(
@@ -137,12 +140,12 @@ def vertices_rows(material: str) -> list[dict]:
     return rows
 
 
-def sequences_rows(sizes: list[int], material: str) -> list[dict]:
+def sequences_rows(sizes: list[int], how: dict) -> list[dict]:
     """A row per number of sequences and workers."""
     rows = []
     for count in sizes:
-        for workers in (1, 2):
-            got = run(count, workers=workers, material=material)
+        for workers in (1, 2) if how["device"] == "cpu" else (1,):
+            got = run(count, workers=workers, how=how)
             done = manipulations(got)
             wall = float(got["wall_seconds"])
             row = {"sequences": count, "workers": workers, "manipulations": done, "wall s": round(wall, 1)}
@@ -162,19 +165,22 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=16)
     parser.add_argument("--sizes", type=int, nargs="+", default=[16, 64])
     parser.add_argument("--material", default="")
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
+    parser.add_argument("--block", type=int, default=4)
     parser.add_argument("--csv", type=Path)
     options = parser.parse_args()
     tables = ["vertices", "sequences", "steps"]
     if unknown := set(options.what) - set(tables):
         parser.error(f"{' '.join(sorted(unknown))}: expected some of {', '.join(tables)}")
+    how = {name: getattr(options, name) for name in ("material", "device", "block")}
     what = options.what or ([] if options.against else tables)
     if "vertices" in what:
-        show("simulation vertices: cost against vertices a side", vertices_rows(options.material), csv=options.csv)
+        show("simulation vertices: cost against vertices a side", vertices_rows(how), csv=options.csv)
     if "sequences" in what:
-        rows = sequences_rows(options.sizes, options.material)
+        rows = sequences_rows(options.sizes, how)
         show("simulation sequences: cost against their number", rows, csv=options.csv)
     if "steps" in what or options.against:
-        rows = quality_rows("this", run(options.count, material=options.material))
+        rows = quality_rows("this", run(options.count, how=how))
         if options.against:
             rows += quality_rows("other", run(options.count, source=options.against.resolve() / "src"))
         show(f"simulation steps: cost and quality, {options.count} attempts of seed 0", rows, csv=options.csv)
