@@ -32,7 +32,7 @@ def main() -> None:
         estimation = camera.estimation(dataset, load(found["vtm"]), s.params, plan.refine)
         planner = assemble(system, DATA, weights, plan, simulate.candidates)
         made_with = hashlib.sha256(repr((weights, plan, simulate)).encode()).hexdigest()[:16]
-        simulator = partial(execute, settings=simulate.simulation)
+        simulator = partial(execute, settings=simulate.simulation, workers=simulate.workers)
         without = record.load(SESSIONS)
         planning = camera_planning.planning(dataset, planner, simulator, without, s.params, work=work / made_with)
         end_workers()

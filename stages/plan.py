@@ -33,7 +33,7 @@ def main(name: str) -> None:
         # Pieces of a run with other weights or another world are not this run's.
         made_with = (planner.weights, planner.grasping, simulate.simulation)
         pieces = work / hashlib.sha256(repr(made_with).encode()).hexdigest()[:16]
-        simulator = partial(execute, settings=simulate.simulation)
+        simulator = partial(execute, settings=simulate.simulation, workers=simulate.workers)
         sessions, clock = evaluate(store.load(MESHES), planner, simulator, work=pieces)
         s.costs.update(cost(clock))
         end_workers()

@@ -1,5 +1,6 @@
 """The viewer's page in a real browser: it is drawn, its slider moves, a session is planned and executed on it."""
 
+import contextlib
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -8,7 +9,8 @@ import cv2
 import numpy as np
 import pytest
 import viser
-from playwright.sync_api import ConsoleMessage, Page, expect, sync_playwright
+from playwright.sync_api import ConsoleMessage, FileChooser, Page, expect, sync_playwright
+from playwright.sync_api import TimeoutError as PlaywrightTimeout
 
 from clothkit.app.given import seeing, settings
 from clothkit.app.viewer.page import build
@@ -94,6 +96,16 @@ def blue(found: np.ndarray) -> bool:
     return share_of(found, 180, 128, 74) > 0.02
 
 
+def chooser(page: Page, button: str) -> FileChooser:
+    """What a button opens to choose a file with: a click is lost while the panel that holds it is unfolding."""
+    for _ in range(10):
+        with contextlib.suppress(PlaywrightTimeout):
+            with page.expect_file_chooser(timeout=PATIENCE / 10) as opened:
+                page.get_by_role("button", name=button).click()
+            return opened.value
+    raise AssertionError(f"{button} opens nothing")
+
+
 def test_sessions_are_played_planned_and_executed(page: Page, tmp_path: Path) -> None:
     # A recorded session, from its start to its outcome.
     expect(page.get_by_text("main, test sequence 0, state 0 to 2")).to_be_visible()
@@ -140,9 +152,7 @@ def test_sessions_are_played_planned_and_executed(page: Page, tmp_path: Path) ->
     page.get_by_text("Own files", exact=True).click()
     for name, content in (("state", np.zeros((5, 5))), ("goal", flat())):
         np.save(tmp_path / f"my_{name}.npy", content)
-        with page.expect_file_chooser() as chooser:
-            page.get_by_role("button", name=f"upload {name}").click()
-        chooser.value.set_files(tmp_path / f"my_{name}.npy")
+        chooser(page, f"upload {name}").set_files(tmp_path / f"my_{name}.npy")
         expect(page.get_by_text(f"my_{name}.npy is here")).to_be_visible()
     page.get_by_role("button", name="load", exact=True).click()
     expect(page.get_by_text("my_state.npy: has shape [5, 5]")).to_be_visible()
