@@ -48,12 +48,14 @@ class Watch:
         return "" if quality.finite[index] else "not finite"
 
 
-def settings(side: int, device: Any, changes: str) -> SimulateConfig:
+def settings(side: int, device: str, changes: str) -> SimulateConfig:
     """The default settings at so many vertices a side, on a device, with a JSON object of changes to the material."""
-    simulation = SimulationConfig(side=side, device=device)
+    # Not every version knows devices.
+    world: dict[str, Any] = {"side": side} | ({} if device == "cpu" else {"device": device})
+    simulation = SimulationConfig(**world)
     if changes:
         material = type(simulation.material)(**json.loads(changes))
-        simulation = SimulationConfig(side=side, device=device, material=material)
+        simulation = SimulationConfig(**world, material=material)
     return SimulateConfig(sequences=1, seed=0, simulation=simulation, limits=OPEN)
 
 
