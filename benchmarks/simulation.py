@@ -43,9 +43,9 @@ def run(count: int, *, workers: int = 1, side: int = 32, source: Path | None = N
     source = source or Path(clothkit.__file__).parents[1]
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "attempts.npz"
-        sizes = {"count": count, "workers": workers, "side": side} | (how or {})
+        options = {"count": count, "workers": workers, "side": side} | (how or {})
         command = [sys.executable, str(HERE / "run_attempts.py"), str(out)]
-        command += [word for name, value in sizes.items() for word in (f"--{name}", str(value))]
+        command += [word for name, value in options.items() for word in (f"--{name}", str(value))]
         subprocess.run(command, check=True, env=os.environ | {"PYTHONPATH": str(source)})
         with np.load(out) as arrays:
             return dict(arrays)

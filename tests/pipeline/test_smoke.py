@@ -166,10 +166,9 @@ def test_killed_it_goes_on_to_the_same_bytes(finished: Checkout, tmp_path: Path,
 
 
 def copy_of(finished: Checkout, folder: Path) -> Checkout:
-    """Another checkout with the same data, that has done everything, and whose DVC has a cache of its own."""
+    """Another checkout with the same data, in which everything is done."""
     checkout = Checkout(folder)
     shutil.copytree(finished.folder / "data", folder / "data", dirs_exist_ok=True)
-    shutil.copytree(finished.folder / ".dvc" / "cache", folder / ".dvc" / "cache")
     shutil.copy(finished.folder / "dvc.lock", folder)
     return checkout
 
