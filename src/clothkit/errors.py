@@ -1,5 +1,45 @@
-"""The one exception that a user is meant to read."""
+"""The one exception that a user is meant to read, and the operating system's errors in its words."""
+
+import errno
+from pathlib import Path
+from typing import Literal
 
 
 class InputError(ValueError):
     """Bad input, told in one sentence that names the file, the field and what was expected."""
+
+
+_REMEDIES = {
+    errno.EACCES: "no permission; change the file's or its folder's permissions",
+    errno.EPERM: "not permitted; change the file's owner or attributes",
+    errno.EROFS: "its file system is read-only; choose another place, or mount it for writing",
+    errno.EISDIR: "it is a folder, expected a file",
+    errno.ENOTDIR: "a part of its path is a file, expected a folder",
+    errno.ENAMETOOLONG: "its name is too long; choose a shorter one",
+    errno.ELOOP: "its symbolic links lead in a circle",
+    errno.EEXIST: "something of that name is there already; move it away, or choose another name",
+    errno.ENOTEMPTY: "the folder in its place is not empty",
+    errno.ENOSPC: "no space is left; free some and run again",
+    errno.EDQUOT: "the disk quota is used up; free some space and run again",
+    errno.EFBIG: "the file would be larger than its file system allows",
+    errno.EMFILE: "too many files are open; raise the limit (ulimit -n)",
+    errno.EXDEV: "it is on another file system",
+    errno.EIO: "the disk reports an error",
+}
+
+
+def system_error(
+    error: OSError, path: Path | str, *, action: Literal["read", "written", "opened"] = "read", expected: str = ""
+) -> InputError:
+    """An operating system's error as one sentence: the file, what can't be done with it, why, and what to do.
+
+    `expected` tells what the file should have been, or which command makes it, for a file that is not there. Raise what
+    is returned `from` the error. Errors of libraries that only look like the system's (no errno) keep their own words.
+    """
+    expected = f", expected {expected}" if expected else ""
+    if error.errno == errno.ENOENT:
+        if action == "read":
+            return InputError(f"{path}: not found{expected}")
+        return InputError(f"{path}: can't be {action}: its folder is not there; make it first")
+    reason = _REMEDIES.get(error.errno or 0) or error.strerror or " ".join(str(error).split()) or type(error).__name__
+    return InputError(f"{path}: can't be {action}{expected}: {reason}")

@@ -1,0 +1,37 @@
+"""The operating system's errors become sentences that name the file and what to do."""
+
+import errno
+import os
+from pathlib import Path
+
+import pytest
+
+from clothkit.errors import InputError, system_error
+
+
+@pytest.mark.parametrize(
+    ("number", "action", "sentence"),
+    [
+        (errno.ENOENT, "read", "a/b: not found, expected a net"),
+        (errno.ENOENT, "written", "a/b: can't be written: its folder is not there; make it first"),
+        (errno.EACCES, "read", "a/b: can't be read, expected a net: no permission; change the file's or its folder's"),
+        (errno.ENOSPC, "written", "a/b: can't be written, expected a net: no space is left; free some and run again"),
+        (errno.EPIPE, "written", "a/b: can't be written, expected a net: Broken pipe"),
+    ],
+)
+def test_names_the_file_the_reason_and_the_remedy(number: int, action: str, sentence: str) -> None:
+    error = system_error(OSError(number, os.strerror(number)), "a/b", action=action, expected="a net")  # type: ignore[arg-type]
+    assert isinstance(error, InputError)
+    assert str(error).startswith(sentence)
+
+
+def test_takes_what_the_system_raises(tmp_path: Path) -> None:
+    with pytest.raises(IsADirectoryError) as raised:
+        tmp_path.read_bytes()
+    assert str(system_error(raised.value, tmp_path)) == f"{tmp_path}: can't be read: it is a folder, expected a file"
+
+
+def test_a_library_s_error_without_a_number_keeps_its_words() -> None:
+    assert str(system_error(OSError("Parquet magic bytes\nnot found"), "x.parquet")).endswith(
+        "x.parquet: can't be read: Parquet magic bytes not found"
+    )
