@@ -4,11 +4,11 @@ Plans and executes every task of the first validation sequences (10 if not said)
 of the uncertainty term, and, at the weight in force, for other values of beta and gamma (eqs. 13 and 15). A row per
 setting and task goes to reports/<scale>/studies/alpha.csv; what is there already is not done again, unless it was made
 with other nets or other settings (`made_with`), whose rows are dropped. Draws error against alpha, beta and gamma for
-each plan length, mean and 95 % bootstrap interval over sequences, to alpha.png. Needs the nets, the normalisation and
-the dataset (`dvc repro normalise`).
+each start and plan length, mean and 95 % bootstrap interval over sequences, to alpha.png. Needs the nets, the
+normalisation and the dataset (`dvc repro normalise`).
 
 `--alphas A ..` (0 0.003 0.01 0.03 0.1 1 10), `--betas B ..` (2.5 10), `--gammas G ..` (0 2.5). `--system NAME` (main)
-takes another, b1 for instance, whose rows and figure go to alpha_b1.csv and .png.
+takes another, b1 for instance, whose rows and figure go to alpha_b1.csv and .png. `--draw` draws what is there.
 """
 
 import argparse
@@ -47,9 +47,15 @@ def main() -> None:
     parser.add_argument(
         "--system", choices=[name for name, system in SYSTEMS.items() if system.alpha is None], default="main"
     )
+    parser.add_argument("--draw", action="store_true", help="only draw the rows that are there; needs no nets")
     asked = parser.parse_args()
     params = load_params(Path("params.yaml"))
     usual = Weights(params.alpha, params.beta, params.gamma)
+    folder = Path("reports") / params.scale / "studies"
+    path = folder / ("alpha.csv" if asked.system == "main" else f"alpha_{asked.system}.csv")
+    if asked.draw:
+        draw(pd.read_csv(path), usual._asdict(), path.with_suffix(".png"))
+        return
     settings = [usual._replace(alpha=value) for value in asked.alphas]
     settings += [usual, *(usual._replace(beta=value) for value in asked.betas)]
     settings += [usual._replace(gamma=value) for value in asked.gammas]
@@ -57,10 +63,8 @@ def main() -> None:
     data, meshes = Path("data"), Path("data/meshes.zarr")
     dataset = store.load(meshes)
     sequences = dataset.indices("validation")[: asked.sequences].tolist()
-    folder = Path("reports") / params.scale / "studies"
     folder.mkdir(parents=True, exist_ok=True)
     name = asked.system
-    path = folder / ("alpha.csv" if name == "main" else f"alpha_{name}.csv")
     inputs = [meshes, *artifacts(SYSTEMS[name], data).values()]
     made = made_with(inputs, params.stages.plan, simulate.candidates, simulate.simulation)
     table = read(path, [*NAMES, "sequence", "length", "error"], made)

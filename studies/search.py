@@ -6,9 +6,10 @@ over, restarts near the best plan, and first manipulations that need not fold th
 to reports/<scale>/studies/search.csv, with the seconds per plan of that length, and what each restart of a search found
 to search_restarts.csv; what is there already is not done again, unless it was made with other nets or other settings
 (`made_with`), whose rows are dropped. search.png shows, for each plan length, error, search failures (the recorded plan
-has the lower loss) and the first plan's loss against seconds per plan, and, for the search in force, the best of each
-restart. With no more sequences than are planned together, the seconds of the longest plans hold their compilation.
-Needs the nets, the normalisation and the dataset (`dvc repro normalise`).
+has the lower loss) and the first plan's loss against evaluations of the loss per plan (strains times iterations), and,
+for the search in force, the best of each restart. Seconds leave out the first call of a length, which compiles, so
+there are none (NaN) where no more sequences are tried than are planned together. `--draw` draws what is there. Needs
+the nets, the normalisation and the dataset (`dvc repro normalise`).
 
 `--strains N ..` (16 32 64 128 256 512), `--iterations F ..` (0.5 2: multiples of those in force), `--every N ..` (1 4),
 `--near SHARE ..` (0 0.8).
@@ -26,12 +27,13 @@ from made_with import NAME, joined, made_with, read
 
 from clothkit.dataset import store
 from clothkit.params import load_params
-from clothkit.planning.evaluate import cost, try_out
+from clothkit.planning.evaluate import try_out
 from clothkit.planning.loss import Weights
 from clothkit.planning.planner import artifacts, assemble
 from clothkit.planning.record import Sessions
 from clothkit.planning.rows import rows
 from clothkit.planning.search import SearchConfig
+from clothkit.planning.session import Clock
 from clothkit.planning.systems import SYSTEMS
 from clothkit.report.figures.studies import search as draw
 from clothkit.simulation.executor import execute
@@ -67,6 +69,16 @@ def by_restart(sessions: Sessions) -> pd.DataFrame:
     return pd.concat(found, ignore_index=True)
 
 
+def seconds_per_plan(clock: Clock) -> dict[int, float]:
+    """Seconds of search by plan length, without the first call of each, which compiles; none where it is alone."""
+    found = {}
+    for length, calls in clock.items():
+        if length != "estimates" and len(calls) > 1:
+            plans, spent = np.sum(calls[1:], axis=0)
+            found[int(length)] = float(spent / plans)
+    return found
+
+
 def _same(table: pd.DataFrame, of_search: dict[str, Any]) -> np.ndarray:
     """Which rows are of this search."""
     return np.all([table[name] == value for name, value in of_search.items()], axis=0)
@@ -80,21 +92,26 @@ def main() -> None:
     parser.add_argument("--iterations", type=float, nargs="*", default=[0.5, 2])
     parser.add_argument("--every", type=int, nargs="*", default=[1, 4])
     parser.add_argument("--near", type=float, nargs="*", default=[0, 0.8])
+    parser.add_argument("--draw", action="store_true", help="only draw the rows that are there; needs no nets")
     asked = parser.parse_args()
     params = load_params(Path("params.yaml"))
     simulate, plan = params.stages.simulate, params.stages.plan
+    usual = {name: getattr(plan.search, name) for name in KEYS}
+    folder = Path("reports") / params.scale / "studies"
+    path, of_restarts = folder / "search.csv", folder / "search_restarts.csv"
+    if asked.draw:
+        restarts = pd.read_csv(of_restarts)
+        draw(pd.read_csv(path), restarts[_same(restarts, usual)], usual, folder / "search.png")
+        return
     weights = Weights(params.alpha, params.beta, params.gamma)
     data, meshes = Path("data"), Path("data/meshes.zarr")
     dataset = store.load(meshes)
     sequences = dataset.indices("validation")[: asked.sequences].tolist()
-    folder = Path("reports") / params.scale / "studies"
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / "search.csv"
     others = {name: value for name, value in dataclasses.asdict(plan.search).items() if name not in KEYS}
     inputs = [meshes, *artifacts(SYSTEMS["main"], data).values()]
     made = made_with(inputs, others, plan.refine, weights, simulate.candidates, simulate.simulation)
     table = read(path, [*KEYS, "sequence"], made)
-    of_restarts = folder / "search_restarts.csv"
     restarts = read(of_restarts, [*KEYS, "length", "restart", "best", "least"], made)
     for size in searches(plan.search, asked):
         of_search = {name: getattr(size, name) for name in KEYS}
@@ -107,7 +124,7 @@ def main() -> None:
             planner = assemble(SYSTEMS["main"], data, weights, settings, simulate.candidates)
             simulator = partial(execute, settings=simulate.simulation)
             sessions, clock = try_out(dataset, missing, "validation", planner, simulator)
-            seconds = {int(n): spent / count for n, (count, spent) in cost(clock)["plans"].items()}
+            seconds = seconds_per_plan(clock)
             found = rows(sessions, "main").assign(**of_search, **{NAME: made})
             found["seconds"] = found["length"].map(seconds)
             table = joined(table[~_same(table, of_search)], found)
@@ -117,7 +134,6 @@ def main() -> None:
             table.to_csv(path, index=False, lineterminator="\n", float_format="%.5g")
             print(f"{of_search}: {found['error'].mean():.4f}", flush=True)
     print(table.groupby([*KEYS, "length"])[["seconds", "error", "loss"]].mean().round(4).to_string())
-    usual = {name: getattr(plan.search, name) for name in KEYS}
     draw(table, restarts[_same(restarts, usual)], usual, folder / "search.png")
 
 

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure
 
 from clothkit.cloth import grid
 from clothkit.dataset.store import Dataset
@@ -14,10 +15,10 @@ from clothkit.dataset.tasks import TASKS, Task
 from clothkit.evaluation import calibration, camera_planning, planning
 from clothkit.evaluation.comparisons import of_predictions
 from clothkit.planning.record import Sessions, Sizes, blank, tasks_of_dataset
-from clothkit.report import timings
+from clothkit.report import panels, timings
 from clothkit.report.build import TABLES, build, picked
 from clothkit.report.figures.largest import Failure, largest
-from clothkit.report.figures.sessions import of_record, sessions
+from clothkit.report.figures.sessions import median, of_record, sessions
 from clothkit.report.html import page as html
 from clothkit.report.inputs import Inputs
 from clothkit.report.rows import VOXEL_SYSTEMS
@@ -210,6 +211,37 @@ def test_the_largest_errors_are_drawn_two_a_row(inputs: Inputs, dataset: Dataset
     assert one_wide < two_wide == three_wide
     assert three / one == pytest.approx(2, rel=0.3)
     assert two_wide / one_wide == pytest.approx(2, rel=0.1)
+
+
+def test_every_plan_of_a_session_is_among_the_largest_errors(
+    inputs: Inputs, dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = inputs.planning[inputs.planning["system"] == "main"]
+    found: list[Figure] = []
+    monkeypatch.setattr(panels, "save", lambda figure, path: found.append(figure))
+    tasks = [Task(1, 0, 3), Task(1, 1, 2), Task(0, 2, 1)]
+    chosen = [of_record(inputs.sessions, dataset, rows, task, net=1) for task in tasks]
+    largest([Failure(session, 0.02, 0.04, "open") for session in chosen if session], tmp_path / "none.png")
+    texts = [text.get_text() for axis in found[0].axes for text in axis.texts]
+    assert [sum(text == f"plan #{number}" for text in texts) for number in (1, 2, 3)] == [3, 2, 1]
+    # The estimate's and the expected error stand beside the first plans alone, the outcome's beside the last ones.
+    assert texts.count("0.020") == texts.count("0.040") == 3
+    assert [texts.count(f"{session.error:.3f}") for session in chosen if session].count(0) == 0
+
+
+def test_the_median_case_is_shown_and_named(inputs: Inputs) -> None:
+    rows = pd.DataFrame(
+        {
+            "split": ["test"] * 5 + ["train"],
+            "length": [2, 2, 2, 2, 1, 2],
+            "sequence": [5, 6, 7, 8, 9, 10],
+            "start": [0, 1, 0, 1, 0, 0],
+            "error": [0.4, 0.1, 0.3, 0.2, 0.25, 0.21],
+        }
+    )
+    # Of 0.1, 0.2, 0.3, 0.4 the lower one of the middle two.
+    assert median(rows, 2) == Task(8, 1, 2)
+    assert median(rows, 3) is None
 
 
 def test_pictures_take_the_starts_in_turn() -> None:

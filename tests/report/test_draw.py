@@ -84,43 +84,66 @@ def test_equal_figures_are_equal_bytes(tmp_path: Path, displacement: tuple[float
         panels.show(axes[0, 0], draw(mesh), mark="R", note="0.031")
         panels.manipulate(axes[0, 0], mesh, np.array([-1, -1, 1, -0.5, *displacement], np.float32))
         panels.candidates(axes[0, 0], mesh[::31, ::31, :2].reshape(-1, 2))
-        panels.centre_shift(axes[0, 0], np.array([0.2, 0.1], np.float32))
+        panels.centre_shift(axes[0, 0], np.array([0.2, 0.1], np.float32), mesh)
         panels.row_label(axes[0, 0], "row")
         panels.save(figure, tmp_path / name)
     assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
 
 
 @pytest.mark.parametrize(
-    ("start", "end", "pieces"),
+    ("start", "stop", "inside"),
     [
-        ((0, 0), (0.5, 0.5), [((0, 0), (0.5, 0.5))]),
-        ((0.05, 0), (2.05, 0), [((0.05, 0), (1.05, 0)), ((-1.05, 0), (-0.05, 0))]),
-        ((0, -0.55), (0, -1.55), [((0, -0.55), (0, -1.05)), ((0, 1.05), (0, 0.55))]),
-        # Out at the right, in at the left, out at the top, in at the bottom.
-        (
-            (0.55, 0.05),
-            (1.8, 1.3),
-            [((0.55, 0.05), (1.05, 0.55)), ((-1.05, 0.55), (-0.55, 1.05)), ((-0.55, -1.05), (-0.3, -0.8))],
-        ),
-        # It may begin outside, and cross the panel more than once.
-        ((1.55, 0), (-1.55, 0), [((-0.55, 0), (-1.05, 0)), ((1.05, 0), (-1.05, 0)), ((1.05, 0), (0.55, 0))]),
+        ((0, 0), (0.5, 0.5), [(0, 0), (0.5, 0.5)]),
+        ((0.05, 0), (2.05, 0), [(0.05, 0), (1.05, 0)]),
+        ((0, -0.55), (0, -1.55), [(0, -0.55), (0, -1.05)]),
+        # Out through a corner's side: the way rises as fast as it runs, the top is reached first.
+        ((0.0, 0.55), (1.0, 1.55), [(0.0, 0.55), (0.5, 1.05)]),
+        # It may begin outside, cross the panel, or pass it by.
+        ((1.55, 0), (-1.55, 0), [(1.05, 0), (-1.05, 0)]),
+        ((1.2, 0), (1.2, 1), []),
+        ((0, 1.5), (1.5, 0.9), []),
     ],
 )
-def test_paths_come_back_in_at_the_opposite_border(
-    start: tuple[float, float], end: tuple[float, float], pieces: list[tuple]
+def test_paths_are_cut_at_the_border(
+    start: tuple[float, float], stop: tuple[float, float], inside: list[tuple]
 ) -> None:
-    found = panels.wrapped(np.array(start, float), np.array(end, float))
-    np.testing.assert_allclose(found, pieces, atol=1e-9)
+    found = panels.clipped(np.array(start, float), np.array(stop, float))
+    np.testing.assert_allclose(found, np.reshape(inside, (-1, 2)), atol=1e-9)
 
 
-def test_a_hand_that_leaves_the_panel_is_drawn_on_both_sides() -> None:
+@pytest.mark.parametrize(("along", "leaves"), [(0.9, False), (1.9, True)])
+def test_a_hand_that_leaves_the_panel_ends_in_an_arrow_at_its_border(along: float, leaves: bool) -> None:
     _, axes = panels.sheet([1.0], [1.0])
     axis = axes[0, 0]
-    panels.manipulate(axis, grid.flat(), np.array([1, 0, 1, 0, 0.9, 0.0], np.float32))
-    lines = [np.asarray(line.get_xydata()) for line in axis.lines]
-    assert all((np.abs(line) <= EXTENT + 1e-6).all() for line in lines)
-    (cross,) = (line for line in axis.lines if line.get_marker() == "x")
-    np.testing.assert_allclose(cross.get_xydata(), [[0.7 + 0.9 - 2 * EXTENT, 0]], atol=0.03)
+    panels.manipulate(axis, grid.flat(), np.array([-1, 0, -1, 0, along, 0.0], np.float32))
+    assert all((np.abs(np.asarray(line.get_xydata())) <= EXTENT + 1e-6).all() for line in axis.lines)
+    crosses = [line.get_xydata()[0] for line in axis.lines if line.get_marker() == "x"]
+    tips = [text.xy for text in axis.texts if getattr(text, "arrow_patch", None) is not None]
+    assert (len(crosses), len(tips)) == ((0, 1) if leaves else (1, 0))
+    np.testing.assert_allclose((tips or crosses)[0], [EXTENT if leaves else -0.7 + along, 0], atol=0.03)
+
+
+@pytest.mark.parametrize("shift", [(0.3, 0.1), (-0.2, 0.4), (0.0, -0.5)])
+def test_the_centre_shift_stands_beside_the_cloth_and_to_scale(shift: tuple[float, float]) -> None:
+    _, axes = panels.sheet([1.0], [1.0])
+    axis = axes[0, 0]
+    # A cloth that leaves room at the upper right alone.
+    mesh = grid.flat() + np.array([-0.3, -0.3, 0], np.float32)
+    panels.centre_shift(axis, np.array(shift), mesh)
+    (arrow,) = axis.texts
+    tip, tail = np.array(arrow.xy), np.array(arrow.xyann)
+    np.testing.assert_allclose(tip - tail, shift, atol=1e-6)
+    assert (np.maximum(tip, tail) > 0.4).all()
+    assert (np.abs([tip, tail]) < EXTENT).all()
+    line = np.linspace(tail, tip, 50)
+    assert ((line > 0.4).any(axis=1)).all()  # the cloth ends at 0.4 in x and in y
+
+
+def test_a_shift_too_short_for_an_arrow_is_a_dot() -> None:
+    _, axes = panels.sheet([1.0], [1.0])
+    panels.centre_shift(axes[0, 0], np.array([0.01, 0.0]), grid.flat())
+    assert not axes[0, 0].texts
+    assert len(axes[0, 0].lines) == 1
 
 
 def test_textures_tell_places_on_the_cloth() -> None:

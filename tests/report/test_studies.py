@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
+from clothkit.dataset.tasks import TASKS
 from clothkit.report import panels
 from clothkit.report.figures import studies
 
@@ -48,7 +49,7 @@ def test_recipes_name_the_best_by_their_mean_over_seeds(tmp_path: Path, drawn: l
 def test_weights_and_search(tmp_path: Path, drawn: list[Figure]) -> None:
     rows = []
     for alpha, beta, gamma in [(0, 5, 1.25), (1, 5, 1.25), (1, 10, 1.25), (1, 5, 2.5)]:
-        for length in (1, 2, 3):
+        for start, length in TASKS:
             for sequence in range(4):
                 error = 0.1 * length - 0.05 * alpha + 0.01 * sequence
                 rows.append(
@@ -57,15 +58,20 @@ def test_weights_and_search(tmp_path: Path, drawn: list[Figure]) -> None:
                         "beta": beta,
                         "gamma": gamma,
                         "sequence": sequence,
+                        "start": start,
                         "length": length,
-                        "error": error,
+                        "error": error + 0.03 * start,
                     }
                 )
     usual = {"alpha": 1.0, "beta": 5.0, "gamma": 1.25}
     studies.weights(pd.DataFrame(rows), usual, tmp_path / "alpha.png")
-    lines = drawn[0].axes[0].lines
-    np.testing.assert_allclose(lines[1].get_ydata(), [0.215, 0.165])
-    assert [len(axis.lines[0].get_xdata()) for axis in drawn[0].axes] == [2, 2, 2]
+    by_start = drawn[0].axes[:3]
+    # A panel for each start, with a line for each length that is left, and one at the weight in force, the second.
+    assert [len(axis.lines) for axis in by_start] == [4, 3, 2]
+    np.testing.assert_allclose(by_start[0].lines[1].get_ydata(), [0.215, 0.165])
+    np.testing.assert_allclose(by_start[1].lines[1].get_ydata(), [0.245, 0.195])
+    assert [axis.lines[-1].get_xdata()[0] for axis in by_start] == [1, 1, 1]
+    assert [len(axis.lines[0].get_xdata()) for axis in drawn[0].axes] == [2] * 9
     sizes = [(16, 15, 2, True), (64, 15, 2, True), (64, 30, 2, True), (64, 15, 4, True), (64, 15, 2, False)]
     table = pd.DataFrame(
         [
@@ -94,5 +100,6 @@ def test_weights_and_search(tmp_path: Path, drawn: list[Figure]) -> None:
     studies.search(table, restarts, usual, tmp_path / "search.png")
     failures = drawn[1].axes[1]
     np.testing.assert_allclose(failures.lines[0].get_ydata(), [1, 0])
-    assert [line.get_xdata().tolist() for line in failures.lines[1:5]] == [[960], [240], [], [480]]
+    # In strains x (base + per step) of one manipulation: 64 x 60 with other iterations, 64 x 30 with other vertices.
+    assert [line.get_xdata().tolist() for line in failures.lines[:5]] == [[480, 1920], [3840], [1920], [], [1920]]
     assert [line.get_ydata().tolist() for line in drawn[1].axes[3].lines[:2]] == [[3, 3], [3, 4]]

@@ -19,7 +19,7 @@ from clothkit.report.figures.meshes import meshes
 from clothkit.report.figures.predictions import predictions
 from clothkit.report.figures.scatter import scatter
 from clothkit.report.figures.sequences import sequences
-from clothkit.report.figures.sessions import Session, of_record, sessions
+from clothkit.report.figures.sessions import Session, median, of_record, sessions
 from clothkit.report.figures.trajectories import Example, trajectories
 from clothkit.report.figures.voxels import voxels
 from clothkit.report.inputs import NETS, Inputs
@@ -143,6 +143,10 @@ def draw_figures(folder: Path, inputs: Inputs, errors: pd.DataFrame, settings: R
             session = of_record(inputs.sessions, dataset, rows, task, net=better)
             if session is not None and len(chosen) < settings.sessions:
                 chosen.append(session)
+        middle = median(rows, length)
+        session = of_record(inputs.sessions, dataset, rows, middle, net=better) if middle else None
+        if session is not None:
+            chosen.append(session._replace(remark="the median case"))
         if chosen:
             sessions(chosen, folder / f"sessions_{length}.png", abreast=abreast)
             names.append(f"sessions_{length}")

@@ -6,7 +6,7 @@ INTRO = (
     "estimates and predictions are not. Columns: manipulations / state that they start from. *main* sees voxels "
     "only; *a1* predicts, and *b1* plans, from true meshes; *b2* plans with one net, *b3* without the uncertainty "
     "term, *b4* and *b5* in voxels, with two nets and with one. Pictured are the first test sequences, not chosen "
-    "ones, but for the largest errors.\n"
+    "ones, but for the largest errors and the median cases.\n"
 )
 CANONICAL = (
     "The nets that predict meshes see each cloth in one canonical description, whatever its direction and labels{}.\n"
@@ -25,7 +25,8 @@ UNCERTAINTY = (
 SESSIONS = (
     "Above the recorded sequence and its goal (light blue), which is all that the planner is given of it; at the left "
     "what happened, the outcome in light blue; between, plan by plan, the estimate (E) with grasp candidates (lilac "
-    "circles) and the predictions (P, σ lilac); at the right the predicted outcome, refined."
+    "circles) and the predictions (P, σ lilac); at the right the predicted outcome, refined. The first test sequences, "
+    "and the task of median error. Paths that leave a picture end in an arrow at its border."
 )
 VOXELS = (
     "The same predictions in voxels: mean absolute difference of voxel values. *a2* is the paper's voxel baseline, "
@@ -144,7 +145,7 @@ CAPTIONS = {
     "estimates": "Estimates of test sequences after one, two and three manipulations: truth, voxels, VtM's mean with "
     "its σ in lilac, and the refined mesh.",
     "predictions": "Predictions from an estimate of the first state (E) beside what was recorded (R). Lilac is σ, the "
-    "yellow line the predicted shift of the cloth's centre.",
+    "yellow arrow in a corner the predicted shift of the cloth's centre, to scale.",
     "sessions_1": f"Planning in one step. {SESSIONS}",
     "sessions_2": f"Planning in two steps. {SESSIONS}",
     "sessions_3": f"Planning in three steps. {SESSIONS}",
@@ -154,13 +155,14 @@ CAPTIONS = {
     "manipulations predicted, from every start.",
     "scatter": "Planning error against prediction error, a dot per test task. Predictions start from what the planner "
     "starts from: estimates beside main, true meshes (a1) beside b1.",
-    "largest": "The largest errors, in the table's order: start with the recorded manipulation; goal; estimate with "
-    "grasp candidates (lilac circles) and the first manipulation of the first plan; the outcome that is predicted "
-    "for it (σ lilac); the session's real outcome. Numbers are how far the estimate is off, how far from the goal the "
-    "nets expect to end, and how far from it the cloth was in the end.",
+    "largest": "The largest errors, in the table's order: start with the recorded manipulation, and goal; then, plan "
+    "by plan, the estimate with grasp candidates (lilac circles) and the plan's first manipulation, the outcome "
+    "predicted for the whole plan (σ lilac), and what its execution led to, the final outcome on light blue. Numbers "
+    "are how far the first estimate is off, how far from the goal the nets expect the first plan to end, and how far "
+    "from it the cloth was in the end.",
     "camera": "Test states before cameras: the middle of the picture by height above "
-    "the table (yellow is the table, dark high, red not measured), the voxels that come of it, and the refined "
-    "estimate. On the left the truth, its voxels free of noise, and their estimate.",
+    "the table, the voxels that come of it (the scales below are those of all pictures), and the refined estimate. On "
+    "the left the truth, its voxels free of noise, and their estimate.",
     "meshes": "One state of the first test sequence, as a mesh and as the probabilistic mesh that VtM makes of its "
     "voxels: from above (the grid is printed on the picture; lilac is σ), and each component over the cloth, u to the "
     "right, v upwards. Light is more: x and y over the viewport, z over the mesh's own heights, σ up to the number "
@@ -169,7 +171,7 @@ CAPTIONS = {
     "sight, darker is more. z is stretched as the viewport's resolution stretches it.",
     "trajectories": "From grasp points g and displacement d to release points r: two hands' are mirrored at the line "
     "m, which stands across d in p (eq. 1); a single hand moves by d. Grey: the silhouette. What leaves the picture "
-    "comes back in at the opposite border, in every figure.",
+    "ends in an arrow at its border, in every figure.",
     "equivalents": "One shape as eight meshes, with the geodesic coordinates of its corners; the colours are those of "
     "geodesic coordinates, too.",
     "curves": "Validation errors during training, with their values where the score was best (dots). Tasks: "

@@ -116,8 +116,13 @@ def draw_heights(voxels: Bool[np.ndarray, "x y z"], *, pixels: int = PIXELS) -> 
     i, j = np.floor(axis * nx).astype(int), np.floor(axis * ny).astype(int)
     inside = ((i >= 0) & (i < nx))[:, None] & ((j >= 0) & (j < ny))
     picked = np.where(inside, height[np.clip(i, 0, nx - 1)][:, np.clip(j, 0, ny - 1)], 0)
-    grey = np.where(picked > 0, 0.82 - 0.7 * picked, 1.0).T[::-1]
+    grey = np.where(picked > 0, grey_of_height(picked), 1.0).T[::-1]
     return np.repeat(np.rint(grey * 255).astype(np.uint8)[..., None], 3, axis=-1)
+
+
+def grey_of_height(share: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+    """How light a column of voxels is whose highest one lies at a share (above 0, to 1) of the viewport's height."""
+    return 0.82 - 0.7 * share
 
 
 def draw_silhouette(mesh: Float[np.ndarray, "u v 3"], *, pixels: int = PIXELS) -> UInt8[np.ndarray, "row column 3"]:

@@ -1,7 +1,6 @@
 """Sheets of small pictures with what belongs on them: manipulations, grasp candidates, marks; saved as equal bytes."""
 
 from collections.abc import Sequence
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -132,6 +131,11 @@ def row_label(axis: Axes, text: str) -> None:
     )
 
 
+def above(axis: Axes, text: str) -> None:
+    """Text in a panel's upper left corner."""
+    axis.text(0.03, 0.97, text, transform=axis.transAxes, fontsize=6.5, va="top", color=INK)
+
+
 def heading(axis: Axes, text: str) -> None:
     """Text above a panel."""
     axis.text(0.5, 1.03, text, transform=axis.transAxes, fontsize=7.5, color=INK, ha="center", va="bottom")
@@ -140,7 +144,7 @@ def heading(axis: Axes, text: str) -> None:
 def manipulate(axis: Axes, mesh: Float[np.ndarray, "u v 3"], manipulation: Float[np.ndarray, "6"]) -> None:
     """The hands' paths over a mesh, red and green dotted, from circled grasp points; a null one is said in words.
 
-    A path that leaves the panel comes back in at the opposite border (the manner of the paper's figure 10).
+    A release point is a cross. Where it lies outside the panel, the path ends in an arrow at the panel's border.
     """
     if bool(is_null(manipulation)):
         axis.text(0.5, 0.93, "no action", transform=axis.transAxes, fontsize=7, color=INK, ha="center", va="top")
@@ -149,32 +153,37 @@ def manipulate(axis: Axes, mesh: Float[np.ndarray, "u v 3"], manipulation: Float
     releases = np.asarray(release_points(grasps, np.asarray(displacement(manipulation))).points)
     hands = 1 if bool(is_single(manipulation)) else 2
     for grasp, release, colour in list(zip(grasps, releases, _HANDS, strict=True))[:hands]:
-        pieces = wrapped(grasp, release)
-        for piece in pieces:
-            axis.plot(*piece.T, color="white", linewidth=2.2, alpha=0.75, solid_capstyle="round")
-            axis.plot(*piece.T, color=colour, linewidth=1.4, linestyle=(0, (1.2, 1.0)))
-        axis.plot(
-            *pieces[0][0], "o", markersize=3.6, markerfacecolor="white", markeredgecolor=colour, markeredgewidth=1.2
-        )
-        axis.plot(*pieces[-1][-1], marker="x", markersize=4.2, markeredgecolor=colour, markeredgewidth=1.4)
+        path = clipped(grasp, release)
+        if len(path):
+            axis.plot(*path.T, color="white", linewidth=2.2, alpha=0.75, solid_capstyle="round")
+            axis.plot(*path.T, color=colour, linewidth=1.4, linestyle=(0, (1.2, 1.0)))
+            end(axis, path, release, colour=colour)
+        axis.plot(*grasp, "o", markersize=3.6, markerfacecolor="white", markeredgecolor=colour, markeredgewidth=1.2)
 
 
-def wrapped(start: Float[np.ndarray, "2"], end: Float[np.ndarray, "2"]) -> list[Float[np.ndarray, "2 2"]]:
-    """The straight way from start to end as pieces [end xy] inside -EXTENT..EXTENT: out at a border, in opposite."""
-    side = 2 * EXTENT
-    way = end - start
-    # Borders of the panel's copies lie at odd multiples of EXTENT.
-    crossings = {0.0, 1.0}
-    for first, along in zip(start, way, strict=True):
-        low, high = sorted((first / side - 0.5, (first + along) / side - 0.5))
-        borders = np.arange(np.ceil(low), np.floor(high) + 1)
-        crossings |= {float(t) for t in ((borders + 0.5) * side - first) / (along or 1.0) if 0 < t < 1}
-    shares = sorted(crossings)
-    pieces = []
-    for low, high in pairwise(shares):
-        copy = np.round((start + (low + high) / 2 * way) / side)
-        pieces.append(np.stack([start + low * way, start + high * way]) - side * copy)
-    return pieces
+def end(axis: Axes, path: Float[np.ndarray, "2 2"], release: Float[np.ndarray, "2"], *, colour: str) -> None:
+    """How a path [end xy] ends: a cross at the release point, or an arrow at the border that hides it."""
+    if np.allclose(path[1], release):
+        axis.plot(*release, marker="x", markersize=4.2, markeredgecolor=colour, markeredgewidth=1.4)
+        return
+    along = path[1] - path[0]
+    tail = path[1] - along * min(1.0, 0.12 * EXTENT / max(float(np.linalg.norm(along)), 1e-9))
+    style = {"arrowstyle": "-|>,head_width=0.22,head_length=0.42", "color": colour, "linewidth": 0.8, "shrinkB": 0}
+    axis.annotate("", path[1], tail, arrowprops={**style, "shrinkA": 0}, annotation_clip=False)
+
+
+def clipped(start: Float[np.ndarray, "2"], stop: Float[np.ndarray, "2"]) -> Float[np.ndarray, "ends 2"]:
+    """The part of the straight way from start to stop that lies inside -EXTENT..EXTENT: its two ends, or none."""
+    way = stop - start
+    first, last = 0.0, 1.0
+    for place, along in zip(start, way, strict=True):
+        if along == 0:
+            if abs(place) > EXTENT:
+                return np.zeros((0, 2))
+            continue
+        low, high = sorted(((-EXTENT - place) / along, (EXTENT - place) / along))
+        first, last = max(first, float(low)), min(last, float(high))
+    return np.stack([start + first * way, start + last * way]) if first < last else np.zeros((0, 2))
 
 
 def candidates(axis: Axes, points: Float[np.ndarray, "points 2"]) -> None:
@@ -182,11 +191,34 @@ def candidates(axis: Axes, points: Float[np.ndarray, "points 2"]) -> None:
     axis.plot(*points.T, "o", markersize=6.5, markerfacecolor="none", markeredgecolor=_CANDIDATE, markeredgewidth=1.0)
 
 
-def centre_shift(axis: Axes, shift: Float[np.ndarray, "2"]) -> None:
-    """The predicted shift of the cloth's centre point, ending at its centre: a yellow dotted line."""
-    for piece in wrapped(-shift, np.zeros(2)):
-        axis.plot(*piece.T, color="#5a4a00", linewidth=2.6, solid_capstyle="round")
-        axis.plot(*piece.T, color="#ffe600", linewidth=1.5, linestyle=(0, (1.2, 0.8)))
+def centre_shift(axis: Axes, shift: Float[np.ndarray, "2"], mesh: Float[np.ndarray, "u v 3"]) -> None:
+    """The predicted shift of the cloth's centre, to scale: a yellow arrow in that corner where most room is left.
+
+    It stands beside the cloth, so that it hides no fold; a shift too short for an arrow is a dot.
+    """
+    length = float(np.linalg.norm(shift))
+    half = np.abs(shift) / 2
+    middles = np.array([[x, y] for y in (1, -1) for x in (-1, 1)]) * (EXTENT - _CORNER - half)
+    # Marks and notes take the lower corners, which serve only where the cloth leaves no room above.
+    room = [_distance(mesh[..., :2], middle, shift) - (0.15 if middle[1] < 0 else 0.0) for middle in middles]
+    middle = middles[int(np.argmax(room))]
+    outline = [withStroke(linewidth=2.8, foreground="#5a4a00")]
+    if length < 0.04:
+        axis.plot(*middle, "o", markersize=3.2, color="#ffe600", path_effects=outline)
+        return
+    arrow = {"arrowstyle": "->,head_width=0.16,head_length=0.3", "color": "#ffe600", "linewidth": 1.5}
+    arrow |= {"shrinkA": 0, "shrinkB": 0, "path_effects": outline}
+    axis.annotate("", middle + shift / 2, middle - shift / 2, arrowprops=arrow)
+
+
+_CORNER = 0.1
+"""Between a panel's border and what stands in its corner [normalised]."""
+
+
+def _distance(points: np.ndarray, middle: np.ndarray, shift: np.ndarray) -> float:
+    """From the arrow's line to the nearest vertex [normalised]."""
+    line = middle + np.linspace(-0.5, 0.5, 9)[:, None] * shift
+    return float(np.linalg.norm(points.reshape(-1, 1, 2) - line, axis=-1).min())
 
 
 def save(figure: Figure, path: Path) -> None:

@@ -1,10 +1,11 @@
 """What depth cameras show of a cloth, and the estimates that come of it (section 6.5)."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, UInt8
+from matplotlib.axes import Axes
 
 from clothkit.cloth import voxels
 from clothkit.cloth.equivalents import INVERSE, relabel
@@ -12,11 +13,13 @@ from clothkit.cloth.mesh import best_label
 from clothkit.dataset.store import Dataset
 from clothkit.evaluation.camera_settings import UNMEASURED
 from clothkit.report import panels
-from clothkit.report.draw import draw, draw_heights, relief_colours
+from clothkit.report.draw import draw, draw_heights, grey_of_height, relief_colours
 
 ROWS = ("height above the table", "voxels", "estimate, refined")
 HIGHEST = 0.03
-"""Darkest [m]."""
+"""Darkest [m]; what is higher has the same colour."""
+_BAR = 0.09
+"""Height of the scales, as a share of a panel."""
 _SHOWN = 0.8
 """Of the image's shorter side."""
 _MISSING = np.array([0.95, 0.62, 0.60], np.float32)
@@ -31,8 +34,8 @@ def camera(
 ) -> None:
     """A block per example: a column for the truth with its noise-free voxels and estimate, then one per condition."""
     count = len(pictures["sequence"])
-    heights = ([1.0] * 3 + [0.12]) * count
-    figure, axes = panels.sheet(heights[:-1], [1.0] * (1 + len(conditions)), left=0.3, above=0.2)
+    heights = [*([1.0] * 3 + [0.12]) * count, _BAR, 0.12]
+    figure, axes = panels.sheet(heights, [1.0] * (1 + len(conditions)), left=0.3, above=0.2)
     for column, name in enumerate(["no camera", *conditions]):
         panels.heading(axes[0, column], name)
     for number, (sequence, state) in enumerate(zip(pictures["sequence"], pictures["shown"], strict=True)):
@@ -48,7 +51,41 @@ def camera(
             panels.show(rows[0, 1 + column], relief(pictures["height"][number, column]))
             panels.show(rows[1, 1 + column], draw_heights(pictures["voxels"][number, column]))
             panels.show(rows[2, 1 + column], draw(labelled(pictures["mesh"][number, column], truth)), mark="E")
+    _scales(axes[-2])
     panels.save(figure, path)
+
+
+def _scales(axes: np.ndarray) -> None:
+    """What the colours say: heights in the first row of a block, voxels in the second; the same in all pictures."""
+    share = np.linspace(0, 1, 128, dtype=np.float32)[None]
+    ticks = [0.0, 10.0, 20.0, 1e3 * HIGHEST]
+    _bar(axes[0], relief_colours(share), ticks, "height [mm]; red: not measured", more=True)
+    layers = voxels.RESOLUTION[2]
+    steps = np.repeat(grey_of_height(np.arange(1, layers + 1) / layers)[None, :, None], 3, axis=-1)
+    if len(axes) > 1:
+        _bar(axes[1], steps, [1.0, layers / 2, float(layers)], "highest voxel of a column", low=0.5, high=layers + 0.5)
+
+
+def _bar(
+    axis: Axes,
+    colours: Float[np.ndarray, "1 n 3"],
+    ticks: Sequence[float],
+    text: str,
+    *,
+    low: float = 0.0,
+    high: float | None = None,
+    more: bool = False,
+) -> None:
+    """A horizontal scale from `low` to `high` (the last tick); with `more` the last tick stands for all above it."""
+    axis.set_axis_on()
+    axis.imshow(colours, extent=(low, ticks[-1] if high is None else high, 0, 1), aspect="auto", interpolation="none")
+    labels = [f"{tick:g}" for tick in ticks]
+    axis.set_xticks(ticks, [*labels[:-1], f"≥ {labels[-1]}" if more else labels[-1]], fontsize=6)
+    axis.set_yticks([])
+    axis.tick_params(length=2, pad=1.5)
+    axis.set_xlabel(text, fontsize=6.5, labelpad=1)
+    for spine in axis.spines.values():
+        spine.set(color="#cccccc", linewidth=0.6)
 
 
 def labelled(mesh: Float[np.ndarray, "u v 3"], truth: Float[np.ndarray, "u v 3"]) -> Float[np.ndarray, "u v 3"]:

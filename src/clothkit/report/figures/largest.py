@@ -8,9 +8,9 @@ import numpy as np
 
 from clothkit.report import panels
 from clothkit.report.draw import draw
-from clothkit.report.figures.sessions import Session, drawn, labelled
+from clothkit.report.figures.sessions import GAP, Session, drawn, labelled
 
-HEADINGS = ("start, recorded", "goal", "estimate, first plan", "predicted outcome", "real outcome")
+HEADINGS = ("start, recorded", "goal", "estimate, plan", "predicted outcome", "what happened")
 
 BESIDE = 0.4
 """Room between two examples, for the text of the second, as a share of a panel."""
@@ -27,45 +27,57 @@ class Failure(NamedTuple):
 
 
 def largest(failures: Sequence[Failure], path: Path) -> None:
-    """Two examples a row: start and recorded manipulation, goal, estimate and first plan, what it predicts, outcome.
+    """Two examples side by side, a row for every plan of a session.
 
-    Meshes are drawn under labels that let sides of equal colour be the same side. Errors [cloth length] are those of
-    the estimate, the expected one and the real one.
+    At the left the start with the recorded manipulation, and the goal; then, plan by plan, the estimate with the
+    plan's first manipulation, the outcome that is predicted for the whole plan, and what its execution led to, the
+    final outcome on light blue. Meshes are drawn under labels that let sides of equal colour be the same side. Errors
+    [cloth length] are those of the first estimate, the expected one of the first plan, and the real one.
     """
     across = min(2, len(failures))
     block = [1.0] * len(HEADINGS)
     widths = [*block, BESIDE, *block] if across == 2 else block
+    pairs = [failures[first : first + across] for first in range(0, len(failures), across)]
+    plans = [max(len(failure.session.steps) for failure in pair) for pair in pairs]
+    heights = [height for count in plans for height in ([1.0] * count + [GAP])][:-1]
     figure, axes = panels.sheet(
-        [1.0] * -(-len(failures) // across),
+        heights,
         widths,
         title="Largest planning errors, test set, the largest first (errors in cloth lengths)",
         left=0.45,
         above=0.2,
     )
-    for number, failure in enumerate(failures):
-        row, column = divmod(number, across)
-        shown = axes[row, column * (len(HEADINGS) + 1) :][: len(HEADINGS)]
-        _failure(failure, shown)
-        if row == 0:
-            for axis, text in zip(shown, HEADINGS, strict=True):
-                panels.heading(axis, text)
+    top = 0
+    for pair, count in zip(pairs, plans, strict=True):
+        for column, failure in enumerate(pair):
+            shown = axes[top : top + count, column * (len(HEADINGS) + 1) :][:, : len(HEADINGS)]
+            _failure(failure, shown)
+            if top == 0:
+                for axis, text in zip(shown[0], HEADINGS, strict=True):
+                    panels.heading(axis, text)
+        top += count + 1
     panels.save(figure, path)
 
 
 def _failure(failure: Failure, axes: np.ndarray) -> None:
     session = failure.session
-    task, start = session.task, session.states[0]
-    plan = labelled(session.steps[0], start)
+    task, start, last = session.task, session.states[0], len(session.steps) - 1
     label = f"sequence {task.sequence}, state {task.start} to {task.start + task.length}\n{failure.diagnosis}"
-    panels.row_label(axes[0], label)
-    panels.show(axes[0], draw(start), mark="R")
-    panels.manipulate(axes[0], start, session.manipulations[0])
-    panels.show(axes[1], drawn(session.recorded[-1], goal=True), mark="R")
-    panels.show(axes[2], draw(plan.estimate), mark="E", note=_error(failure.estimate_error))
-    panels.candidates(axes[2], plan.candidates)
-    panels.manipulate(axes[2], plan.estimate, plan.plan[0])
-    panels.show(axes[3], draw(plan.mean[-1], std=plan.std[-1]), mark="P", note=_error(failure.expected))
-    panels.show(axes[4], drawn(session.states[-1], goal=True), mark="R", note=_error(session.error))
+    panels.row_label(axes[0, 0], label)
+    panels.show(axes[0, 0], draw(start), mark="R")
+    panels.manipulate(axes[0, 0], start, session.manipulations[0])
+    panels.show(axes[0, 1], drawn(session.recorded[-1], goal=True), mark="R")
+    for number, step in enumerate(session.steps):
+        row, plan = axes[number], labelled(step, session.states[number])
+        first, final = number == 0, number == last
+        panels.show(row[2], draw(plan.estimate), mark="E", note=_error(failure.estimate_error) if first else "")
+        panels.above(row[2], f"plan #{number + 1}" + ("" if step.executed else ", not executed"))
+        panels.candidates(row[2], plan.candidates)
+        panels.manipulate(row[2], plan.estimate, plan.plan[0])
+        note = _error(failure.expected) if first else ""
+        panels.show(row[3], draw(plan.mean[-1], std=plan.std[-1]), mark="P", note=note)
+        note = _error(session.error) if final else ""
+        panels.show(row[4], drawn(session.states[number + 1], goal=final), mark="R", note=note)
 
 
 def _error(value: float) -> str:

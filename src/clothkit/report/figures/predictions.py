@@ -17,7 +17,7 @@ def predictions(
     """Two rows per example, two examples side by side: the recorded sequence above, the predicted one below.
 
     The first test sequences, main system, better net, from an estimate of the first state; errors [cloth length] of
-    1, 2 and 3 steps from the tidy rows; lilac is sigma, yellow the predicted shift of the centre.
+    1, 2 and 3 steps from the tidy rows; lilac is sigma, the yellow arrow the predicted shift of the centre.
     """
     test = set(dataset.indices("test").tolist())
     places = [place for place, sequence in enumerate(found["sequence"]) if int(sequence) in test][:count]
@@ -46,7 +46,7 @@ def predictions(
             else:
                 mesh, std = found["mean"][place, state - 1], found["std"][place, state - 1]
                 panels.show(foreseen, draw(mesh, std=std), mark="P", note=f"{errors[sequence, state]:.3f}")
-                panels.centre_shift(foreseen, found["shift"][place, state - 1])
+                panels.centre_shift(foreseen, found["shift"][place, state - 1], mesh)
             if state < length:
                 manipulation = dataset.manipulation[sequence, state]
                 panels.manipulate(recorded, truth, manipulation)

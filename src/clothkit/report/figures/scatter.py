@@ -46,10 +46,11 @@ def scatter(
                 label=f"{length} step{'s' if length > 1 else ''}",
             )
         axis.plot([0, limit], [0, limit], color="#bbbbbb", linewidth=0.8, zorder=0)
-        axis.set(xlim=(0, limit), ylim=(0, limit), aspect="equal")
+        # Dots at the origin are whole.
+        axis.set(xlim=(-0.025 * limit, limit), ylim=(-0.025 * limit, limit), aspect="equal")
         axis.set_title(system, fontsize=9)
         axis.set_xlabel("prediction error [cloth length]", fontsize=8)
     axes[0].set_ylabel("planning error [cloth length]", fontsize=8)
     handles, labels = axes[0].get_legend_handles_labels()
-    axes[0].legend(handles[::-1], labels[::-1], fontsize=8, frameon=False, loc="lower right")
+    figure.legend(handles[::-1], labels[::-1], fontsize=8, frameon=False, loc="outside upper center", ncols=3)
     panels.save(figure, path)

@@ -47,6 +47,8 @@ class Session(NamedTuple):
     steps: Sequence[Step]
     error: float
     error_no_action: float
+    remark: str = ""
+    """Why it is shown, where it is not one of the first."""
 
 
 def of_record(record: Sessions, dataset: Dataset, rows: pd.DataFrame, task: Task, *, net: int) -> Session | None:
@@ -117,9 +119,7 @@ def _session(session: Session, axes: np.ndarray) -> None:
         shown = labelled(step, real)
         _plan(shown, axes[row, row:])
         panels.show(axes[row, -1], draw(shown.refined), mark="P", note="refined")
-        axes[row, row].text(
-            0.03, 0.97, f"plan #{row}", transform=axes[row, row].transAxes, fontsize=6.5, va="top", color=panels.INK
-        )
+        panels.above(axes[row, row], f"plan #{row}")
     outcome = session.states[-1]
     panels.show(axes[n + 1, 0], drawn(outcome, goal=True), mark="R", note=f"{session.error:.3f}")
 
@@ -136,11 +136,22 @@ def _plan(step: Step, axes: np.ndarray) -> None:
 
 def _caption(session: Session, axis: Axes) -> None:
     n = len(session.steps)
+    remark = f"{session.remark}\n\n" if session.remark else ""
     text = (
-        f"sequence {session.task.sequence}\nstate {session.task.start} to {session.task.start + n}\n\n"
+        f"{remark}sequence {session.task.sequence}\nstate {session.task.start} to {session.task.start + n}\n\n"
         f"error {session.error:.3f}\nno action {session.error_no_action:.3f}\n\nwhat happened ↓"
     )
     axis.text(0.5, 0.02, text, transform=axis.transAxes, fontsize=7, ha="center", va="bottom", color=panels.INK)
+
+
+def median(rows: pd.DataFrame, length: int) -> Task | None:
+    """The test task of that length whose error is the median of all (the lower of two); None if there is none."""
+    chosen = rows[(rows["split"] == "test") & (rows["length"] == length)]
+    chosen = chosen.sort_values(["error", "sequence", "start"], kind="stable")
+    if chosen.empty:
+        return None
+    row = chosen.iloc[(len(chosen) - 1) // 2]
+    return Task(int(row["sequence"]), int(row["start"]), int(row["length"]))
 
 
 def drawn(mesh: Float[np.ndarray, "u v 3"], *, goal: bool) -> np.ndarray:

@@ -1,6 +1,7 @@
 """Figures of the studies: validation error against the cost of training, planning error against the loss's weights."""
 
 from collections.abc import Mapping
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -56,24 +57,48 @@ def recipes(table: pd.DataFrame, path: Path, *, base: str = "base", unit: str = 
 def weights(table: pd.DataFrame, usual: Mapping[str, float], path: Path) -> None:
     """Planning error [cloth length] against alpha, beta and gamma, the others as `usual`: a line per plan length.
 
-    Columns: alpha, beta, gamma, sequence, length, error. Means and 95 % bootstrap intervals over sequences.
+    A row per weight, a column per state that plans start from; dotted is the value in force. Columns: alpha, beta,
+    gamma, sequence, start, length, error. Means and 95 % bootstrap intervals over sequences.
     """
-    figure, axes = panels.chart(len(SYMBOLS), width=3.0, height=2.9)
-    for axis, name in zip(axes, SYMBOLS, strict=True):
-        others = [np.isclose(table[other], usual[other]) for other in SYMBOLS if other != name]
-        rows = table[np.all(others, axis=0)]
+    starts = (0, 1, 2)
+    figure, axes = panels.chart(len(SYMBOLS) * len(starts), width=3.0, height=2.3, columns=len(starts))
+    varied = [name for name in SYMBOLS if _varying(table, usual, name)[name].nunique() > 1] or list(SYMBOLS)
+    highest = 0.0
+    for number, (name, start) in enumerate(product(SYMBOLS, starts)):
+        axis, rows = axes[number], _varying(table, usual, name)
+        if name not in varied:
+            axis.set_visible(False)
+            continue
         values = np.sort(rows[name].unique())
-        for length, colour in zip((1, 2, 3), COLOURS, strict=True):
-            found = [_mean(rows[(rows[name] == value) & (rows["length"] == length)]) for value in values]
+        for length, colour in list(zip((1, 2, 3), COLOURS, strict=True))[: 3 - start]:
+            own = rows[(rows["start"] == start) & (rows["length"] == length)]
+            found = [_mean(own[own[name] == value]) for value in values]
             mean, low, high = np.array(found).T
             axis.plot(range(len(values)), mean, "o-", color=colour, linewidth=1.2, markersize=3.5, label=f"{length}")
             axis.fill_between(range(len(values)), low, high, color=colour, alpha=0.13, linewidth=0)
+            highest = max(highest, float(np.nanmax([0.0, *high])))
+        in_force = np.flatnonzero(np.isclose(values, usual[name]))
+        for place in in_force.tolist():
+            axis.axvline(place, color=panels.INK, linewidth=0.9, linestyle=(0, (1, 2)), zorder=0)
         axis.set_xticks(range(len(values)), [f"{value:g}" for value in values])
         axis.set_xlabel(SYMBOLS[name], fontsize=9)
-        axis.set_ylim(bottom=0)
-    axes[0].set_ylabel("planning error [cloth length]", fontsize=8)
-    axes[0].legend(title="manipulations", fontsize=7, title_fontsize=7, frameon=False)
+        if start == 0:
+            axis.set_ylabel("planning error\n[cloth length]", fontsize=8)
+        if name == next(iter(varied)):
+            axis.set_title(f"from state {start}", fontsize=9, color=panels.INK)
+    for axis in axes:
+        axis.set_ylim(0, 1.05 * highest or 1.0)
+    handles, labels = axes[starts[0] + len(starts) * list(SYMBOLS).index(varied[0])].get_legend_handles_labels()
+    handles.append(Line2D([], [], color=panels.INK, linewidth=0.9, linestyle=(0, (1, 2))))
+    labels = [*(f"{label} manipulation{'s' if label > '1' else ''}" for label in labels), "in force"]
+    figure.legend(handles, labels, fontsize=8, frameon=False, loc="outside upper center", ncols=len(labels))
     panels.save(figure, path)
+
+
+def _varying(table: pd.DataFrame, usual: Mapping[str, float], name: str) -> pd.DataFrame:
+    """The rows in which the other weights are as usual."""
+    others = [np.isclose(table[other], usual[other]) for other in SYMBOLS if other != name]
+    return table[np.all(others, axis=0)]
 
 
 def _mean(rows: pd.DataFrame) -> Float[np.ndarray, "3"]:
@@ -94,15 +119,17 @@ OTHERS = {
 
 
 def search(table: pd.DataFrame, restarts: pd.DataFrame, usual: Mapping[str, Any], path: Path) -> None:
-    """Error, search failures and loss of first plans against seconds per plan: a line per plan length, over strains.
+    """Error, search failures and loss of first plans against what a plan costs: a line per plan length, over strains.
 
-    Columns: strains, those of ITERATIONS and of OTHERS, of which `usual` has the values in force; length, seconds [s],
+    The cost is in evaluations of the planning loss, strains times iterations: seconds of few plans are those of a
+    compiler. Columns: strains, those of ITERATIONS and of OTHERS, of which `usual` has the values in force; length,
     error [cloth length], loss, loss_recorded. Markers off the lines stand for searches that differ from the usual one
     in one thing, dashed lines for other iterations, over strains again. At the right what the `restarts` of the usual
     one find: length, restart, best (loss of its best strain), least (the lowest up to then).
     """
     figure, axes = panels.chart(4, width=3.0, height=2.9)
-    table = table.assign(failure=table["loss_recorded"] < table["loss"])
+    iterations = table["base_iterations"] + table["iterations_per_step"] * table["length"]
+    table = table.assign(failure=table["loss_recorded"] < table["loss"], evaluations=table["strains"] * iterations)
     titles = {
         "error": "planning error [cloth length]",
         "failure": "share of search failures",
@@ -110,24 +137,24 @@ def search(table: pd.DataFrame, restarts: pd.DataFrame, usual: Mapping[str, Any]
     }
     for axis, (column, title) in zip(axes[:3], titles.items(), strict=True):
         for length, colour in zip((1, 2, 3), COLOURS, strict=True):
-            means = table[table["length"] == length].groupby(list(usual))[["seconds", column]].mean().reset_index()
-            line = _differing(means, usual, ["strains"]).sort_values("seconds")
+            means = table[table["length"] == length].groupby(list(usual))[["evaluations", column]].mean().reset_index()
+            line = _differing(means, usual, ["strains"]).sort_values("evaluations")
             axis.plot(
-                line["seconds"], line[column], "o-", color=colour, linewidth=1.2, markersize=3.5, label=f"{length}"
+                line["evaluations"], line[column], "o-", color=colour, linewidth=1.2, markersize=3.5, label=f"{length}"
             )
             for _, other in _differing(means, usual, ["strains", *ITERATIONS]).groupby(ITERATIONS):
                 if (other[ITERATIONS] != pd.Series({name: usual[name] for name in ITERATIONS})).any(axis=None):
-                    other = other.sort_values("seconds")
-                    axis.plot(other["seconds"], other[column], "x--", color=colour, linewidth=0.8, markersize=4.5)
+                    other = other.sort_values("evaluations")
+                    axis.plot(other["evaluations"], other[column], "x--", color=colour, linewidth=0.8, markersize=4.5)
             for marker, columns in OTHERS.values():
                 others = _differing(means, usual, columns)
                 others = others[(others[columns] != pd.Series({name: usual[name] for name in columns})).any(axis=1)]
-                axis.plot(others["seconds"], others[column], marker, color=colour, markersize=4.5, fillstyle="none")
+                axis.plot(others["evaluations"], others[column], marker, color=colour, markersize=4.5, fillstyle="none")
         axis.set_xscale("log")
-        axis.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.xaxis.set_major_locator(LogLocator(subs=(1, 3)))
+        axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
         axis.xaxis.set_minor_formatter("")
-        axis.set_xlabel("seconds per plan", fontsize=8)
+        axis.set_xlabel("evaluations of the loss per plan", fontsize=8)
         axis.set_ylabel(title, fontsize=8)
         if column != "loss":
             axis.set_ylim(bottom=0)
@@ -137,14 +164,16 @@ def search(table: pd.DataFrame, restarts: pd.DataFrame, usual: Mapping[str, Any]
         axes[3].plot(own["restart"], own["best"], "o", color=colour, markersize=3.0, fillstyle="none")
     axes[3].set_xlabel("restart (dots: its best; line: the best so far)", fontsize=8)
     axes[3].set_ylabel("loss of the first plan", fontsize=8)
-    axes[0].legend(title="manipulations", fontsize=7, title_fontsize=7, frameon=False)
     told = {"iterations": ("x", ITERATIONS), **OTHERS}
     marks = {name: marker for name, (marker, of) in told.items() if (table[of].nunique() > 1).any()}
     handles = [
-        Line2D([], [], color=QUIET, marker=marker, linestyle="", fillstyle="none", label=name, markersize=4.5)
-        for name, marker in marks.items()
+        Line2D([], [], color=QUIET, marker=marker, linestyle="", fillstyle="none", markersize=4.5)
+        for marker in marks.values()
     ]
-    axes[1].legend(handles=handles, title="other", fontsize=7, title_fontsize=7, frameon=False)
+    lengths, names = axes[0].get_legend_handles_labels()
+    names = [f"{name} manipulation{'s' if name > '1' else ''}" for name in names]
+    entries = ([*lengths, *handles], [*names, *(f"other {name}" for name in marks)])
+    figure.legend(*entries, fontsize=8, frameon=False, loc="outside upper center", ncols=len(entries[1]))
     panels.save(figure, path)
 
 

@@ -52,16 +52,17 @@ def _example(axis: Axes, example: Example) -> None:
         axis.plot(*p, "o", color=_QUIET, markersize=3.5)
         _name(axis, p, "p", moved + across * np.linalg.norm(moved))
         _name(axis, p + 0.45 * EXTENT * across, "m", moved)
-        axis.annotate("", middle + moved, middle, arrowprops={"arrowstyle": "->", "color": _QUIET, "linewidth": 1.1})
-        _name(axis, middle + moved, "d", moved)
+        tip = panels.clipped(middle, middle + moved)[-1]
+        axis.annotate("", tip, middle, arrowprops={"arrowstyle": "->", "color": _QUIET, "linewidth": 1.1})
+        _name(axis, tip, "d", np.array([moved[1], -moved[0]]))
     for number, (grasp, release) in enumerate(zip(grasps, releases, strict=True), start=1):
-        for piece in panels.wrapped(grasp, release):
-            axis.plot(*piece.T, color=_BLUE, linewidth=1.6)
-        end = panels.wrapped(grasp, release)[-1][-1]
+        path = panels.clipped(grasp, release)
+        if len(path):
+            axis.plot(*path.T, color=_BLUE, linewidth=1.6)
+            panels.end(axis, path, release, colour=_BLUE)
+            _name(axis, path[1], f"r{number}", release - grasp)
         axis.plot(*grasp, "o", markersize=5, markerfacecolor="white", markeredgecolor=_BLUE, markeredgewidth=1.3)
-        axis.plot(*end, "x", markersize=5.5, markeredgecolor=_BLUE, markeredgewidth=1.5)
         _name(axis, grasp, f"g{number}", grasp - release)
-        _name(axis, end, f"r{number}", release - grasp)
         if single:
             break
 
