@@ -66,9 +66,29 @@ def _reference_page(folder: Path, flat: bool) -> tuple[str, str, str]:
     else:
         about = ast.get_docstring(ast.parse((folder / "__init__.py").read_text())) or ""
     lines = [f"# clothkit.{folder.name}" if not flat else "# clothkit", "", about, ""]
+    lines += [*(_tree() if flat else _listed(modules)), ""]
     for file in modules:
         lines += [f"::: {name_of(file)}", ""]
     return folder.name, f"reference/{folder.name if not flat else 'index'}.md", "\n".join(lines)
+
+
+def _tree() -> list[str]:
+    """Every package and what it is for."""
+    folders = sorted(init.parent for init in (SOURCE / "clothkit").glob("*/__init__.py"))
+    rows = [f"| [clothkit.{folder.name}]({folder.name}.md) | {summary(folder / '__init__.py')} |" for folder in folders]
+    return ["| package | |", "|---|---|", *rows]
+
+
+def _listed(modules: list[Path]) -> list[str]:
+    """Every module of a package and what it is for."""
+    rows = [f"| [{name_of(file)}][{name_of(file)}] | {summary(file)} |" for file in modules]
+    return ["| module | |", "|---|---|", *rows]
+
+
+def summary(file: Path) -> str:
+    """The first paragraph of a module's docstring, as a cell of a table; empty if it has none."""
+    text = ast.get_docstring(ast.parse(file.read_text())) or ""
+    return " ".join(text.split("\n\n")[0].split()).replace("|", "\\|")
 
 
 def name_of(file: Path) -> str:

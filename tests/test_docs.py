@@ -88,30 +88,69 @@ def test_readme_names_what_there_is(tmp_path: Path) -> None:
     spans = re.findall(r"`((?:LOCK=\S+ )?\./run [^`]+|git checkout [^`]+)`", readme.read_text())
     # Words in capitals stand for something.
     told = [span for span in spans if not re.search(r"\b[A-Z]{3,}\b", span.replace("LOCK=", ""))]
-    assert len(lines) > 20
+    assert len(lines) > 14
     for line in [*lines, *told]:
         for words in commands(line):
             check(words, tmp_path)
 
 
-def test_readme_shows_where_everything_is() -> None:
-    """The list of files has every package, and nothing that isn't there."""
-    listing = (ROOT / "README.md").read_text().split("## Where things are")[1]
-    above: dict[int, Path] = {}
-    listed = set()
-    for line in listing.splitlines():
-        indent = len(line) - len(line.lstrip())
-        if not 4 <= indent <= 12:
+def test_readme_is_short_and_its_figures_are_the_report_s() -> None:
+    text = (ROOT / "README.md").read_text()
+    assert len(text.splitlines()) <= 130
+    table_6, table_3 = (pd.read_csv(ROOT / f"reports/overnight/tables/table_{n}.csv") for n in (6, 3))
+    columns = ["1/all", "2/all", "3/all"]
+
+    def of(table: pd.DataFrame, system: str, source: str = "clothkit", statistic: str = "mean") -> str:
+        found = table[(table["split"] == "test") & (table["system"] == system) & (table["source"] == source)]
+        (row,) = found.loc[found["statistic"] == statistic, columns].to_numpy()
+        return ", ".join(f"{value:#.3g}" for value in row)
+
+    rows = dict(re.findall(r"^\| ([a-z][^|]+) \| (0\.\d+ \| 0\.\d+ \| 0\.\d+) \|$", text, re.MULTILINE))
+    told = {name: figures.replace(" | ", ", ") for name, figures in rows.items()}
+    assert told == {
+        "outcome of plans, best of the cloth's eight labellings": of(table_6, "main"),
+        "outcome of plans, as labelled": of(table_6, "main", statistic="mean, labelled"),
+        "outcome of plans, the paper's": of(table_6, "main", source="paper"),
+        "prediction": of(table_3, "main"),
+        "prediction, the paper's": of(table_3, "main", source="paper"),
+    }
+    for system in ("b1", "b2", "b3"):
+        assert of(table_6, system) in " ".join(text.split())
+    pairs = pd.read_csv(ROOT / "reports/overnight/tables/planning_comparisons.csv")
+    pairs = pairs[(pairs["split"] == "test") & (pairs["measure"] == "error") & (pairs["against"] == "b3")]
+    for column in ("1/2", "2/1"):
+        row = pairs[(pairs["system"] == "main") & (pairs["column"] == column)].iloc[0]
+        assert f"by {row['difference']:.3f} (p {row['p']:.3f})" in " ".join(text.split())
+
+
+def test_the_reference_tells_what_every_module_is_for() -> None:
+    site = hooks()
+    pages = {path: text for _, path, text in site.reference_pages()}
+    for file in (ROOT / "src/clothkit").rglob("*.py"):
+        if file.name.startswith("__"):
             continue
-        name = line.split()[0].rstrip(",")
-        folder = next((above[i] for i in sorted(above, reverse=True) if i < indent), ROOT)
-        above = {i: path for i, path in above.items() if i < indent}
-        if name.endswith("/"):
-            above[indent] = folder / name
-        assert (folder / name).exists(), f"README.md lists {folder / name}"
-        listed |= {folder / name, *(folder / other for other in re.findall(r"\b\w+\.py\b", line))}
-    packages = {init.parent for init in (ROOT / "src/clothkit").glob("*/__init__.py")}
-    assert packages <= listed
+        place = file.relative_to(ROOT / "src/clothkit")
+        page = pages[f"reference/{place.parts[0] if len(place.parts) > 1 else 'index'}.md"]
+        assert f"::: {site.name_of(file)}\n" in page
+        assert site.summary(file), f"{file}: has no docstring"
+        if len(place.parts) > 1:
+            assert f"| [{site.name_of(file)}][{site.name_of(file)}] | {site.summary(file)} |" in page
+    assert site.summary(ROOT / "src/clothkit/planning/irprop.py").startswith("iRprop-")
+    packages = {init.parent.name for init in (ROOT / "src/clothkit").glob("*/__init__.py")}
+    assert all(f"[clothkit.{package}]({package}.md) | " in pages["reference/index.md"] for package in packages)
+
+
+def test_every_deviation_names_the_code_that_does_it() -> None:
+    site, text = hooks(), (ROOT / "docs/deviations.md").read_text()
+    rows = [line for line in text.splitlines() if line.startswith("| ") and not line.startswith("| the paper")]
+    assert len(rows) > 20
+    for row in rows:
+        *_, where = (cell.strip() for cell in row.strip("|").split(" | "))
+        name = re.fullmatch(r"`(clothkit[\w.]+)`", where)
+        assert name, row
+        site.find_source(name[1])
+    for path in re.findall(r"`((?:studies|benchmarks|reports)/[\w/]+\.\w+)`", text):
+        assert (ROOT / path).exists(), path
 
 
 def test_nothing_is_forgotten() -> None:

@@ -1,0 +1,133 @@
+"""What is the memory trace worth, which canonical nets drop at each observation?  python studies/memory.py [SEQUENCES]
+
+A forward model's memory trace goes on from one plan of a session to the next (section 5.1). Where nets are canonical a
+trace is in the frame of the description in which it was made, an observation has another, and the trace starts from
+zero. This study predicts the recorded manipulations of the first validation sequences (100 if not said) from their true
+states 1 and 2, after which a session would have a trace, in three ways:
+
+none     the trace is zero: what sessions do with canonical nets
+carried  the trace that the manipulations before have left, in the new state's frame as if it were made there
+frame    the same trace; the new state is described in the frame of the sequence's start, in which the trace is true
+
+A row per way, net and task goes to reports/<scale>/studies/memory_tasks.csv; means and paired comparisons with `none`
+(difference, 95 % bootstrap interval and p over sequences) to memory.csv. Needs the nets and the dataset
+(`dvc repro train_pemd`).
+"""
+
+import argparse
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+from jaxtyping import Array, Float
+
+from clothkit.cloth.grid import CLOTH_SIDE
+from clothkit.dataset import store
+from clothkit.dataset.store import Dataset
+from clothkit.dataset.tasks import tasks_of
+from clothkit.evaluation.comparisons import compare
+from clothkit.networks import pemd
+from clothkit.networks.canonical import described, framed, unframed
+from clothkit.networks.layers import run
+from clothkit.networks.net import Net
+from clothkit.networks.store import load
+from clothkit.params import load_params
+from clothkit.planning.planner import artifacts
+from clothkit.planning.systems import SYSTEMS
+
+WAYS = ("none", "carried", "frame")
+
+
+def encoded_like(
+    net: Net, mesh: Float[Array, "batch u v 3"], latent: Float[Array, "batch latent"]
+) -> Float[Array, "batch latent"]:
+    """The latent of a mesh in the frame of another latent; the usual one where nets are not canonical."""
+    if not net.config.canonical:
+        return pemd.encode(net, mesh)
+    _, frame = unframed(latent)
+    return framed(run(pemd.PEMD(net.config), net.params, described(mesh, frame), method="encode"), frame)
+
+
+def moved(
+    net: Net, trace: Float[Array, "batch latent"], latent: Float[Array, "batch latent"]
+) -> Float[Array, "batch latent"]:
+    """A trace's units in the frame of a latent, as they are."""
+    return framed(unframed(trace)[0], unframed(latent)[1]) if net.config.canonical else trace
+
+
+def predicted(
+    net: Net,
+    states: Float[Array, "batch state u v 3"],
+    manipulations: Float[Array, "batch step 6"],
+    start: int,
+    way: str,
+) -> Float[Array, "step batch u v 3"]:
+    """The means that a net predicts for the states after `start`, the trace of the steps before treated in one way.
+
+    As in a session, every state before is encoded anew and leaves its trace to the next.
+    """
+    first = pemd.encode(net, states[:, 0])
+    trace = jnp.zeros_like(first)
+    for i in range(start + 1):
+        latent = encoded_like(net, states[:, i], first) if way == "frame" else pemd.encode(net, states[:, i])
+        trace = jnp.zeros_like(latent) if way == "none" or i == 0 else moved(net, trace, latent)
+        if i < start:
+            _, trace, _ = pemd.step(net, latent, trace, manipulations[:, i])
+    means = []
+    for i in range(start, manipulations.shape[1]):
+        latent, trace, _ = pemd.step(net, latent, trace, manipulations[:, i])
+        means.append(pemd.decode(net, latent).mean)
+    return jnp.stack(means)
+
+
+def rows(dataset: Dataset, nets: dict[str, Net], sequences: list[int]) -> pd.DataFrame:
+    """A row per way, net and task: labelled error of the predicted mean [cloth length]."""
+    chosen = [s for s in sequences if dataset.length[s] == dataset.manipulation.shape[1]]
+    states, manipulations = jnp.asarray(dataset.vertices[chosen]), jnp.asarray(dataset.manipulation[chosen])
+    found = []
+    for name, net in nets.items():
+        for way in WAYS:
+            for start in (1, 2):
+                means = jax.jit(lambda s, m, n=net, b=start, w=way: predicted(n, s, m, b, w))(states, manipulations)
+                apart = jnp.linalg.norm(means - jnp.moveaxis(states[:, start + 1 :], 1, 0), axis=-1)
+                errors = np.asarray(apart.mean((-2, -1))) / CLOTH_SIDE
+                for place, sequence in enumerate(chosen):
+                    for task in tasks_of(sequence, int(dataset.length[sequence])):
+                        if task.start == start:
+                            error = float(errors[task.length - 1, place])
+                            found.append((way, name, "validation", sequence, start, task.length, error))
+    return pd.DataFrame(found, columns=["system", "net", "split", "sequence", "start", "length", "error"])
+
+
+def summary(tidy: pd.DataFrame) -> pd.DataFrame:
+    """Means over both nets by way and column of the tables, and their paired comparisons with `none`."""
+    both = tidy.groupby(["system", "split", "sequence", "start", "length"], as_index=False)["error"].mean()
+    labelled = both.assign(column=both["length"].astype(str) + "/" + both["start"].astype(str))
+    means = labelled.groupby(["system", "column"], as_index=False)["error"].mean()
+    compared = pd.concat([compare(both, "error", way, "none") for way in WAYS[1:]], ignore_index=True)
+    kept = compared[["system", "column", "sequences", "difference", "low", "high", "p"]]
+    return means.merge(kept, on=["system", "column"], how="left")
+
+
+def main() -> None:
+    """Predict, compare, print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("sequences", type=int, nargs="?", default=100)
+    asked = parser.parse_args()
+    params, data = load_params(Path("params.yaml")), Path("data")
+    dataset = store.load(data / "meshes.zarr")
+    paths = {name: path for name, path in artifacts(SYSTEMS["main"], data).items() if "pemd" in path.name}
+    nets = {name: load(path) for name, path in paths.items()}
+    tidy = rows(dataset, nets, dataset.indices("validation")[: asked.sequences].tolist())
+    folder = Path("reports") / params.scale / "studies"
+    folder.mkdir(parents=True, exist_ok=True)
+    tidy.to_csv(folder / "memory_tasks.csv", index=False, lineterminator="\n", float_format="%.5g")
+    found = summary(tidy)
+    found.to_csv(folder / "memory.csv", index=False, lineterminator="\n", float_format="%.5g")
+    print(found.round(5).to_string(index=False))
+
+
+if __name__ == "__main__":
+    main()
