@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 from clothkit.errors import InputError
-from clothkit.publish import publish, recover, unfinished
+from clothkit.publish import leftovers, publish, recover
 
 CONTENTS: dict[str, dict[str, bytes] | bytes | None] = {
     "nothing": None,
@@ -85,7 +85,7 @@ def main(work: Path, data: Path, how: str) -> None:
             if how == "fail" and going and name_of(target) != new:
                 assert (name_of(target), name_of(source)) == (old, new), (old, new, event)
             if name_of(target) == "nothing" != old:
-                assert unfinished([data]) == [target]
+                assert leftovers([data]) == [target]
                 recover(target)
                 assert name_of(target) == old, (old, new, event)
             assert name_of(target) in (old, new), (old, new, event, name_of(target))

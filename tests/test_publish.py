@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from clothkit.errors import InputError
-from clothkit.publish import ARRIVING, REPLACED, publish, recover, unfinished
+from clothkit.publish import ARRIVING, REPLACED, leftovers, publish, recover
 from tests.killed import name_of, write
 
 ROOT = Path(__file__).parents[1]
@@ -85,13 +85,13 @@ def test_leftovers_are_found_and_mended(tmp_path: Path) -> None:
     write(tmp_path / f"a/.set_aside{ARRIVING}", "new file")
     write(tmp_path / "b/done", "new folder")
     write(tmp_path / f"b/.done{REPLACED}", "old file")
-    found = unfinished([tmp_path, tmp_path / "none"])
+    found = leftovers([tmp_path, tmp_path / "none"])
     assert found == [tmp_path / "a/set_aside", tmp_path / "b/done"]
     for target in found:
         recover(target)
     assert name_of(tmp_path / "a/set_aside") == "old folder"
     assert name_of(tmp_path / "b/done") == "new folder"
-    assert not unfinished([tmp_path])
+    assert not leftovers([tmp_path])
     assert sorted(path.name for path in tmp_path.glob("*/*")) == ["done", "set_aside"]
 
 

@@ -1,4 +1,4 @@
-"""Finished outputs come to their places as a whole: a kill at any moment leaves the old output or the new one."""
+"""Files and folders come to their places as a whole: a kill at any moment leaves the old one or the new one."""
 
 import contextlib
 import errno
@@ -72,12 +72,30 @@ def recover(target: Path) -> None:
         raise system_error(error, error.filename or target, action="written") from error
 
 
-def unfinished(folders: Iterable[Path]) -> list[Path]:
+def leftovers(folders: Iterable[Path]) -> list[Path]:
     """The outputs under some folders beside which a killed `publish` has left something."""
     left = [
         (path, ending) for folder in folders for ending in (ARRIVING, REPLACED) for path in folder.rglob(f".*{ending}")
     ]
     return sorted({path.with_name(path.name[1 : -len(ending)]) for path, ending in left})
+
+
+@contextlib.contextmanager
+def unfinished(path: Path) -> Iterator[Path]:
+    """A name to write a single file under, which becomes `path` if all goes well.
+
+    Raises InputError when it can't be written; then what was there is as it was.
+    """
+    # Short, because a name as long as names may be has no room for more.
+    part = path.with_name(f".part{os.getpid()}{path.suffix}")
+    try:
+        yield part
+        part.replace(path)
+    except OSError as error:
+        raise system_error(error, path, action="written") from error
+    finally:
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
 
 
 def _beside(target: Path, ending: str) -> Path:

@@ -20,7 +20,7 @@ import clothkit
 from clothkit.cache import ensure_jax_cache
 from clothkit.errors import InputError, untold_error
 from clothkit.params import Params, load_params
-from clothkit.publish import alone, publish, recover, unfinished
+from clothkit.publish import alone, leftovers, publish, recover
 
 WORK = Path(".work")
 PUBLISHING = WORK / "publishing.lock"
@@ -36,10 +36,10 @@ class Stage:
 
     def __init__(self, name: str, variant: str | None) -> None:
         self.name = f"{name}@{variant}" if variant else name
-        if unfinished(PLACES):
+        if leftovers(PLACES):
             with alone(PUBLISHING):
                 # A run beside this one may have been at it.
-                for target in unfinished(PLACES):
+                for target in leftovers(PLACES):
                     recover(target)
         self.shared: Params = load_params(Path("params.yaml"))
         self.params: Any = getattr(self.shared.stages, name)

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from clothkit.app.settings import AppConfig
+from clothkit.cache import ensure_jax_cache
 from clothkit.errors import InputError
 from clothkit.manipulation.candidates import CandidateConfig
 from clothkit.observation.cloud import Observation
@@ -61,6 +62,7 @@ def keep_compiled_programs() -> None:
         home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
         jax.config.update("jax_compilation_cache_dir", str(home / "clothkit/compiled"))
         jax.config.update("jax_compilation_cache_max_size", COMPILED_BYTES)
+    ensure_jax_cache()
 
 
 class Seeing(NamedTuple):
