@@ -7,10 +7,12 @@ import struct
 from collections.abc import Callable
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
 from clothkit.app import export as app_export
+from clothkit.app.given import keep_compiled_programs
 from clothkit.app.output import write_mesh
 from clothkit.cloth.grid import flat
 from clothkit.networks import store
@@ -83,6 +85,16 @@ def directory(name: str) -> Callable[[], None]:
     return make
 
 
+def link(name: str, to: str) -> Callable[[], None]:
+    """Makes a symbolic link in a file's place."""
+
+    def make() -> None:
+        Path(name).unlink(missing_ok=True)
+        Path(name).symlink_to(to)
+
+    return make
+
+
 def higher() -> None:
     """Params by which voxels reach higher than the net knows."""
     params = json.loads(Path("params.yaml").read_text())
@@ -143,6 +155,8 @@ STATES: list[tuple[Callable[[], None], tuple[object, ...], str, str]] = [
     (nothing, (START, "--out", "params.yaml/plan.json"), "params.yaml/plan.json", "params.yaml is no folder"),
     (exchanged_net, (START, *DAMAGED), "pemd_a/net.json", "kind: expected 'pemd', found 'vtm'"),
     (directory("params.yaml"), (START,), "params.yaml", "it is a folder, expected a file"),
+    (link("params.yaml", "params.yaml"), (START,), "params.yaml", "its symbolic links lead in a circle"),
+    (link("params.yaml", "nowhere.yaml"), (START,), "params.yaml", "not found"),
     (raw("params.yaml", "scale: laptop\nalhpa: 1\n"), (START,), "params.yaml", ""),
     (raw("params.yaml", "scale: [\n"), (START,), "params.yaml", "is not valid YAML"),
     (raw("old.json", "{"), (START, "--after", "old.json"), "old.json", "is not valid JSON"),
@@ -251,6 +265,19 @@ def test_usage_is_told_with_status_two(here: Path, arguments: tuple[object, ...]
     result = run(*arguments)
     assert result.exit_code == 2
     assert culprit in result.stderr.splitlines()[-1]
+
+
+def test_commands_keep_programs_in_a_temporary_folder_where_theirs_can_not_be_written(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = jax.config.values["jax_compilation_cache_dir"]
+    try:
+        jax.config.update("jax_compilation_cache_dir", str(here / "params.yaml/compiled"))
+        keep_compiled_programs()
+        assert Path(jax.config.values["jax_compilation_cache_dir"]).is_dir()
+    finally:
+        jax.config.update("jax_compilation_cache_dir", given)
+    assert capsys.readouterr().err.startswith(f"{here / 'params.yaml/compiled'}: can't be written (")
 
 
 def test_a_name_as_long_as_names_may_be_can_be_written(here: Path, files: Path) -> None:

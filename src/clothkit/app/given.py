@@ -48,7 +48,8 @@ class Settings(NamedTuple):
 
 def settings() -> Settings:
     """Those of params.yaml where the current directory has one, at its scale, else the defaults. Raises InputError."""
-    if not PARAMS.exists():
+    # A link that leads nowhere, or in a circle, is no reason for defaults.
+    if not os.path.lexists(PARAMS):
         return Settings(AppConfig(), PlanConfig(), _WEIGHTS, CandidateConfig(), SimulationConfig())
     params = load_params(PARAMS)
     simulate = params.stages.simulate
