@@ -170,7 +170,7 @@ def test_a_device_that_is_not_there_is_told(tmp_path: Path, platform: str) -> No
     write_params(tmp_path / "params.yaml")
     program = (
         "import clothkit, clothkit.stage, jax.numpy\n"
-        "clothkit.__file__ = 'clothkit/__init__.py'\n"
+        "clothkit.__file__ = 'src/clothkit/__init__.py'\n"
         "with clothkit.stage.stage('regularise'): jax.numpy.zeros(1)"
     )
     environment = {**os.environ, "PYTHONPATH": str(ROOT / "src"), "JAX_PLATFORMS": platform}
