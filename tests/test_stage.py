@@ -140,29 +140,6 @@ def test_a_cache_that_can_not_be_written_is_replaced_with_a_notice(
         jax.config.update("jax_compilation_cache_dir", given)
 
 
-COMPILES = """
-from clothkit.simulation.kernel_cache import ensure_kernel_cache
-import os, warp
-ensure_kernel_cache()
-print(warp.config.kernel_cache_dir, os.environ["WARP_CACHE_PATH"])
-"""
-
-
-def test_warps_cache_too(tmp_path: Path) -> None:
-    (tmp_path / "file").write_bytes(b"")
-    environment = {**os.environ, "PYTHONPATH": str(ROOT / "src"), "WARP_CACHE_PATH": str(tmp_path / "file/cache")}
-    ended = subprocess.run(
-        [sys.executable, "-c", COMPILES], env=environment, capture_output=True, text=True, check=False
-    )
-    assert ended.returncode == 0, ended.stderr
-    assert str(tmp_path) not in ended.stdout
-    # Beside what Warp says of CUDA.
-    notices = [line for line in ended.stderr.splitlines() if line.startswith(f"{tmp_path / 'file/cache'}")]
-    assert len(notices) == 1
-    assert "can't be written (Not a directory); Warp's compiled kernels are kept in" in notices[0]
-    assert "Traceback" not in ended.stderr
-
-
 @pytest.mark.parametrize("platform", ["cuda", "nonsense"])
 def test_a_device_that_is_not_there_is_told(tmp_path: Path, platform: str) -> None:
     if any(device.platform == "gpu" for device in jax.devices()):

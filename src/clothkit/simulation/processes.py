@@ -8,8 +8,6 @@ from concurrent.futures import ProcessPoolExecutor
 
 import cv2
 
-from clothkit.simulation.kernel_cache import ensure_kernel_cache
-
 
 def cores() -> int:
     """How many cores this process may use."""
@@ -18,8 +16,6 @@ def cores() -> int:
 
 def make_pool(workers: int) -> ProcessPoolExecutor:
     """A pool of so many spawned processes."""
-    # Once here, so that all of them share a folder and it is said once.
-    ensure_kernel_cache()
     return ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"), initializer=_start)
 
 

@@ -7,7 +7,6 @@ import warp as wp
 from jaxtyping import Bool, Float, Int
 
 from clothkit.cloth.grid import CLOTH_SIDE, edges, triangles
-from clothkit.simulation.kernel_cache import ensure_kernel_cache
 from clothkit.simulation.kernels.inspection import count_intersections, measure_gaps
 from clothkit.simulation.settings import SimulateConfig, SimulationConfig
 from clothkit.simulation.world import Outcome
@@ -78,7 +77,6 @@ def pierced(
     device: str = "cpu",
 ) -> Int[np.ndarray, " states"]:
     """How many pairs of an edge and a triangle pierce each other, whatever the triangulation."""
-    ensure_kernel_cache()
     counts = wp.zeros((len(states), len(ends)), dtype=int, device=device)
     inputs = [_vertices(states, device), _numbers(ends, device), _numbers(corners, device), counts]
     if len(states):
@@ -90,7 +88,6 @@ def gaps(
     states: Float[np.ndarray, "states u v 3"], *, reach: float, device: str = "cpu"
 ) -> Float[np.ndarray, " states"]:
     """The smallest distance [length] of a vertex to the surface outside its two-ring, at most `reach`."""
-    ensure_kernel_cache()
     side = states.shape[1]
     found = wp.zeros((len(states), side * side), dtype=float, device=device)
     inputs = [_vertices(states, device), _numbers(triangles(side), device), side, reach, found]

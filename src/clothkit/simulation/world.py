@@ -8,7 +8,6 @@ from jaxtyping import Bool, Float, Int
 
 from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.manipulation.geometry import arc
-from clothkit.simulation.kernel_cache import ensure_kernel_cache
 from clothkit.simulation.kernels.advance import advance
 from clothkit.simulation.kernels.state import HELD, PATH
 from clothkit.simulation.settings import SimulationConfig
@@ -72,7 +71,6 @@ class Worlds:
     """Up to `count` worlds on one device. What happens in a world depends on nothing but its own arguments."""
 
     def __init__(self, count: int, settings: SimulationConfig) -> None:
-        ensure_kernel_cache()
         self.count, self.settings = count, settings
         self.device = settings.device
         self.lanes = 1 if self.device == "cpu" else LANES_ON_CUDA
