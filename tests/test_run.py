@@ -17,7 +17,10 @@ UV = f"""#!/bin/sh
 echo "$1 $2" >>"${{0%/*}}/calls"
 for last; do :; done
 case "$1 $2" in
-"venv "*) rm -rf "$last" && "{sys.executable}" -m venv --without-pip "$last" && echo "relocatable = true" >>"$last/pyvenv.cfg" ;;
+"venv "*)
+  rm -rf "$last" && "{sys.executable}" -m venv --without-pip "$last"
+  echo "relocatable = true" >>"$last/pyvenv.cfg"
+  ;;
 "pip install") echo "$last/src" >"$(echo "$last"/.venv/lib/python3.*/site-packages)/_editable_impl_clothkit.pth" ;;
 esac
 """
