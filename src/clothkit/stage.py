@@ -94,8 +94,9 @@ class Stage:
 def stage(name: str, variant: str | None = None) -> Iterator[Stage]:
     """Run a stage script's body: bad input ends it with one sentence and exit status 1, pieces of work stay.
 
-    Refuses to run another clothkit than `src/clothkit` in the current directory: an experiment in a copy of the checkout
-    (`dvc exp run --temp`, `--queue`) would record results of code that is not in its snapshot. dvc.yaml sets PYTHONPATH.
+    Refuses to run another clothkit than `src/clothkit` in the current directory: an experiment in a copy of the
+    checkout (`dvc exp run --temp`, `--queue`) would record results of code that is not in its snapshot. dvc.yaml sets
+    PYTHONPATH for that.
     """
     started = time.monotonic()
     try:
