@@ -4,12 +4,17 @@ A script stands in for uv: it notes how it is called and makes a bare environmen
 """
 
 import os
+import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
+from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parents[1]
 
@@ -156,3 +161,33 @@ def test_without_a_supported_python_it_says_so(tmp_path: Path, elsewhere: Path) 
     (programs / "python3.12").symlink_to(sys.executable)
     call(root / "run", "true", cwd=elsewhere, PATH=f"{programs}{os.pathsep}/usr/bin{os.pathsep}/bin")
     assert uv_calls(root) == ["venv", "pip sync", "pip install"]
+
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+SUPPORTED = [
+    f"3.{minor}" for minor in range(8, 20) if f"3.{minor}.0" in SpecifierSet(PROJECT["project"]["requires-python"])
+]
+
+
+def test_run_takes_the_pythons_that_the_project_supports() -> None:
+    script = (ROOT / "run").read_text()
+    low, high = re.findall(r"\(3, (\d+)\)", script)
+    assert [f"3.{minor}" for minor in range(int(low), int(high) + 1)] == SUPPORTED
+    assert {f"python{version}" for version in SUPPORTED} == set(re.findall(r"python3\.\d+", script))
+
+
+@pytest.mark.parametrize("lock", ["requirements.lock", "requirements-cuda.lock"])
+@pytest.mark.parametrize("python", SUPPORTED)
+@pytest.mark.parametrize("system", ["linux", "darwin"])
+def test_a_lock_serves_every_python(lock: str, python: str, system: str) -> None:
+    """One version of each package, and one of everything that the project asks for."""
+    environment = {"python_version": python, "python_full_version": f"{python}.0", "sys_platform": system}
+    environment |= {"platform_system": system.capitalize(), "os_name": "posix", "platform_machine": "x86_64"}
+    lines = [line.rstrip(" \\") for line in (ROOT / lock).read_text().splitlines() if re.match(r"[a-zA-Z0-9]", line)]
+    pins = [Requirement(line) for line in lines]
+    installed = [pin for pin in pins if pin.marker is None or pin.marker.evaluate(environment)]
+    versions = {canonicalize_name(pin.name): next(iter(pin.specifier)).version for pin in installed}
+    assert len(versions) == len(installed)
+    for text in [*PROJECT["project"]["dependencies"], *PROJECT["dependency-groups"]["dev"]]:
+        asked = Requirement(text)
+        assert asked.specifier.contains(versions[canonicalize_name(asked.name)]), text
