@@ -29,7 +29,7 @@ def main() -> None:
         weights = Weights(s.shared.alpha, s.shared.beta, s.shared.gamma)
         plan, simulate = s.shared.stages.plan, s.shared.stages.simulate
         dataset = store.load(MESHES)
-        estimation = camera.estimation(dataset, load(found["vtm"]), s.params, plan.refine)
+        estimation = camera.estimation(dataset, load(found["vtm"], "vtm"), s.params, plan.refine)
         planner = assemble(system, DATA, weights, plan, simulate.candidates)
         made_with = hashlib.sha256(repr((weights, plan, simulate)).encode()).hexdigest()[:16]
         simulator = partial(execute, settings=simulate.simulation, workers=simulate.workers)

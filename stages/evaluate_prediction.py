@@ -23,7 +23,8 @@ def main() -> None:
         dataset = store.load(MESHES)
         estimates = arrays.load(ESTIMATES, ("sequence", "mean", "std", "mesh", "label"))
         given = prediction.starts(dataset, estimates)
-        nets, voxel_nets = ({name: load(folder) for name, folder in kind.items()} for kind in (NETS, VOXEL_NETS))
+        nets = {name: load(folder, "pemd") for name, folder in NETS.items()}
+        voxel_nets = {name: load(folder, "emd_voxel") for name, folder in VOXEL_NETS.items()}
         better = better_net(NETS)
         of_meshes = prediction.rows(dataset, given, nets, better, s.params)
         of_voxels = voxel_prediction.rows(dataset, given.sequence, voxel_nets, better_net(VOXEL_NETS), s.params)

@@ -2,9 +2,10 @@
 
 import sys
 from pathlib import Path
+from typing import Any
 
 from clothkit.dataset import store
-from clothkit.networks.store import load
+from clothkit.networks.store import Kind, load
 from clothkit.planning.forward import MESH
 from clothkit.planning.normalisation import normalise, save
 from clothkit.planning.recorded import in_meshes, in_voxels
@@ -12,7 +13,7 @@ from clothkit.planning.voxel_forward import VOXEL
 from clothkit.stage import stage
 
 MESHES, NETS = Path("data/meshes.zarr"), Path("data/nets")
-KINDS = {"mesh": ("pemd", MESH, in_meshes), "voxel": ("emd_voxel", VOXEL, in_voxels)}
+KINDS: dict[str, tuple[Kind, Any, Any]] = {"mesh": ("pemd", MESH, in_meshes), "voxel": ("emd_voxel", VOXEL, in_voxels)}
 
 
 def main(kind: str) -> None:
@@ -21,7 +22,7 @@ def main(kind: str) -> None:
     folders = [NETS / f"{net}_a", NETS / f"{net}_b"]
     with stage("normalise", kind) as s:
         work = s.work(inputs=[MESHES, *folders])
-        a, b = (load(folder) for folder in folders)
+        a, b = (load(folder, net) for folder in folders)
         validation = store.load(MESHES).of_split("validation")
         normalisation = normalise(forward, (a, b), validation, s.params, recorded=recorded)
         save(work / f"{kind}.json", normalisation, s.attributes)

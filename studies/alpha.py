@@ -26,6 +26,7 @@ from clothkit.planning.loss import Weights
 from clothkit.planning.planner import artifacts, assemble
 from clothkit.planning.rows import rows
 from clothkit.planning.systems import SYSTEMS
+from clothkit.publish import unfinished
 from clothkit.report.figures.studies import weights as draw
 from clothkit.simulation.executor import execute
 
@@ -77,7 +78,8 @@ def main() -> None:
             sessions, _ = try_out(dataset, missing, "validation", planner, simulator)
             found = rows(sessions, name).assign(**weights._asdict(), **{NAME: made})
             table = joined(table, found)
-            table.to_csv(path, index=False, lineterminator="\n", float_format="%.5g")
+            with unfinished(path) as part:
+                table.to_csv(part, index=False, lineterminator="\n", float_format="%.5g")
         means = known(table, weights).groupby("length")["error"].mean().round(4).tolist()
         print(f"alpha {weights.alpha:g}, beta {weights.beta:g}, gamma {weights.gamma:g}: {means}", flush=True)
     draw(table, usual._asdict(), path.with_suffix(".png"))

@@ -26,6 +26,7 @@ from clothkit.dataset import store
 from clothkit.networks import emd_voxel_training, pemd_training, vtm_training
 from clothkit.networks.training import Problem, train
 from clothkit.params import load_params
+from clothkit.publish import unfinished
 from clothkit.report.figures.studies import recipes as draw
 
 CHECKS = 10
@@ -205,7 +206,8 @@ def main() -> None:
                 rows = study(asked.net, changed(settings, wanted), asked.minutes)
                 of = {"budget": asked.minutes, "variant": variant, "changes": json.dumps(changes), "seed": seed}
                 table = joined(table, pd.DataFrame([{**of, **row, NAME: made} for row in rows]))
-                table.to_csv(path, index=False, lineterminator="\n", float_format="%.5g")
+                with unfinished(path) as part:
+                    table.to_csv(part, index=False, lineterminator="\n", float_format="%.5g")
                 known = table.index >= len(table) - len(rows)
             best = table[known].sort_values("score").iloc[0]
             print(

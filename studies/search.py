@@ -35,6 +35,7 @@ from clothkit.planning.rows import rows
 from clothkit.planning.search import SearchConfig
 from clothkit.planning.session import Clock
 from clothkit.planning.systems import SYSTEMS
+from clothkit.publish import unfinished
 from clothkit.report.figures.studies import search as draw
 from clothkit.simulation.executor import execute
 
@@ -130,8 +131,10 @@ def main() -> None:
             table = joined(table[~_same(table, of_search)], found)
             of_size = by_restart(sessions).assign(**of_search, **{NAME: made})
             restarts = joined(restarts[~_same(restarts, of_search)], of_size)
-            restarts.to_csv(of_restarts, index=False, lineterminator="\n", float_format="%.5g")
-            table.to_csv(path, index=False, lineterminator="\n", float_format="%.5g")
+            with unfinished(of_restarts) as part:
+                restarts.to_csv(part, index=False, lineterminator="\n", float_format="%.5g")
+            with unfinished(path) as part:
+                table.to_csv(part, index=False, lineterminator="\n", float_format="%.5g")
             print(f"{of_search}: {found['error'].mean():.4f}", flush=True)
     print(table.groupby([*KEYS, "length"])[["seconds", "error", "loss"]].mean().round(4).to_string())
     draw(table, restarts[_same(restarts, usual)], usual, folder / "search.png")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from clothkit.errors import InputError, system_error
+from clothkit.errors import InputError, system_error, untold_error
 
 
 @pytest.mark.parametrize(
@@ -35,3 +35,36 @@ def test_a_library_s_error_without_a_number_keeps_its_words() -> None:
     assert str(system_error(OSError("Parquet magic bytes\nnot found"), "x.parquet")).endswith(
         "x.parquet: can't be read: Parquet magic bytes not found"
     )
+
+
+@pytest.mark.parametrize(
+    ("error", "sentence"),
+    [
+        (FileNotFoundError(errno.ENOENT, "", "a/b"), "a/b: not found"),
+        (PermissionError(errno.EACCES, "", b"a/b"), "a/b: can't be opened: no permission; change the file's or its"),
+        (OSError(errno.ENOTEMPTY, "", "a", None, "b"), "b: can't be opened: the folder in its place is not empty"),
+        (OSError(errno.EBUSY, "", "a"), "a: can't be opened: it is in use, or another file system is mounted there"),
+        (
+            OSError(errno.EDQUOT, ""),
+            "a file can't be written: the disk quota is used up; free some space and run again",
+        ),
+        (OSError(errno.EIO, "", 7), "a file can't be written: the disk reports an error"),
+    ],
+)
+def test_an_error_that_nobody_told_is_told_by_the_file_that_it_names(error: OSError, sentence: str) -> None:
+    assert str(untold_error(error)).startswith(sentence)
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        BrokenPipeError(errno.EPIPE, "", "a pipe"),
+        OSError("a library's"),
+        OSError(errno.EINVAL, ""),
+        ZeroDivisionError(),
+        RuntimeError("x"),
+        AssertionError(),
+    ],
+)
+def test_faults_of_the_program_are_not_told(error: Exception) -> None:
+    assert untold_error(error) is None

@@ -1,6 +1,8 @@
 """The one exception that a user is meant to read, and the operating system's errors in its words."""
 
 import errno
+import os
+import sys
 from pathlib import Path
 from typing import Literal
 
@@ -23,9 +25,11 @@ _REMEDIES = {
     errno.EDQUOT: "the disk quota is used up; free some space and run again",
     errno.EFBIG: "the file would be larger than its file system allows",
     errno.EMFILE: "too many files are open; raise the limit (ulimit -n)",
+    errno.EBUSY: "it is in use, or another file system is mounted there",
     errno.EXDEV: "it is on another file system",
     errno.EIO: "the disk reports an error",
 }
+_OF_DISKS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
 def system_error(
@@ -43,3 +47,34 @@ def system_error(
         return InputError(f"{path}: can't be {action}: its folder is not there; make it first")
     reason = _REMEDIES.get(error.errno or 0) or error.strerror or " ".join(str(error).split()) or type(error).__name__
     return InputError(f"{path}: can't be {action}{expected}: {reason}")
+
+
+def untold_error(error: Exception) -> InputError | None:
+    """The sentence for an error that no one nearer to it has told, None where it is a fault of the program.
+
+    For the outermost handler of a command or stage: errors of the operating system that name a file, a disk that is
+    full or broken (writing tells no name), and devices that JAX was asked for and that are not there.
+    """
+    if isinstance(error, OSError):
+        named = error.filename2 or error.filename
+        if isinstance(named, bytes):
+            named = os.fsdecode(named)
+        if isinstance(named, str | Path) and error.errno != errno.EPIPE:
+            return system_error(error, named, action="read" if error.errno == errno.ENOENT else "opened")
+        if error.errno in _OF_DISKS:
+            return InputError(f"a file can't be written: {_REMEDIES[error.errno]}")
+    return _missing_device() if isinstance(error, RuntimeError | AssertionError) else None
+
+
+def _missing_device() -> InputError | None:
+    """JAX says by an assertion without words that it lacks what it needs for a device, and so is asked again."""
+    jax = sys.modules.get("jax")
+    asked = None if jax is None else jax.config.jax_platforms
+    if jax is None or not asked:
+        return None
+    try:
+        jax.devices()
+    except (RuntimeError, AssertionError) as error:
+        reason = " ".join(str(error).split()) or "what JAX needs for it is not installed"
+        return InputError(f"JAX_PLATFORMS: JAX can't use {asked} here; unset it, or set it to cpu ({reason})")
+    return None

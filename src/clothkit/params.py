@@ -1,17 +1,22 @@
 """params.yaml, typed and validated: one frozen model per stage. Read by stage scripts and the app alone."""
 
+import datetime
 import json
+import math
+import warnings
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import pydantic
 from annotated_types import Ge, Gt
 from ruamel.yaml import YAML, YAMLError
+from ruamel.yaml.constructor import ConstructorError, SafeConstructor
+from ruamel.yaml.error import MarkedYAMLError, ReusedAnchorWarning
 
 from clothkit.app.settings import AppConfig
 from clothkit.dataset.augment import AugmentConfig
 from clothkit.dataset.regularise import RegulariseConfig
-from clothkit.errors import InputError
+from clothkit.errors import InputError, system_error
 from clothkit.evaluation.camera_settings import EvaluateCameraConfig
 from clothkit.evaluation.settings import EvaluateEstimationConfig, EvaluatePlanningConfig, EvaluatePredictionConfig
 from clothkit.networks.settings import TrainEMDVoxelConfig, TrainPEMDConfig, TrainVtMConfig
@@ -23,7 +28,7 @@ from clothkit.simulation.settings import SimulateConfig
 Scale = Literal["smoke", "laptop", "overnight", "paper"]
 
 
-class StageParams(pydantic.BaseModel, frozen=True, extra="forbid"):
+class StageParams(pydantic.BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
     """The settings of every stage at one scale."""
 
     simulate: SimulateConfig
@@ -42,7 +47,7 @@ class StageParams(pydantic.BaseModel, frozen=True, extra="forbid"):
     report: ReportConfig
 
 
-class Params(pydantic.BaseModel, frozen=True, extra="forbid"):
+class Params(pydantic.BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
     """The whole file: the scale in force, the planning weights of eqs. (13) and (15), the command line's settings, and
     every scale's."""
 
@@ -65,19 +70,98 @@ class Params(pydantic.BaseModel, frozen=True, extra="forbid"):
 
 def load_params(path: Path) -> Params:
     """Read and check a params file. Raises InputError naming the first key that is unknown, mistyped or impossible."""
+    raw = _read(path)
+    if not isinstance(raw, dict):
+        found = "nothing" if raw is None else f"a {_KINDS.get(type(raw), 'single value')}"
+        raise InputError(f"{path}: expected keys (scale, alpha, ..) with their values, found {found}")
     try:
-        raw = YAML(typ="safe").load(path)
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: not found; run from the repository's root") from error
-    except YAMLError as error:
-        raise InputError(f"{path}: is not valid YAML ({' '.join(str(error).split())})") from error
-    try:
+        _check_plain(raw, (), [0])
         params = Params.model_validate_json(json.dumps(raw), strict=True)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
     except pydantic.ValidationError as error:
         raise InputError(f"{path}: {_sentence(error.errors()[0])}") from error
     if params.scale not in params.scales:
         raise InputError(f"{path}: scale is {params.scale!r}, but scales has no such block")
     return params
+
+
+class _Constructor(SafeConstructor):
+    """YAML's own; what is no value of its kind (an integer of 5,000 digits, a 13th month) is told with its place."""
+
+    def construct_object(self, node: Any, deep: bool = False) -> Any:
+        try:
+            return super().construct_object(node, deep)
+        except (ValueError, KeyError) as error:
+            kind = str(node.tag).rsplit(":", 1)[-1]
+            raise ConstructorError(None, None, f"this can't be taken as {kind}", node.start_mark) from error
+
+
+def _read(path: Path) -> Any:
+    yaml = YAML(typ="safe", pure=True)
+    yaml.Constructor = _Constructor
+    try:
+        text = path.read_text(encoding="utf-8")
+        with warnings.catch_warnings(action="ignore", category=ReusedAnchorWarning):
+            return yaml.load(text)
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: not found; run from the repository's root") from error
+    except OSError as error:
+        raise system_error(error, path) from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is not UTF-8 text (from byte {error.start} on)") from error
+    except RecursionError as error:
+        raise InputError(f"{path}: expected at most {_DEEPEST} levels of nesting, found far more") from error
+    except MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        line = text.splitlines()[mark.line : mark.line + 1]
+        place = f"line {mark.line + 1}, {_short(line[0].strip() if line else '')}"
+        raise InputError(f"{path}: is not valid YAML ({place}: {' '.join(str(error.problem).split())})") from error
+    except YAMLError as error:
+        raise InputError(f"{path}: is not valid YAML ({' '.join(str(error).split())})") from error
+
+
+_KINDS = {
+    list: "list",
+    tuple: "pair",
+    set: "set",
+    bytes: "piece of binary data",
+    datetime.date: "date",
+    datetime.datetime: "date",
+}
+_MOST_VALUES, _DEEPEST = 100_000, 50
+
+
+def _check_plain(value: Any, key: tuple[str, ...], count: list[int]) -> None:
+    """Refuses what is no JSON: what it is said to be in YAML is lost on the way, or fails there without a name."""
+    where = ".".join(key)
+    count[0] += 1
+    if count[0] > _MOST_VALUES:
+        raise InputError(f"{where}: expected at most {_MOST_VALUES} values, aliases written out, found more")
+    if len(key) > _DEEPEST:
+        raise InputError(f"{'.'.join(key[:3])}: expected at most {_DEEPEST} levels, found more (or an alias of itself)")
+    if isinstance(value, dict):
+        for name, child in value.items():
+            if not isinstance(name, str):
+                inside = f"{where}: " if where else ""
+                raise InputError(f"{inside}expected words as keys, found {_short(name)}")
+            _check_plain(child, (*key, name), count)
+    elif isinstance(value, list):
+        for place, child in enumerate(value):
+            _check_plain(child, (*key, str(place)), count)
+    elif isinstance(value, float) and not math.isfinite(value):
+        raise InputError(f"{where}: expected a finite number, found {value}")
+    elif isinstance(value, int) and abs(value) >= 2**63:
+        raise InputError(f"{where}: expected an integer between -2^63 and 2^63, found one of {value.bit_length()} bits")
+    elif not isinstance(value, str | int | float | None):
+        kind = _KINDS.get(type(value), type(value).__name__)
+        raise InputError(f"{where}: expected a number, a word, a list or keys, found a {kind}; words may be quoted")
+
+
+def _short(value: Any) -> str:
+    # An integer of many digits has no decimal form.
+    text = repr(value) if not isinstance(value, int) or value.bit_length() < 64 else "a long integer"
+    return text if len(text) <= 80 else f"{text[:76]} .."
 
 
 def _sentence(error: Any) -> str:
@@ -86,5 +170,7 @@ def _sentence(error: Any) -> str:
         return f"{key} is not a known key"
     if error["type"] == "missing":
         return f"{key} is missing"
+    if error["input"] is None:
+        return f"{key}: is empty, expected a value (keys that belong to it are indented below it)"
     message = error["msg"][0].lower() + error["msg"][1:]
-    return f"{key}: {message}, found {error['input']!r}"
+    return f"{key}: {message}, found {_short(error['input'])}"

@@ -17,10 +17,15 @@ from typing import Any
 import jax
 
 import clothkit
-from clothkit.errors import InputError
+from clothkit.cache import ensure_jax_cache
+from clothkit.errors import InputError, untold_error
 from clothkit.params import Params, load_params
+from clothkit.publish import alone, leftovers, publish, recover
 
 WORK = Path(".work")
+PUBLISHING = WORK / "publishing.lock"
+PLACES = (Path("data"), Path("reports"))
+"""Where stages publish."""
 
 COMPILED_BYTES = 2**30
 """What compiled programs may take, kept so that a stage that goes on, and its variants, need not compile again."""
@@ -31,6 +36,11 @@ class Stage:
 
     def __init__(self, name: str, variant: str | None) -> None:
         self.name = f"{name}@{variant}" if variant else name
+        if leftovers(PLACES):
+            with alone(PUBLISHING):
+                # A run beside this one may have been at it.
+                for target in leftovers(PLACES):
+                    recover(target)
         self.shared: Params = load_params(Path("params.yaml"))
         self.params: Any = getattr(self.shared.stages, name)
         self._work: list[tuple[Path, Any]] = []
@@ -56,18 +66,22 @@ class Stage:
         lock = (directory.parent / f"{directory.name}.lock").open("w")
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
+        except BlockingIOError as error:
             raise InputError(f"{directory}: another run of stage {self.name} is at work here; wait for it") from error
         self._work.append((directory, lock))
         return directory
 
     def publish(self, source: Path, target: Path | str) -> None:
-        """Move a finished file or directory to its place under data/ or reports/, replacing what was there."""
-        target = Path(target)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        if target.is_dir():
-            shutil.rmtree(target)
-        os.replace(source, target)
+        """Move a finished file or directory to its place under data/ or reports/, replacing what was there as a whole.
+
+        A kill leaves the old output or the new one; of a stage with several outputs the first may then be new and the
+        others old. DVC, which notes a stage only once it has ended, runs it again; so must you where you run stages by
+        hand. The next run goes on from its pieces of work and publishes all of them anew. (DVC deletes most outputs
+        before it runs a stage; the old ones are then in its cache: `dvc checkout`.) Raises InputError when the output
+        can't be written; the old one and `source` stay as they are.
+        """
+        with alone(PUBLISHING):
+            publish(source, Path(target))
 
     def close(self, started: float) -> None:
         """Note the run's cost and drop its work directories."""
@@ -83,35 +97,53 @@ class Stage:
         }
         path = WORK / "timings" / f"{self.name}.json"
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(cost, indent=1))
+        part = path.with_suffix(".part")
+        part.write_text(json.dumps(cost, indent=1))
+        os.replace(part, path)
         for directory, lock in self._work:
             shutil.rmtree(directory, ignore_errors=True)
-            lock.close()
             Path(lock.name).unlink(missing_ok=True)
+
+    def release(self) -> None:
+        """Let other runs have the work directories."""
+        for _, lock in self._work:
+            lock.close()
 
 
 @contextlib.contextmanager
 def stage(name: str, variant: str | None = None) -> Iterator[Stage]:
     """Run a stage script's body: bad input ends it with one sentence and exit status 1, pieces of work stay.
 
-    Refuses to run another checkout's clothkit: `dvc exp run --temp` with an editable install would record results of
-    code that it did not snapshot.
+    Refuses to run another clothkit than `src/clothkit` in the current directory: an experiment in a copy of the
+    checkout (`dvc exp run --temp`, `--queue`) would record results of code that is not in its snapshot. dvc.yaml sets
+    PYTHONPATH for that.
     """
     started = time.monotonic()
+    run = None
     try:
-        if not Path(clothkit.__file__).resolve().is_relative_to(Path.cwd().resolve()):
+        expected = Path("src/clothkit").resolve()
+        if Path(clothkit.__file__).resolve().parent != expected:
             raise InputError(
-                f"{clothkit.__file__}: stages run the clothkit under the current directory, and this one is elsewhere; "
-                "set PYTHONPATH=src or install the checkout that you stand in"
+                f"{clothkit.__file__}: expected the clothkit of the current directory, {expected}; "
+                "run the stage with dvc repro, or from a checkout with PYTHONPATH=src"
             )
         if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
             jax.config.update("jax_compilation_cache_dir", str(WORK / "compiled"))
             jax.config.update("jax_compilation_cache_max_size", COMPILED_BYTES)
+        ensure_jax_cache()
         run = Stage(name, variant)
         yield run
+        run.close(started)
     except InputError as error:
         sys.exit(f"{name}: {error}")
-    run.close(started)
+    except Exception as error:
+        told = untold_error(error)
+        if told is None:
+            raise
+        sys.exit(f"{name}: {told}")
+    finally:
+        if run is not None:
+            run.release()
 
 
 def _own_code() -> list[Path]:

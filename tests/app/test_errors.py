@@ -1,14 +1,20 @@
 """Bad input ends a command with one sentence that names the culprit, and leaves what was written as it is."""
 
+import errno
 import json
 import shutil
 import struct
 from collections.abc import Callable
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
+from clothkit.app import export as app_export
+from clothkit.app.given import keep_compiled_programs
+from clothkit.app.output import write_mesh
+from clothkit.cloth.grid import flat
 from clothkit.networks import store
 from tests.app.conftest import run, succeed
 
@@ -56,6 +62,35 @@ def without(name: str) -> Callable[[], None]:
         shutil.copytree(Path("data").resolve(), "damaged")
         path = Path("damaged") / name
         shutil.rmtree(path) if path.is_dir() else path.unlink()
+
+    return make
+
+
+def exchanged_net() -> None:
+    """Data in which a net lies in another one's place."""
+    shutil.copytree(Path("data").resolve(), "damaged")
+    shutil.rmtree("damaged/nets/pemd_a")
+    shutil.copytree("damaged/nets/vtm", "damaged/nets/pemd_a")
+    about = json.loads(Path("damaged/nets/pemd_a/net.json").read_text())
+    Path("damaged/nets/pemd_a/net.json").write_text(json.dumps({**about, "validation_score": 0.1}))
+
+
+def directory(name: str) -> Callable[[], None]:
+    """Makes a folder in a file's place."""
+
+    def make() -> None:
+        Path(name).unlink(missing_ok=True)
+        Path(name).mkdir()
+
+    return make
+
+
+def link(name: str, to: str) -> Callable[[], None]:
+    """Makes a symbolic link in a file's place."""
+
+    def make() -> None:
+        Path(name).unlink(missing_ok=True)
+        Path(name).symlink_to(to)
 
     return make
 
@@ -109,13 +144,19 @@ STATES: list[tuple[Callable[[], None], tuple[object, ...], str, str]] = [
     ),
     (without("nets/vtm"), ("{files}/cloud.npz", *DAMAGED), "damaged/nets/vtm", "not found"),
     (without("normalisation/mesh.json"), (START, *DAMAGED), "normalisation/mesh.json", "not found"),
-    (without("nets/pemd_b/net.json"), (START, *DAMAGED), "pemd_b/net.json", "no such file"),
+    (without("nets/pemd_b/net.json"), (START, *DAMAGED), "pemd_b/net.json", "not found, expected a net's description"),
     (broken_net("nets/pemd_a", store.WEIGHTS), (START, *DAMAGED), "pemd_a/net.msgpack", "damaged"),
-    (broken_net("nets/pemd_b", store.ATTRIBUTES), (START, *DAMAGED), "pemd_b/net.json", "found something else"),
+    (broken_net("nets/pemd_b", store.ATTRIBUTES), (START, *DAMAGED), "pemd_b/net.json", "truncated or damaged file"),
     (nothing, (START, "--reach", 0, 0, 0, -1, -1, -1), "--reach", "low corner first"),
     (nothing, (START, "--after", "out.json"), "out.json", "another file"),
     (nothing, (START, "--out", "nowhere/plan.json"), "nowhere/plan.json", "is no folder"),
     (nothing, (START, "--out", "plan.txt"), "plan.txt", "expected json"),
+    (nothing, (START, "--out", f"{'x' * 300}.json"), "xxx.json", "can't be written: its name is too long"),
+    (nothing, (START, "--out", "params.yaml/plan.json"), "params.yaml/plan.json", "params.yaml is no folder"),
+    (exchanged_net, (START, *DAMAGED), "pemd_a/net.json", "kind: expected 'pemd', found 'vtm'"),
+    (directory("params.yaml"), (START,), "params.yaml", "it is a folder, expected a file"),
+    (link("params.yaml", "params.yaml"), (START,), "params.yaml", "its symbolic links lead in a circle"),
+    (link("params.yaml", "nowhere.yaml"), (START,), "params.yaml", "not found"),
     (raw("params.yaml", "scale: laptop\nalhpa: 1\n"), (START,), "params.yaml", ""),
     (raw("params.yaml", "scale: [\n"), (START,), "params.yaml", "is not valid YAML"),
     (raw("old.json", "{"), (START, "--after", "old.json"), "old.json", "is not valid JSON"),
@@ -226,11 +267,75 @@ def test_usage_is_told_with_status_two(here: Path, arguments: tuple[object, ...]
     assert culprit in result.stderr.splitlines()[-1]
 
 
+def test_commands_keep_programs_in_a_temporary_folder_where_theirs_can_not_be_written(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = jax.config.values["jax_compilation_cache_dir"]
+    try:
+        jax.config.update("jax_compilation_cache_dir", str(here / "params.yaml/compiled"))
+        keep_compiled_programs()
+        assert Path(jax.config.values["jax_compilation_cache_dir"]).is_dir()
+    finally:
+        jax.config.update("jax_compilation_cache_dir", given)
+    assert capsys.readouterr().err.startswith(f"{here / 'params.yaml/compiled'}: can't be written (")
+
+
+def test_a_name_as_long_as_names_may_be_can_be_written(here: Path, files: Path) -> None:
+    name = "m" * 251 + ".obj"
+    write_mesh(Path(name), flat().astype(float))
+    assert Path(name).is_file()
+    assert [path.name for path in here.iterdir() if path.suffix == ".obj"] == [name]
+
+
+@pytest.mark.parametrize(
+    ("error", "sentence"),
+    [
+        (
+            PermissionError(errno.EACCES, "Permission denied", "data/x"),
+            "data/x: can't be opened: no permission",
+        ),
+        (FileNotFoundError(errno.ENOENT, "No such file", "data/x"), "data/x: not found"),
+        (OSError(errno.EXDEV, "Cross-device", "a", None, "data/x"), "data/x: can't be opened: it is on another file"),
+        (OSError(errno.ENOSPC, "No space left on device"), "a file can't be written: no space is left; free some"),
+    ],
+)
+def test_what_the_system_says_and_nobody_told_is_told(
+    here: Path, monkeypatch: pytest.MonkeyPatch, error: OSError, sentence: str
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr(app_export, "export", fail)
+    result = run("export", "data/raw", "--all")
+    assert result.exit_code == 1
+    assert isinstance(result.exception, SystemExit)
+    assert result.stderr.startswith(f"export: {sentence}")
+    assert len(result.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize("error", [BrokenPipeError(errno.EPIPE, "Broken pipe"), ZeroDivisionError(), RuntimeError("x")])
+def test_faults_of_the_program_keep_their_traceback(
+    here: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr(app_export, "export", fail)
+    result = run("export", "data/raw", "--all")
+    assert not result.stderr.startswith("export: ")
+    assert result.exit_code == 1
+
+
 def test_other_commands_tell_as_well(here: Path, files: Path) -> None:
     for arguments, says in (
         (("estimate", "none.ply"), "estimate: none.ply: not found"),
         (("estimate", files / "voxels.npy", "--out", "a.stl"), "estimate: a.stl: ending '.stl', expected obj or"),
         (("export", "none", "--all"), "export: none: not found"),
+        (("export", "x" * 300, "--all"), f"export: {'x' * 300}: can't be opened: its name is too long"),
+        (("export", "data", "--all", "--cloth-side", "nan"), "export: cloth side nan: expected metres, above 0"),
+        (("export", "data", "--all", "--cloth-side", "inf"), "export: cloth side inf: expected metres, above 0"),
+        (("export", "data", "--all", "--cloth-side", "-0.4"), "export: cloth side -0.4: expected metres, above 0"),
+        (("export", "data", "--all", "--cloth-side", "1e300"), "export: cloth side 1e+300: expected metres, above"),
         (("simulate", "--plan", "none.json"), "simulate: none.json: can't be read as a plan"),
     ):
         result = run(*arguments)

@@ -1,5 +1,6 @@
 """Exported files hold the same cloth when another program reads them: vertices, triangles, uv, units and frame."""
 
+import errno
 from pathlib import Path
 from typing import Any
 
@@ -90,6 +91,33 @@ def test_meshes_of_a_store_lie_where_they_lay_in_metres(raw: Path, tmp_path: Pat
     np.testing.assert_allclose(corners, position(5, 1)[:4], atol=1e-6)
     np.testing.assert_allclose(mesh.visual.uv, (geodesic().reshape(-1, 2) + 1) / 2, atol=1e-6)
     assert (mesh.face_normals[:, 2] > 0.9).all()
+
+
+def test_a_file_where_the_folder_should_be_is_told(raw: Path, tmp_path: Path) -> None:
+    (tmp_path / "taken").write_bytes(b"mine")
+    with pytest.raises(SystemExit) as ended:
+        main([str(raw), "--all", "--to", str(tmp_path / "taken")])
+    assert str(ended.value.code).startswith(f"export: {tmp_path / 'taken'}: can't be written: something of that name")
+    assert (tmp_path / "taken").read_bytes() == b"mine"
+
+
+def test_a_full_disk_leaves_what_was_exported_before(
+    raw: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    main([str(raw), "--sequence", "3", "--format", "ply", "--to", str(tmp_path)])
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+
+    def half(path: Path, data: bytes) -> int:
+        with path.open("wb") as file:
+            file.write(data[: len(data) // 2])
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "write_bytes", half)
+        with pytest.raises(SystemExit) as ended:
+            main([str(raw), "--sequence", "3", "--format", "ply", "--to", str(tmp_path)])
+    assert "sequence_0003_state_0.ply: can't be written: no space is left" in str(ended.value.code)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
 @pytest.mark.parametrize(

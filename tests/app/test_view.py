@@ -347,6 +347,10 @@ def test_tasks_are_those_of_the_test_split(folder: Path, tmp_path: Path) -> None
         (("--data", "nowhere"), "nowhere: not found"),
         (("--state", "none.obj", "--goal", "a.obj"), "none.obj: not found"),
         (("--box", 5, 5, 5, 1, 1, 1), "--box"),
+        (("--host", "192.0.2.1"), "--host: 192.0.2.1 is no address of this machine"),
+        (("--host", "no such host"), "--host: 'no such host' is unknown"),
+        (("--data", "."), ".: holds nothing to show, expected recorded sessions"),
+        (("--state", "a.obj", "--goal", "a.obj", "--data", "."), "nets/pemd_a: not found, system main plans with it"),
     ],
 )
 def test_bad_input_is_told_in_one_sentence(here: Path, arguments: tuple[object, ...], says: str) -> None:

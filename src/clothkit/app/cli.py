@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from clothkit.errors import InputError
+from clothkit.errors import InputError, untold_error
 
 COMMANDS = {
     "plan": "A plan that brings a cloth into a given shape.",
@@ -48,6 +48,13 @@ class _Commands(click.Group):
             return super().invoke(ctx)
         except InputError as error:
             raise _Told(f"{ctx.invoked_subcommand}: {' '.join(str(error).split())}") from error
+        except (click.exceptions.Exit, click.Abort):
+            raise
+        except Exception as error:
+            told = untold_error(error)
+            if told is None:
+                raise
+            raise _Told(f"{ctx.invoked_subcommand}: {told}") from error
 
 
 @click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})

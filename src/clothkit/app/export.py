@@ -12,7 +12,7 @@ from pathlib import Path
 import click
 
 from clothkit.dataset.export import FORMATS, export
-from clothkit.errors import InputError
+from clothkit.errors import InputError, untold_error
 from clothkit.simulation.settings import SimulationConfig
 
 
@@ -79,6 +79,8 @@ def main(argv: Sequence[str] | None = None) -> None:
         run(parser.parse_args(argv))
     except InputError as error:
         sys.exit(f"export: {error}")
+    except OSError as error:
+        sys.exit(f"export: {untold_error(error) or error}")
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from clothkit.app.settings import AppConfig
+from clothkit.cache import ensure_jax_cache
 from clothkit.errors import InputError
 from clothkit.manipulation.candidates import CandidateConfig
 from clothkit.observation.cloud import Observation
@@ -47,7 +48,8 @@ class Settings(NamedTuple):
 
 def settings() -> Settings:
     """Those of params.yaml where the current directory has one, at its scale, else the defaults. Raises InputError."""
-    if not PARAMS.exists():
+    # A link that leads nowhere, or in a circle, is no reason for defaults.
+    if not os.path.lexists(PARAMS):
         return Settings(AppConfig(), PlanConfig(), _WEIGHTS, CandidateConfig(), SimulationConfig())
     params = load_params(PARAMS)
     simulate = params.stages.simulate
@@ -61,6 +63,7 @@ def keep_compiled_programs() -> None:
         home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
         jax.config.update("jax_compilation_cache_dir", str(home / "clothkit/compiled"))
         jax.config.update("jax_compilation_cache_max_size", COMPILED_BYTES)
+    ensure_jax_cache()
 
 
 class Seeing(NamedTuple):

@@ -13,7 +13,8 @@ from jaxtyping import Float
 
 from clothkit.cloth.grid import geodesic, triangles
 from clothkit.dataset.export import Surface, encode
-from clothkit.errors import InputError
+from clothkit.errors import InputError, system_error
+from clothkit.publish import unfinished
 
 _ERASE = "\r\x1b[K"
 
@@ -33,28 +34,21 @@ def part(what: str) -> Iterator[None]:
     click.echo(f"{_ERASE if watched else ''}{what}: {time.monotonic() - started:.1f} s", err=True)
 
 
-@contextlib.contextmanager
-def unfinished(path: Path) -> Iterator[Path]:
-    """A name to write under, which becomes `path` if all goes well. Raises InputError when nothing can be written."""
-    part = path.with_name(f".{path.name}.part{os.getpid()}{path.suffix}")
-    try:
-        yield part
-        part.replace(path)
-    except OSError as error:
-        raise InputError(f"{path}: can't be written ({error.strerror or error})") from error
-    finally:
-        with contextlib.suppress(OSError):
-            part.unlink(missing_ok=True)
-
-
 def check_target(path: Path, endings: tuple[str, ...]) -> None:
     """That a file can be written before any work is done for it. Raises InputError."""
     if path.suffix.lower()[1:] not in endings:
         raise InputError(f"{path}: ending {path.suffix!r}, expected {' or '.join(endings)}")
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder, expected a file to write")
-    if not path.parent.is_dir():
-        raise InputError(f"{path}: {path.parent} is no folder, it must be there")
+    try:
+        if path.is_dir():
+            raise InputError(f"{path}: is a folder, expected a file to write")
+        if not path.parent.is_dir():
+            raise InputError(f"{path}: {path.parent} is no folder, it must be there")
+        # Fails where the name is too long, or the folder can't be looked into.
+        path.lstat()
+    except FileNotFoundError:
+        pass
+    except OSError as error:
+        raise system_error(error, path, action="written") from error
     if not os.access(path.parent, os.W_OK):
         raise InputError(f"{path}: can't be written, {path.parent} is write-protected")
 

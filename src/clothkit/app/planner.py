@@ -1,6 +1,5 @@
 """One plan from one observation: a session's step for a cloth of which no truth is known (section 5.1)."""
 
-import json
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -69,17 +68,8 @@ def planner_of(system: System, data: Path, settings: Settings) -> Planner:
         if not path.exists():
             raise InputError(f"{path}: not found, system {system.name} plans with it; dvc repro makes it")
         if name != "reference":
-            _check_description(path / store.ATTRIBUTES)
+            store.description(path)
     return assemble(system, data, settings.weights, settings.plan, settings.grasping)
-
-
-def _check_description(path: Path) -> None:
-    try:
-        json.loads(path.read_text())["kind"]
-    except OSError as error:
-        raise InputError(f"{path}: expected a net's description, found no such file") from error
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{path}: expected a net's kind and widths, found something else") from error
 
 
 def vtm_of(data: Path, settings: Settings) -> Net:
@@ -87,7 +77,7 @@ def vtm_of(data: Path, settings: Settings) -> Net:
     path = data / "nets/vtm"
     if not path.exists():
         raise InputError(f"{path}: not found, it sees meshes in voxels; dvc repro makes it")
-    vtm, height = store.load(path), settings.app.cloud.height
+    vtm, height = store.load(path, "vtm"), settings.app.cloud.height
     if height != vtm.config.height:
         raise InputError(f"app.cloud.height: is {height}, but {path} knows voxels up to {vtm.config.height}")
     return vtm

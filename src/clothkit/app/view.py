@@ -1,9 +1,11 @@
 """`clothkit view`: a local page on which sessions are played, and made."""
 
 import contextlib
+import errno
 import io
 import os
 import signal
+import socket
 import sys
 import tempfile
 import threading
@@ -12,12 +14,15 @@ from pathlib import Path
 from typing import Any
 
 import click
+import jax
 import viser
 
 from clothkit.app.given import look, looking, seeing, settings
 from clothkit.app.viewer.page import build
+from clothkit.app.viewer.recorded import systems_in
 from clothkit.app.viewer.tasks import Ask
 from clothkit.errors import InputError
+from clothkit.planning.planner import artifacts
 from clothkit.planning.systems import SYSTEMS
 
 
@@ -83,6 +88,10 @@ def command(
     own = Ask(state, goal, steps, mask) if state and goal else None
     if not data.is_dir():
         raise InputError(f"{data}: not found, expected the folder that dvc repro fills")
+    _check_there_is_something(data, name, own)
+    _check_address(host, port)
+    # A device that JAX is asked for and that is not there is told here, too.
+    jax.devices()
     how = seeing(given.app, **options)
     if own is not None:
         # What is wrong with a file is told here, and not on a page that nobody has opened yet.
@@ -93,7 +102,8 @@ def command(
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         with tempfile.TemporaryDirectory(prefix="clothkit-view-") as uploads:
-            address = f"http://{'localhost' if host in ('127.0.0.1', '0.0.0.0') else host}:{server.get_port()}"
+            name_of_host = "localhost" if host in ("127.0.0.1", "0.0.0.0") else f"[{host}]" if ":" in host else host
+            address = f"http://{name_of_host}:{server.get_port()}"
             click.echo(f"{address} (Ctrl-C ends it)")
             build(server, data=data, chosen=name, own=own, settings=given, seeing=how, uploads=Path(uploads))
             if not no_browser and _has_screen():
@@ -103,6 +113,38 @@ def command(
         click.echo("")
     finally:
         server.stop()
+
+
+def _check_there_is_something(data: Path, name: str, own: Ask | None) -> None:
+    """That there are sessions to play, or nets to make one with. Raises InputError."""
+    missing = [path for path in artifacts(SYSTEMS[name], data).values() if not path.exists()]
+    if missing and own is not None:
+        raise InputError(f"{missing[0]}: not found, system {name} plans with it; dvc repro makes it")
+    if missing and not systems_in(data):
+        raise InputError(
+            f"{data}: holds nothing to show, expected recorded sessions (evaluation/planning) or what system {name} "
+            f"plans with ({missing[0].relative_to(data)}); dvc repro makes them"
+        )
+
+
+def _check_address(host: str, port: int) -> None:
+    """That a page can be served there: where it can't, the server tries one port after another. Raises InputError."""
+    try:
+        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    except (socket.gaierror, UnicodeError) as error:
+        raise InputError(f"--host: {host!r} is unknown, expected an address of this machine, or 0.0.0.0") from error
+    family, kind, protocol, _, address = found[0]
+    try:
+        with socket.socket(family, kind, protocol) as trial:
+            trial.bind(address)
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
+            return
+        if error.errno == errno.EADDRNOTAVAIL:
+            raise InputError(
+                f"--host: {host} is no address of this machine, expected one of its own, or 0.0.0.0 for all of them"
+            ) from error
+        raise InputError(f"--host {host}, --port {port}: no page can be served there ({error.strerror})") from error
 
 
 def _has_screen() -> bool:

@@ -1,10 +1,11 @@
 """How a net is stored: a folder with its weights, what it was made with, and what its training went through."""
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -12,15 +13,17 @@ import numpy as np
 import pandas as pd
 from flax import serialization
 from flax.traverse_util import flatten_dict
-from pydantic import ValidationError
 
-from clothkit.errors import InputError
+from clothkit.errors import InputError, system_error
 from clothkit.networks import emd_voxel, pemd, vtm
 from clothkit.networks.net import Net
 from clothkit.networks.settings import EMDVoxelConfig, PEMDConfig, VtMConfig
 
 WEIGHTS, ATTRIBUTES, HISTORY = "net.msgpack", "net.json", "history.parquet"
+Kind = Literal["pemd", "emd_voxel", "vtm"]
 KINDS = {"pemd": PEMDConfig, "emd_voxel": EMDVoxelConfig, "vtm": VtMConfig}
+LARGEST = 1e6
+"""No weight comes near it: what a training writes is of the order of 1."""
 
 
 def save(folder: Path, net: Net, history: pd.DataFrame, attributes: Mapping[str, Any]) -> None:
@@ -34,32 +37,67 @@ def save(folder: Path, net: Net, history: pd.DataFrame, attributes: Mapping[str,
     history.to_parquet(folder / HISTORY, index=False)
 
 
-def load(folder: Path) -> Net:
-    """The net that a folder holds. Raises InputError for a file that is missing, truncated or of another net."""
+def load(folder: Path, kind: Kind | None = None) -> Net:
+    """The net that a folder holds, of that kind where one is expected.
+
+    Raises InputError for a file that is missing, truncated or of another net, and for weights that are no net's.
+    """
+    about = description(folder)
     try:
-        described = json.loads((folder / ATTRIBUTES).read_text())
-        widths = {name: tuple(v) if isinstance(v, list) else v for name, v in described["net"].items()}
-        config = KINDS[described["kind"]](**widths)
-    except OSError as error:
-        raise InputError(f"{folder / ATTRIBUTES}: expected a net's description, found no such file") from error
-    except (ValueError, KeyError, AttributeError, TypeError, ValidationError) as error:
+        found_kind, given = about["kind"], about["net"]
+        widths = {name: tuple(v) if isinstance(v, list) else v for name, v in given.items()}
+        config = KINDS[found_kind](**widths)
+        expected = {name: weight.shape for name, weight in flatten_dict(shapes(config), sep="/").items()}
+    except (ValueError, KeyError, AttributeError, TypeError, OverflowError) as error:
         raise InputError(f"{folder / ATTRIBUTES}: expected a net's kind and widths, found something else") from error
+    if kind is not None and found_kind != kind:
+        raise InputError(
+            f"{folder / ATTRIBUTES}: kind: expected {kind!r}, found {found_kind!r}, a net for other inputs"
+        )
+    path = folder / WEIGHTS
     try:
-        params = serialization.msgpack_restore((folder / WEIGHTS).read_bytes())
-        found = {name: np.asarray(weight).shape for name, weight in flatten_dict(params, sep="/").items()}
+        params = serialization.msgpack_restore(path.read_bytes())
+        found = {name: np.asarray(weight) for name, weight in flatten_dict(params, sep="/").items()}
     except OSError as error:
-        raise InputError(f"{folder / WEIGHTS}: expected a net's weights, found no such file") from error
+        raise system_error(error, path, expected="a net's weights") from error
     except Exception as error:  # msgpack has a dozen ways to say that bytes are missing
-        raise InputError(f"{folder / WEIGHTS}: expected a net's weights, found a truncated or damaged file") from error
-    expected = {name: weight.shape for name, weight in flatten_dict(shapes(config), sep="/").items()}
+        raise InputError(f"{path}: expected a net's weights, found a truncated or damaged file") from error
     for name in sorted(expected.keys() | found.keys()):
-        if expected.get(name) != found.get(name):
-            raise InputError(
-                f"{folder / WEIGHTS}, weight {name}: expected shape {expected.get(name)}, found {found.get(name)}"
-            )
-    if not all(np.isfinite(weight).all() for weight in jax.tree.leaves(params)):
-        raise InputError(f"{folder / WEIGHTS}: expected finite weights, found NaN or infinity")
+        weight = found.get(name)
+        if weight is None or expected.get(name) != weight.shape:
+            shape = None if weight is None else weight.shape
+            raise InputError(f"{path}, weight {name}: expected shape {expected.get(name)}, found {shape}")
+        if weight.dtype != np.float32:
+            raise InputError(f"{path}, weight {name}: expected float32, found {weight.dtype}")
+        if not np.isfinite(weight).all():
+            raise InputError(f"{path}, weight {name}: expected finite weights, found NaN or infinity")
+        if np.abs(weight).max(initial=0) > LARGEST:
+            largest = float(np.abs(weight).max())
+            raise InputError(f"{path}, weight {name}: expected weights up to {LARGEST:g}, found {largest:g}")
     return Net(config, jax.tree.map(jnp.asarray, params))
+
+
+def description(folder: Path) -> dict[str, Any]:
+    """What a net's folder says of the net: its kind, its widths and what it was made with. Raises InputError."""
+    path = folder / ATTRIBUTES
+    try:
+        found = json.loads(path.read_bytes())
+    except OSError as error:
+        raise system_error(error, path, expected="a net's description") from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: expected a net's description, found a truncated or damaged file") from error
+    if not isinstance(found, dict):
+        raise InputError(f"{path}: expected a net's kind and widths, found something else")
+    return found
+
+
+def validation_score(folder: Path) -> float:
+    """The validation score of the net that a folder holds. Raises InputError if its description has none."""
+    score = description(folder).get("validation_score")
+    if not isinstance(score, float) or not math.isfinite(score):
+        found = json.dumps(score)[:60]
+        raise InputError(f"{folder / ATTRIBUTES}: validation_score: expected a finite number, found {found}")
+    return score
 
 
 def shapes(config: PEMDConfig | EMDVoxelConfig | VtMConfig) -> Any:

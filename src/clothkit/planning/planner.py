@@ -11,6 +11,7 @@ import jax
 from clothkit.dataset.store import STEPS
 from clothkit.manipulation.candidates import CandidateConfig
 from clothkit.networks import store
+from clothkit.networks.store import Kind
 from clothkit.planning import normalisation
 from clothkit.planning.loss import Weights
 from clothkit.planning.normalisation import Normalisation
@@ -74,15 +75,16 @@ def assemble(system: System, data: Path, weights: Weights, settings: PlanConfig,
     """A system's planner from the artifacts under `data`. Raises InputError for what is missing or malformed."""
     found = artifacts(system, data)
     settings = settings.of(system)
-    vtm = store.load(found["vtm"]) if "vtm" in found else None
+    vtm = store.load(found["vtm"], "vtm") if "vtm" in found else None
     sight = VoxelSight() if system.voxels else MeshSight(vtm, settings.refine, refine=system.refine)
     folders = {net: found[net] for net in ("a", "b")}
     better = better_net(folders)
+    kind: Kind = "emd_voxel" if system.voxels else "pemd"
     names = sorted(folders) if system.nets == 2 else [better]
     return Planner(
         system,
         sight,
-        nets=tuple(store.load(folders[net]) for net in names),
+        nets=tuple(store.load(folders[net], kind) for net in names),
         better=names.index(better),
         normalisation=normalisation.load(found["reference"]),
         weights=weights if system.alpha is None else weights._replace(alpha=system.alpha),

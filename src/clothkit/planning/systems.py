@@ -1,12 +1,11 @@
 """The systems of section 6.3 by name: what each sees, and how many nets it plans with."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from clothkit.errors import InputError
-from clothkit.networks.store import ATTRIBUTES
+from clothkit.networks.store import validation_score
 
 
 @dataclass(frozen=True)
@@ -55,12 +54,7 @@ def system(name: str) -> System:
 def better_net(folders: Mapping[str, Path]) -> str:
     """The name of the net of the lowest validation score, the first of equals.
 
-    Raises InputError if a net's description holds no score.
+    Raises InputError if a net's description can't be read or holds no score.
     """
-    scores = {}
-    for name, folder in sorted(folders.items()):
-        score = json.loads((folder / ATTRIBUTES).read_text()).get("validation_score")
-        if not isinstance(score, float):
-            raise InputError(f"{folder / ATTRIBUTES}: validation_score: expected a number, found {score!r}")
-        scores[name] = score
+    scores = {name: validation_score(folder) for name, folder in sorted(folders.items())}
     return min(scores, key=scores.__getitem__)

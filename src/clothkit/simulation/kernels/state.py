@@ -8,29 +8,15 @@ last row and column have none). An edge is 3 * vertex + kind: kind 0 runs to the
 the vertex diagonally across. The quad's diagonal splits it into its two triangles.
 """
 
-import os
-
 import warp as wp
+
+from clothkit.simulation.kernel_cache import start_warp
 
 wp.config.enable_backward = False
 wp.config.log_level = wp.LOG_ERROR
 wp.config.max_unroll = 1
 
-
-def _initialise() -> None:
-    """Start Warp without its complaint, from C, that there is no CUDA driver."""
-    stderr = os.dup(2)
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 2)
-    try:
-        wp.init()
-    finally:
-        os.dup2(stderr, 2)
-        os.close(stderr)
-        os.close(nowhere)
-
-
-_initialise()
+start_warp()
 
 CELLS = wp.constant(64)  # of the search grid, along x and along y
 CONTACTS = wp.constant(32)  # quads that a vertex can touch at a time
