@@ -45,9 +45,9 @@ def test_a_heap_lies_and_a_strip_on_its_edge_stands() -> None:
 
 def test_a_mesh_that_stands_or_lies_below_its_table_is_refused_with_the_option_that_turns_it() -> None:
     for mesh in (standing(flat()), standing(folded())):
-        with pytest.raises(InputError, match="stands upright.*--y-up"):
+        with pytest.raises(InputError, match=r"stands upright.*--y-up"):
             observe(MeshState(mesh, ZERO, SCALE), cloth_side=CLOTH)
-    with pytest.raises(InputError, match="lies below its table.*z up"):
+    with pytest.raises(InputError, match=r"lies below its table.*z up"):
         observe(MeshState(folded() * np.float32([1, -1, -1]), ZERO, SCALE), cloth_side=CLOTH)
     # A little is rounding, or a table that is a little off.
     check_above("file", (folded() - np.float32([0, 0, 0.005])).reshape(-1, 3), side=CLOTH_SIDE, remedy=REMEDY)
@@ -93,5 +93,6 @@ def test_meshes_and_clouds_tell_what_they_clamp() -> None:
     x, y = (part.ravel() for part in np.meshgrid(np.arange(-0.2, 0.2, 0.004), np.arange(-0.2, 0.2, 0.004)))
     cloud = PointCloud(np.column_stack([x, y, np.where(x > 0.1, 0.05, 0.004)]), table=LEVEL)
     (notice,) = observe_cloud(cloud, cloth_side=CLOTH, name="cloud").notices
-    assert notice.startswith("cloud: 2") and "% of the cloth lies higher than nets see" in notice
+    assert notice.startswith("cloud: 2")
+    assert "% of the cloth lies higher than nets see" in notice
     assert not observe_cloud(PointCloud(np.column_stack([x, y, x * 0 + 0.004]), table=LEVEL), cloth_side=CLOTH).notices

@@ -221,7 +221,8 @@ def seeing(
         corners = _corners("--box", box)
         cloud = dataclasses.replace(cloud, box=corners)
     plane, seen_from, turned = table or app.table, viewpoint or app.viewpoint, app.y_up if y_up is None else y_up
-    up = up or app.up
+    # A table that an option gives has its own normal up.
+    up = up or (None if table else app.up)
     if turned and up is None and plane is None and seen_from is None:
         up = (0.0, 1.0, 0.0)
     for name, values in (("up", up), ("viewpoint", seen_from)):

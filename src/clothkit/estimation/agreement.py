@@ -37,7 +37,7 @@ class Agreement(NamedTuple):
 
     def explains(self, least: AgreementConfig) -> Bool[np.ndarray, "*batch"]:
         """Whether both are high enough."""
-        return (self.silhouette >= least.silhouette) & (self.heights >= least.heights)
+        return np.asarray((self.silhouette >= least.silhouette) & (self.heights >= least.heights))
 
 
 def agreement(
