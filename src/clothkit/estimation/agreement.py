@@ -1,5 +1,6 @@
 """Whether an estimated mesh explains what was seen: both as columns of voxels, held against one another."""
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Annotated, NamedTuple
 
@@ -10,6 +11,8 @@ from jaxtyping import Bool, Float
 
 from clothkit.cloth.voxels import HEIGHT, observe
 from clothkit.config import config
+
+_QUANTILES = 41
 
 Share = Annotated[float, Ge(0), Le(1)]
 
@@ -50,6 +53,21 @@ def agreement(
     shown = np.asarray(_observed(meshes, height=height))
     columns = np.asarray(shown.any(-1)), np.asarray(seen.any(-1))
     return Agreement(_iou(*columns, axes=2), _iou(shown, seen, axes=3))
+
+
+def proposed(known: Sequence[Agreement], *, alarms: float) -> AgreementConfig:
+    """The highest thresholds that warn of at most a share `alarms` of each batch of states that a net knows.
+
+    Both stand at the same quantile of one of the batches, rounded down to a hundredth.
+    """
+    found = [AgreementConfig(silhouette=0.0, heights=0.0)]
+    for batch in known:
+        for quantile in np.linspace(0, alarms, _QUANTILES):
+            least = (float(np.floor(100 * np.quantile(values, quantile)) / 100) for values in batch)
+            tried = AgreementConfig(silhouette=next(least), heights=next(least))
+            if all((~other.explains(tried)).mean() <= alarms for other in known):
+                found.append(tried)
+    return max(found, key=lambda config: config.silhouette + config.heights)
 
 
 def _iou(a: np.ndarray, b: np.ndarray, *, axes: int) -> np.ndarray:
