@@ -73,6 +73,10 @@ def test_hands_start_at_the_grasp_points_in_the_plans_frame(
     plan = read_plan(here / "plan.json")
     assert plan.frame == frame
     assert "plan.json: 2 steps" in said
+    # A mesh that is taken as it is explains itself; what was estimated is held against what was seen.
+    assert (plan.state.agreement is None) == (plan.system == "b1")
+    assert ("the state's estimate" in said) == (plan.system != "b1")
+    assert plan.goal.agreement is None
     assert not violations(json.loads((here / "plan.json").read_text()), schema())
     for number, step in enumerate(plan.steps):
         assert step.null == (len(step.hands) == 0)
@@ -110,9 +114,18 @@ def test_the_same_seed_gives_the_same_file_and_another_directory_no_params(
 def test_goals_of_every_kind_and_plans_in_voxels(here: Path, files: Path, goal: str) -> None:
     wanted = ("plan", "--state", files / "cloth_alone.npz", "--goal", files / goal, "--steps", 1, *SAID_OF_TABLE)
     succeed(*wanted)
-    assert read_plan(here / "plan.json").system == "main"
+    plan = read_plan(here / "plan.json")
+    assert plan.system == "main"
+    assert (plan.goal.agreement is None) == (goal == "bent.obj")
+    for source in (plan.state, plan.goal):
+        if source.agreement is not None:
+            unexplained = f"{source.file}: the estimate does not explain what was seen"
+            assert source.agreement.explains != any(notice.startswith(unexplained) for notice in plan.notices)
     succeed(*wanted, "--system", "b4")
     plan = read_plan(here / "plan.json")
+    assert plan.state.agreement is None
+    assert plan.goal.agreement is None
+    assert not plan.notices
     assert plan.expected.error_m is None
     assert plan.expected.voxel_error is not None
     assert plan.start.state.kind == "voxels"
@@ -163,6 +176,11 @@ def test_a_plan_that_makes_nothing_better_says_so(here: Path, files: Path) -> No
     assert said.splitlines()[-1] == UNLIKELY
     assert plan.expected.error_no_action_m == pytest.approx(0, abs=1e-4)
     assert plan.expected.silhouette_iou_no_action > 0.98
+    # As files were before estimates were held against what was seen.
+    old = json.loads((here / "plan.json").read_text())
+    del old["notices"], old["state"]["agreement"], old["goal"]["agreement"]
+    (here / "old.json").write_text(json.dumps(old))
+    assert read_plan(here / "old.json") == plan
 
 
 def test_after_takes_up_what_is_left(here: Path, files: Path) -> None:

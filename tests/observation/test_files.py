@@ -242,7 +242,8 @@ NAN = np.where(np.arange(3072).reshape(32, 32, 3) == 5, np.nan, MESH)
         (written("bad.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"), "holds no triangles"),
         (meshed(PLACED * 1000), "the mesh's side is 400 along its edges, expected the cloth's, 0.4 m"),
         (meshed(PLACED + np.float32([0, 0, 0.5])), "its lowest vertex is at height 0.501 m, expected the table at 0"),
-        (meshed(PLACED[..., [0, 2, 1]]), "its lowest vertex is at height"),
+        (meshed(PLACED[..., [0, 2, 1]]), "stands upright, .* if an OBJ or PLY has y up, --y-up turns it"),
+        (meshed(PLACED * np.float32([1, -1, -1])), "the cloth lies below its table, .*meshes have z up"),
         (
             meshed(PLACED * np.float32(0.5)),
             "the mesh's side is 0.2 along its edges, expected the cloth's, 0.4 m",

@@ -50,16 +50,16 @@ def test_the_table_is_found_wherever_the_camera_is(seed: int) -> None:
     clutter = random.uniform([-0.5, -0.5, 0.05], [0.5, 0.5, 0.5], (300, 3))
     scene = np.concatenate([table_points(random), clutter])
     seen = scene @ rotation.T + origin
-    camera = np.array([0.1, -0.1, 0.9]) @ rotation.T + origin
-    plane = find(seen, PlaneConfig(), viewpoint=camera)
-    assert np.degrees(np.arccos(np.clip(plane.normal @ rotation[:, 2], -1, 1))) < 0.3
+    plane = find(seen, PlaneConfig())
+    # Either side may be up.
+    assert np.degrees(np.arccos(np.clip(abs(plane.normal @ rotation[:, 2]), -1, 1))) < 0.3
     assert np.abs(plane.heights(origin)) < 0.001
     axes, place = plane.frame()
     np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-9)
     assert np.linalg.det(axes) == pytest.approx(1)
     assert np.abs(plane.heights(place)) < 1e-9
     np.testing.assert_allclose((seen - place) @ axes.T @ [0, 0, 1], plane.heights(seen), atol=1e-9)
-    again = find(seen, PlaneConfig(), viewpoint=camera)
+    again = find(seen, PlaneConfig())
     np.testing.assert_array_equal(again.normal, plane.normal)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from clothkit.app import plan_file
+from clothkit.app.explained import Explained
 from clothkit.app.given import Seen
 from clothkit.app.plan_file import Plan, rounded
 from clothkit.app.planner import Believed, Planned, disagreement
@@ -39,6 +40,8 @@ class Given(NamedTuple):
     frame: Frame
     nets: tuple[str, ...]
     """What the planner's nets are called."""
+    explained: tuple[Explained | None, Explained | None] = (None, None)
+    """How far the estimates of state and goal explain what was seen; None: not estimated."""
 
 
 def frame_of(seen: Seen, wanted: Frame) -> Frame:
@@ -93,8 +96,8 @@ def describe(planner: Planner, planned: Planned, paths: list[HandPaths], given: 
         "system": planner.system.name,
         "seed": given.seed,
         "frame": given.frame,
-        "state": {"file": given.state.file, "kind": given.state.kind},
-        "goal": {"file": given.goal.file, "kind": given.goal.kind},
+        "state": _source(given.state, given.explained[0]),
+        "goal": _source(given.goal, given.explained[1]),
         "turned": None if given.matrix is None else rounded(given.matrix, 9),
         "side_m": given.side,
         "metres_per_normalised": pose.scale,
@@ -103,6 +106,7 @@ def describe(planner: Planner, planned: Planned, paths: list[HandPaths], given: 
         "steps": [_step(planner, planned, given.nets, i, path, poses[i + 1]) for i, path in enumerate(paths)],
         "expected": expectation,
         "warning": None if expectation["improves"] else plan_file.UNLIKELY,
+        "notices": notices(given),
         "memory": {
             "common": planned.common,
             "relative": planned.relative,
@@ -113,6 +117,14 @@ def describe(planner: Planner, planned: Planned, paths: list[HandPaths], given: 
         },
     }
     return Plan.model_validate(content)
+
+
+def notices(given: Given) -> list[str]:
+    """What a reader of the plan should know of how its state and goal were seen, in sentences."""
+    said = [*given.state.notices, *given.goal.notices]
+    said += [found.words for found in given.explained if found is not None and not found.explains]
+    # State and goal may be one file.
+    return list(dict.fromkeys(said))
 
 
 def expected(planner: Planner, planned: Planned, given: Given) -> dict[str, Any]:
@@ -146,6 +158,17 @@ def covered(state: Believed) -> np.ndarray:
     if state.shape == RESOLUTION:
         return np.asarray((state >= _SURELY).any(-1))
     return silhouette(centred(state.astype(np.float32))[0])
+
+
+def _source(seen: Seen, found: Explained | None) -> dict[str, Any]:
+    agreement = None
+    if found is not None:
+        agreement = {
+            "silhouette_iou": round(found.silhouette_iou, 4),
+            "height_iou": round(found.height_iou, 4),
+            "explains": found.explains,
+        }
+    return {"file": seen.file, "kind": seen.kind, "agreement": agreement}
 
 
 def _step(

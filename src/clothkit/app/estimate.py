@@ -5,14 +5,16 @@ from typing import Any
 
 import click
 import numpy as np
+from jaxtyping import Bool, Float
 
+from clothkit.app.explained import explained
 from clothkit.app.given import keep_compiled_programs, look, looking, seeing, settings
 from clothkit.app.output import check_target, part, write_arrays, write_mesh
 from clothkit.app.planner import estimated, vtm_of
 from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.cloth.silhouette import silhouette
 from clothkit.dataset.export import FORMATS
-from clothkit.observation.coverage import goal_iou
+from clothkit.observation.coverage import EXTENT, covered, resolution_for
 
 
 @click.command()
@@ -60,15 +62,21 @@ def command(file: str, *, out: Path, sigma: Path | None, data: Path, mask: str |
     write_mesh(out, place(mesh))
     arrays = {"mesh": place(mesh), "mean": place(mean), "sigma": std * scale}
     write_arrays(unsure, {name: array.astype(np.float32) for name, array in arrays.items()})
-    covered = goal_iou(mesh.astype(np.float32), seen.observation.points)
+    agreed = explained(seen, mesh, given)
+    unit = (CLOTH_SIDE * scale) ** 2 * 1e4
     click.echo(
-        f"{out}: sigma {1000 * scale * std.mean():.1f} mm on average (in {unsure.name}), "
-        f"silhouette IoU {covered:.2f} with what was observed, which covers "
-        f"{_area(mesh) * (CLOTH_SIDE * scale) ** 2 * 1e4:.0f} cm²"
+        f"{out}: sigma {1000 * scale * std.mean():.1f} mm on average (in {unsure.name}), the estimate covers "
+        f"{_covers(silhouette(mesh.astype(np.float32), extent=EXTENT)) * unit:.0f} cm², what was observed "
+        f"{_covers(_seen(seen.observation.points)) * unit:.0f} cm²"
     )
+    click.echo(f"{'' if agreed.explains else 'warning: '}{agreed.words}")
 
 
-def _area(mesh: np.ndarray) -> float:
-    """What a mesh covers, as a share of the flat cloth."""
-    extent = 1.1
-    return float(silhouette(mesh.astype(np.float32), extent=extent).mean() * (2 * extent) ** 2 / CLOTH_SIDE**2)
+def _seen(points: Float[np.ndarray, "points 3"]) -> Bool[np.ndarray, "x y"]:
+    """What the points of an observation cover."""
+    return covered(points[:, :2], resolution=resolution_for(points[:, :2], EXTENT), extent=EXTENT)
+
+
+def _covers(pixels: Bool[np.ndarray, "x y"]) -> float:
+    """What pixels of the square -EXTENT..EXTENT cover, as a share of the flat cloth."""
+    return float(pixels.mean() * (2 * EXTENT) ** 2 / CLOTH_SIDE**2)

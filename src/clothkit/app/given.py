@@ -21,6 +21,7 @@ from clothkit.observation.observe import observe
 from clothkit.observation.plane import Plane, plane_of
 from clothkit.observation.pose import Pose
 from clothkit.observation.settings import CloudConfig, Triple
+from clothkit.observation.side import Stated
 from clothkit.observation.states import MeshState, PointCloud, VoxelState
 from clothkit.observation.waypoints import ReachConfig
 from clothkit.params import load_params
@@ -73,6 +74,10 @@ class Seeing(NamedTuple):
     """Of the flat cloth [m]."""
     cloud: CloudConfig
     table: Plane | None
+    stated: Stated = Stated()
+    """What is known of up, in the clouds' frame."""
+    y_up: bool = False
+    """Whether OBJ and PLY meshes have y up."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,23 +96,33 @@ class Seen:
         return "voxels" if isinstance(self.state, VoxelState) else "points"
 
     @property
+    def notices(self) -> tuple[str, ...]:
+        """What of the cloth is not observed, in sentences."""
+        return self.observation.notices
+
+    @property
     def pose(self) -> Pose:
         """Where the cloth is."""
         return self.observation.pose
 
 
 def look(file: str, seeing: Seeing, *, mask: str | None = None) -> Seen:
-    """What a file shows. `mask` names a file that tells a cloud's points of the cloth. Raises InputError."""
-    state = read(file, cloth_side=seeing.side)
+    """What a file shows. `mask` names a file that tells a cloud's points of the cloth. Raises InputError.
+
+    What of it is not observed is said on stderr.
+    """
+    state = read(file, cloth_side=seeing.side, y_up=seeing.y_up)
     if mask is not None:
         if not isinstance(state, PointCloud):
             raise InputError(f"{mask}: is a mask for points, but {file} holds none")
         state = dataclasses.replace(state, cloth=_read_mask(Path(mask), len(state.points)))
-    cloud, table = seeing.cloud, seeing.table
+    cloud, table, stated = seeing.cloud, seeing.table, seeing.stated
     if isinstance(state, PointCloud) and state.table is not None:
         # What options say is about a camera's points, not about a surface that lies on its own table.
-        cloud, table = dataclasses.replace(cloud, box=None, table_colour=None), None
-    seen = observe(state, cloth_side=seeing.side, settings=cloud, table=table, name=file)
+        cloud, table, stated = dataclasses.replace(cloud, box=None, table_colour=None), None, Stated()
+    seen = observe(state, cloth_side=seeing.side, settings=cloud, table=table, stated=stated, name=file)
+    for notice in seen.notices:
+        click.echo(f"notice: {notice}", err=True)
     return Seen(file, state, seen)
 
 
@@ -146,6 +161,28 @@ def looking(command: Callable[..., Any]) -> Callable[..., Any]:
                 "Without it the plane is looked for among the points that are not the cloth's.",
             ),
             click.option(
+                "--up",
+                type=float,
+                nargs=3,
+                metavar="X Y Z",
+                help="Which way is up in the clouds' frame, of any length. Without it the table's normal, the "
+                "viewpoint or the cloth tells.",
+            ),
+            click.option(
+                "--viewpoint",
+                type=float,
+                nargs=3,
+                metavar="X Y Z",
+                help="Where the camera is, metres in the clouds' frame. [default: where the cloud says; else the "
+                "origin, if the cloth lies on that side of its table]",
+            ),
+            click.option(
+                "--y-up",
+                is_flag=True,
+                default=None,
+                help="OBJ and PLY meshes have y up, and not z; so have clouds, unless --up or --table tells else.",
+            ),
+            click.option(
                 "--table-colour",
                 type=click.IntRange(0, 255),
                 nargs=6,
@@ -170,8 +207,11 @@ def seeing(
     *,
     side: float | None,
     table: tuple[float, ...] | None,
-    table_colour: tuple[int, ...] | None,
-    box: tuple[float, ...] | None,
+    table_colour: tuple[int, ...] | None = None,
+    box: tuple[float, ...] | None = None,
+    up: Triple | None = None,
+    viewpoint: Triple | None = None,
+    y_up: bool | None = None,
 ) -> Seeing:
     """How files are looked at: as options say, else as settings do. Raises InputError."""
     cloud = app.cloud
@@ -183,8 +223,23 @@ def seeing(
     if box:
         corners = _corners("--box", box)
         cloud = dataclasses.replace(cloud, box=corners)
-    plane = table or app.table
-    return Seeing(app.side if side is None else side, cloud, plane_of(plane) if plane else None)
+    plane, seen_from, turned = table or app.table, viewpoint or app.viewpoint, app.y_up if y_up is None else y_up
+    # A table that an option gives has its own normal up.
+    up = up or (None if table else app.up)
+    if turned and up is None and plane is None and seen_from is None:
+        up = (0.0, 1.0, 0.0)
+    for name, values in (("up", up), ("viewpoint", seen_from)):
+        if values is not None and not np.isfinite(values).all():
+            raise InputError(f"--{name}: expected three finite numbers, found {' '.join(f'{v:g}' for v in values)}")
+    if up is not None and not any(up):
+        raise InputError("--up: expected a direction, found 0 0 0")
+    return Seeing(
+        app.side if side is None else side,
+        cloud,
+        plane_of(plane) if plane else None,
+        Stated(up, seen_from),
+        turned,
+    )
 
 
 def reach_of(app: AppConfig, box: tuple[float, ...] | None) -> ReachConfig | None:

@@ -7,6 +7,7 @@ import click
 import numpy as np
 
 from clothkit.app.describe import Frame, Given, describe, frame_of, paths_of
+from clothkit.app.explained import of_goal, of_state, warn
 from clothkit.app.given import Seen, keep_compiled_programs, look, looking, reach_of, seeing, settings
 from clothkit.app.output import check_target, part
 from clothkit.app.plan_file import Plan, read_plan, write_plan
@@ -114,6 +115,7 @@ def command(
     with part("estimate"):
         cloth = believed(chosen, seen, data, given, expected=past.expected if past else None)
         target, matrix = goal_of(chosen, wanted, data, given), None
+        found = (of_state(chosen, seen, cloth, given), of_goal(chosen, wanted, target, given))
         if before and before.turned and not chosen.voxels:
             matrix = np.array(before.turned)
             target = turned_goal(target, matrix)
@@ -123,7 +125,9 @@ def command(
         if turn is not None:
             target, matrix = turned_goal(target, turn), turn if matrix is None else turn @ matrix
     nets = ("a", "b") if chosen.nets == 2 else (better_net({n: artifacts(chosen, data)[n] for n in ("a", "b")}),)
-    about = Given(seen, wanted, target, matrix, how.side, seed, frame_of(seen, frame), nets)
+    for estimate in found:
+        warn(estimate)
+    about = Given(seen, wanted, target, matrix, how.side, seed, frame_of(seen, frame), nets, found)
     plan = describe(planner, planned, paths, about)
     write_plan(out, plan)
     click.echo(summary(plan, out))
@@ -181,6 +185,13 @@ def summary(plan: Plan, path: Path) -> str:
             continue
         moves = [f"{_point(hand.grasp_m)} -> {_point(hand.release_m)}" for hand in step.hands]
         said.append(f"  step {number}: {', '.join(moves)} m in {step.hands[0].waypoints[-1].time_s:.1f} s")
+    for what, source in (("state", plan.state), ("goal", plan.goal)):
+        if source.agreement is not None:
+            said.append(
+                f"the {what}'s estimate {'explains' if source.agreement.explains else 'does not explain'} what was "
+                f"seen: silhouette IoU {source.agreement.silhouette_iou:.2f}, height IoU "
+                f"{source.agreement.height_iou:.2f}"
+            )
     expected = plan.expected
     if expected.error_m is not None and expected.error_no_action_m is not None:
         said.append(

@@ -38,12 +38,25 @@ class Part(pydantic.BaseModel):
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
 
 
+class Agreement(Part):
+    """How far an estimate agrees with what was seen, both as voxels."""
+
+    silhouette_iou: Share
+    """Intersection over union of the columns that hold cloth."""
+    height_iou: Share
+    """Of the occluded voxels: of all that lies below the surface."""
+    explains: bool
+    """Whether both are as high as is usual for estimates that can be relied on."""
+
+
 class Source(Part):
     """A file that was planned from or for."""
 
     file: str
     kind: Kind
     """mesh: [32, 32, 3]; voxels: [32, 32, 16]; points: a cloud, or a surface seen from above."""
+    agreement: Agreement | None = None
+    """Of the estimate with what the file shows; null: nothing was estimated, or the file is of an older version."""
 
 
 class Table(Part):
@@ -188,6 +201,8 @@ class Plan(Part):
     expected: Expectation
     warning: str | None
     """'this plan is not expected to improve the state', or null."""
+    notices: list[str] = []
+    """What was not seen of state or goal, and whether their estimates fail to explain what was."""
     memory: Memory
 
     def pose(self, centre_m: Point) -> Pose:

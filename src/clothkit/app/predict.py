@@ -7,6 +7,7 @@ import click
 import numpy as np
 
 from clothkit.app.describe import poses_of
+from clothkit.app.explained import of_state, warn
 from clothkit.app.given import keep_compiled_programs, look, looking, seeing, settings
 from clothkit.app.output import part, write_arrays, write_mesh
 from clothkit.app.plan_file import read_plan
@@ -54,7 +55,9 @@ def command(*, state: str, source: Path, out: Path, data: Path, mask: str | None
             raise InputError(f"{source}: start: is not what system {chosen.name} plans from")
         # Labels follow those of the plan, in which its grasp points are.
         cloth = believed(chosen, seen, data, given, expected=None if chosen.voxels else start)
+        estimate = of_state(chosen, seen, cloth, given)
         found = predicted(planner, cloth, manipulations(plan), common=plan.memory.common, traces=traces)
+    warn(estimate)
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from clothkit.app.explained import explained, warn
 from clothkit.app.given import Seen, keep_compiled_programs, look, looking, seeing, settings
 from clothkit.app.output import check_target, part, write_mesh
 from clothkit.app.plan_file import Plan, Step, read_plan
@@ -98,6 +99,7 @@ def command(
     if mesh is None and seen:
         with part("estimate"):
             mesh = np.asarray(estimated(vtm_of(data, given), seen, given).mesh[0])
+        warn(explained(seen, mesh, given))
     assert mesh is not None
     with part("simulate"):
         hands = seen.pose if seen and seen.kind == "points" and plan.frame == "camera" else None

@@ -16,10 +16,12 @@ from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.cloth.voxels import HEIGHT, RESOLUTION, occlude, voxelise
 from clothkit.errors import InputError
 from clothkit.observation.coverage import centre, spacing
+from clothkit.observation.heights import notices_of_points
 from clothkit.observation.plane import Plane
 from clothkit.observation.pose import Pose
 from clothkit.observation.segment import segment
 from clothkit.observation.settings import CloudConfig
+from clothkit.observation.side import Stated
 from clothkit.observation.states import PointCloud
 
 _DIAGONAL = 0.75  # of the cloth's side: half of its diagonal, and some slack
@@ -37,6 +39,8 @@ class Observation:
     """Where the cloth is on the table, and the table before the camera."""
     points: Float[np.ndarray, "points 3"]
     """The cloth's points, normalised and centred, heights smoothed."""
+    notices: tuple[str, ...] = ()
+    """What of the cloth the voxels don't show, in sentences."""
 
 
 def observe_cloud(
@@ -45,24 +49,28 @@ def observe_cloud(
     cloth_side: float,
     settings: CloudConfig = CloudConfig(),  # noqa: B008
     table: Plane | None = None,
+    stated: Stated = Stated(),  # noqa: B008
     name: str = "cloud",
 ) -> Observation:
     """The voxels of the cloth in a point cloud, and its pose.
 
     `cloth_side` [m] is that of the flat cloth. The table is `table`, else the cloud's own, else it is found among the
-    points that are not the cloth's. `name` is what messages call the cloud. Raises InputError, one sentence, when the
-    cloud is not one of a single cloth on a table.
+    points that are not the cloth's; which side of it is up tells `observation.side` by what is `stated`, the cloud's
+    viewpoint, and the cloth. `name` is what messages call the cloud. Raises InputError, one sentence, when the cloud is
+    not one of a single cloth on a table.
     """
     if not (np.isfinite(cloth_side) and cloth_side > 0):
         raise InputError(f"cloth side {cloth_side:g}: expected metres above 0")
-    found = segment(cloud, cloth_side=cloth_side, settings=settings, table=table, name=name)
+    found = segment(cloud, cloth_side=cloth_side, settings=settings, table=table, stated=stated, name=name)
     middle = centre(found.cloth[:, :2], extent=_DIAGONAL * 2 * cloth_side)
     pose = Pose(found.rotation, found.origin, middle, cloth_side / CLOTH_SIDE)
     points = found.cloth - [0, 0, settings.surface]
     points = pose.table_to_normalised(smoothed(points, radius=settings.smoothing))
     empty = columns_of(pose.table_to_normalised(found.table)) > 0
     occupied = voxels_of_points(points, covered=settings.covered, height=settings.height)
-    return Observation(closed(occupied, ~empty, most=settings.closed), pose, points.astype(np.float32))
+    voxels = closed(occupied, ~empty, most=settings.closed)
+    notices = notices_of_points(name, points, height=settings.height, metres=pose.scale)
+    return Observation(voxels, pose, points.astype(np.float32), notices)
 
 
 def smoothed(points: Float[np.ndarray, "points 3"], *, radius: float) -> Float[np.ndarray, "points 3"]:

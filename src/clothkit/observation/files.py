@@ -33,11 +33,11 @@ _ZARR = re.compile(r"(?P<store>.*\.zarr)(?::(?P<inside>.*))?")
 State = MeshState | VoxelState | PointCloud
 
 
-def read(source: str | Path, *, cloth_side: float = DEFAULT_SIDE) -> State:
+def read(source: str | Path, *, cloth_side: float = DEFAULT_SIDE, y_up: bool = False) -> State:
     """The state in a file, by its ending. Lengths are metres unless an array is normalised.
 
-    `cloth_side` [m] is that of the flat cloth. Raises InputError, one sentence, that names the file, what was expected
-    and what was found.
+    `cloth_side` [m] is that of the flat cloth; `y_up` tells that OBJ and PLY meshes have y up. Raises InputError, one
+    sentence, that names the file, what was expected and what was found.
     """
     if not (np.isfinite(cloth_side) and cloth_side > 0):
         raise InputError(f"{source}: cloth side {cloth_side:g}, expected metres above 0")
@@ -55,7 +55,7 @@ def read(source: str | Path, *, cloth_side: float = DEFAULT_SIDE) -> State:
     if path.stat().st_size == 0:
         raise InputError(f"{path}: is empty, expected a cloth")
     if ending in ENDINGS:
-        return read_surface(path, cloth_side=cloth_side)
+        return read_surface(path, cloth_side=cloth_side, y_up=y_up)
     if ending == ".pcd":
         return read_pcd(path)
     return _read_numpy(path, cloth_side)

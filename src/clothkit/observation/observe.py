@@ -9,9 +9,17 @@ from clothkit.cloth.voxels import HEIGHT, RESOLUTION, double, occlude
 from clothkit.cloth.voxels import observe as observe_mesh
 from clothkit.errors import InputError
 from clothkit.observation.cloud import Observation, observe_cloud
+from clothkit.observation.heights import (
+    MESH_REMEDY,
+    check_above,
+    check_lying,
+    notices_of_points,
+    notices_of_voxels,
+)
 from clothkit.observation.plane import Plane
 from clothkit.observation.pose import Pose
 from clothkit.observation.settings import CloudConfig
+from clothkit.observation.side import Stated
 from clothkit.observation.states import MeshState, PointCloud, VoxelState
 
 
@@ -21,22 +29,29 @@ def observe(
     cloth_side: float,
     settings: CloudConfig = CloudConfig(),  # noqa: B008
     table: Plane | None = None,
+    stated: Stated = Stated(),  # noqa: B008
     name: str = "cloud",
 ) -> Observation:
     """What a camera above sees of the state: occluded, centred voxels, and the pose that brings plans back.
 
     A mesh is doubled as in training. Voxels are moved by whole voxels to have their centre in the middle; their frame
     is the table's, its origin the middle of the viewport. Raises InputError when a cloud is not one of a single cloth
-    on a table (`observe_cloud`), or voxels don't fit into the viewport once they are centred.
+    on a table (`observe_cloud`), a mesh or voxels stand upright or lie below the table, or voxels don't fit into the
+    viewport once they are centred.
     """
     if isinstance(state, PointCloud):
-        return observe_cloud(state, cloth_side=cloth_side, settings=settings, table=table, name=name)
+        return observe_cloud(state, cloth_side=cloth_side, settings=settings, table=table, stated=stated, name=name)
     if isinstance(state, MeshState):
         points = np.asarray(double(state.mesh)).reshape(-1, 3)
-        return Observation(np.asarray(observe_mesh(state.mesh, height=settings.height)), state.pose, points)
+        check_lying(name, points, side=CLOTH_SIDE, remedy=MESH_REMEDY)
+        check_above(name, points, side=CLOTH_SIDE, remedy=MESH_REMEDY)
+        notices = notices_of_points(name, points, height=settings.height, metres=state.scale)
+        return Observation(np.asarray(observe_mesh(state.mesh, height=settings.height)), state.pose, points, notices)
+    notices = notices_of_voxels(name, state.voxels)
     voxels, shift = _centred(np.asarray(occlude(jnp.asarray(state.voxels))), name)
     scale = cloth_side / CLOTH_SIDE
-    return Observation(voxels, Pose(np.eye(3), np.zeros(3), shift * scale, scale), _tops(voxels, settings.height))
+    pose = Pose(np.eye(3), np.zeros(3), shift * scale, scale)
+    return Observation(voxels, pose, _tops(voxels, settings.height), notices)
 
 
 def _centred(voxels: Bool[np.ndarray, "32 32 16"], name: str) -> tuple[np.ndarray, np.ndarray]:

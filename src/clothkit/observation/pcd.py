@@ -14,6 +14,7 @@ _NEEDED = ("FIELDS", "SIZE", "TYPE", "POINTS", "DATA")
 def read_pcd(path: Path) -> PointCloud:
     """The cloud in a PCD file, with its viewpoint and, where it has `rgb` or `rgba`, its colours.
 
+    A viewpoint at the origin is not taken for one: writers put it there, in whatever frame, when they know none.
     Raises InputError when the header is not one of a PCD file, the data are compressed or end too early, or x, y and z
     are not among the fields.
     """
@@ -117,9 +118,11 @@ def _colours(table: np.ndarray) -> np.ndarray | None:
     return np.stack([packed >> 16 & 255, packed >> 8 & 255, packed & 255], axis=-1).astype(np.uint8)
 
 
-def _viewpoint(path: Path, header: dict[str, list[str]]) -> np.ndarray:
+def _viewpoint(path: Path, header: dict[str, list[str]]) -> np.ndarray | None:
+    """Where the camera was; None for the origin."""
     values = header.get("VIEWPOINT", ["0"] * 7)
     try:
-        return np.array(values[:3], float).reshape(3)
+        found = np.array(values[:3], float).reshape(3)
+        return found if found.any() else None
     except ValueError as error:
         raise InputError(f"{path}: VIEWPOINT is {' '.join(values)!r}, expected x y z and a quaternion") from error

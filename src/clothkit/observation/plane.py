@@ -74,12 +74,11 @@ def find(
     points: Float[np.ndarray, "points 3"],
     settings: PlaneConfig,
     *,
-    viewpoint: Float[np.ndarray, "3"],
     name: str = "cloud",
 ) -> Plane:
-    """The plane that most of the points outside the cloth lie on, the viewpoint above it. Same seed, same plane.
+    """The plane that most of the points outside the cloth lie on, either side up. Same seed, same plane.
 
-    Raises InputError when too few points lie on any one plane, or the viewpoint lies in it and no side is up.
+    Raises InputError when too few points lie on any one plane.
     """
     if len(points) < _LEAST_POINTS:
         raise InputError(
@@ -98,11 +97,7 @@ def find(
             f"{name}: table not found, of the points outside the cloth {on_it.mean():.0%} lie on one plane, expected "
             f"at least {settings.share:.0%}; crop with box or give the table's plane"
         )
-    side = float(plane.heights(viewpoint))
-    # So written, a viewpoint that is not a number is refused too.
-    if not abs(side) >= 2 * settings.tolerance:
-        raise InputError(f"{name}: the viewpoint lies in the table, so no side is up; give it or the table's plane")
-    return plane if side > 0 else Plane(-plane.normal, -plane.offset)
+    return plane
 
 
 def _ransac(points: np.ndarray, settings: PlaneConfig, random: np.random.Generator) -> Plane:

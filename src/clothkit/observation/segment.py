@@ -15,8 +15,10 @@ from scipy.spatial import cKDTree
 from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.cloth.voxels import RESOLUTION
 from clothkit.errors import InputError
+from clothkit.observation.heights import check_lying
 from clothkit.observation.plane import Plane, find
 from clothkit.observation.settings import CloudConfig
+from clothkit.observation.side import Stated, heights_of, oriented
 from clothkit.observation.states import PointCloud
 
 _LEAST_POINTS = 100
@@ -42,12 +44,19 @@ class Segmented(NamedTuple):
 
 
 def segment(
-    cloud: PointCloud, *, cloth_side: float, settings: CloudConfig, table: Plane | None = None, name: str = "cloud"
+    cloud: PointCloud,
+    *,
+    cloth_side: float,
+    settings: CloudConfig,
+    table: Plane | None = None,
+    stated: Stated = Stated(),  # noqa: B008
+    name: str = "cloud",
 ) -> Segmented:
     """The cloth's points of a cloud, checked and cleared of outliers, in the table's frame.
 
-    `cloth_side` [m] is that of the flat cloth. Raises InputError, one sentence, when there are too few points, their
-    units are wrong, the table isn't found, or there is more than the cloth.
+    `cloth_side` [m] is that of the flat cloth, `stated` what is known of up (`observation.side`). Raises InputError,
+    one sentence, when there are too few points, their units are wrong, the table isn't found, nothing tells which side
+    of it is up, the cloth stands, or there is more than the cloth.
     """
     kept = _measured(cloud, settings, name)
     points = cloud.points[kept].astype(float)
@@ -56,19 +65,25 @@ def segment(
     if len(cloth) < _LEAST_POINTS:
         raise InputError(f"{name}: {len(cloth)} points are the cloth's, expected at least {_LEAST_POINTS}")
     _check_units(cloth, cloth_side, masked=len(others) > 0, name=name)
-    table = table or cloud.table
-    if table is None:
+    plane = table or cloud.table
+    told = plane is not None
+    if plane is None:
         if not len(others):
             raise InputError(
                 f"{name}: table not found, nothing tells cloth and table apart; give a mask, the table's colour, or "
                 "the table's plane with a cloud of the cloth alone"
             )
-        viewpoint = np.zeros(3) if cloud.viewpoint is None else cloud.viewpoint.astype(float)
-        table = find(others, settings.plane, viewpoint=viewpoint, name=name)
-    rotation, origin = table.frame()
-    cloth, others = ((part - origin) @ rotation.T for part in (cloth, others))
+        plane = find(others, settings.plane, name=name)
     # Every n-th, so that what a camera saw in rows and columns stays even.
     cloth = cloth[:: -(-len(cloth) // settings.most)]
+    near = settings.plane.tolerance
+    heights = heights_of(plane, cloth, others, patch=cloth_side / _VOXELS_A_SIDE, flat=near)
+    if abs(heights.middle) > settings.highest:
+        raise _off_table(heights.middle, name)
+    plane = oriented(plane, heights, stated=stated, viewpoint=cloud.viewpoint, told=told, near=near, name=name)
+    rotation, origin = plane.frame()
+    cloth, others = ((part - origin) @ rotation.T for part in (cloth, others))
+    check_lying(name, cloth, side=cloth_side, remedy="check the table's plane, or say which way is up (--up)")
     cloth = _above_table(cloth, settings, name)
     cloth = without_outliers(cloth, settings)
     cloth = _one_piece(cloth, cloth_side, settings, name)
@@ -131,12 +146,15 @@ def _above_table(cloth: np.ndarray, settings: CloudConfig, name: str) -> np.ndar
     """The cloth's points between table and `highest`, if the cloth lies there."""
     middle = float(np.median(cloth[:, 2]))
     if not -settings.plane.tolerance <= middle <= settings.highest:
-        where = "above" if middle > 0 else "below"
-        raise InputError(
-            f"{name}: table not found where the cloth lies, half of its points are more than {abs(middle):.3g} m "
-            f"{where} the plane; check the table's plane, or crop with box"
-        )
+        raise _off_table(middle, name)
     return cloth[(cloth[:, 2] > -2 * settings.plane.tolerance) & (cloth[:, 2] < settings.highest)]
+
+
+def _off_table(middle: float, name: str) -> InputError:
+    return InputError(
+        f"{name}: table not found where the cloth lies, half of its points are more than {abs(middle):.3g} m "
+        f"{'above' if middle > 0 else 'below'} the plane; check the table's plane, or crop with box"
+    )
 
 
 def without_outliers(points: Float[np.ndarray, "points 3"], settings: CloudConfig) -> Float[np.ndarray, "kept 3"]:

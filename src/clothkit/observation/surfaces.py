@@ -15,6 +15,7 @@ from clothkit.cloth.grid import CLOTH_SIDE, SIDE
 from clothkit.cloth.grid import triangles as grid_triangles
 from clothkit.cloth.silhouette import centred
 from clothkit.errors import InputError
+from clothkit.observation.heights import MESH_REMEDY, check_above, check_lying
 from clothkit.observation.plane import LEVEL
 from clothkit.observation.states import MeshState, PointCloud
 from clothkit.observation.zbuffer import topmost
@@ -30,8 +31,10 @@ _MOST_SPAN = 1.6
 """What a cloth may span along one axis, in cloth sides: its diagonal, and some slack."""
 
 
-def read_surface(path: Path, *, cloth_side: float) -> MeshState | PointCloud:
+def read_surface(path: Path, *, cloth_side: float, y_up: bool = False) -> MeshState | PointCloud:
     """The state in a mesh file; a PLY without faces is the point cloud that it holds.
+
+    `y_up` tells that an OBJ or PLY mesh has y up, as GLB always has. Points stay as they are.
 
     Raises InputError when the file can't be read, or does not hold a cloth of `cloth_side` [m] on the table.
     """
@@ -46,13 +49,13 @@ def read_surface(path: Path, *, cloth_side: float) -> MeshState | PointCloud:
     vertices = np.asarray(getattr(part, "vertices", np.zeros((0, 3))), float)
     if not len(vertices):
         raise InputError(f"{path}: holds no vertices")
-    if path.suffix.lower() == ".glb":
-        vertices = np.stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]], axis=-1)
     faces = getattr(part, "faces", None)
     if isinstance(part, trimesh.PointCloud) or faces is None or not len(faces):
         if path.suffix.lower() != ".ply":
             raise InputError(f"{path}: holds no triangles")
         return PointCloud(vertices, colours=_colours(part, len(vertices)))
+    if y_up or path.suffix.lower() == ".glb":
+        vertices = np.stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]], axis=-1)
     faces = np.asarray(faces)
     if not np.isfinite(vertices).all():
         raise InputError(f"{path}: has vertices that are not finite")
@@ -63,12 +66,14 @@ def read_surface(path: Path, *, cloth_side: float) -> MeshState | PointCloud:
         check_grid(str(path), vertices.reshape(SIDE, SIDE, 3), side=cloth_side, unit="m")
     else:
         check_span(str(path), vertices, side=cloth_side, unit="m")
+    check_lying(str(path), vertices, side=cloth_side, remedy=MESH_REMEDY)
     lowest = vertices[:, 2].min()
     if not abs(lowest) <= _OFF_TABLE * cloth_side:
         raise InputError(
             f"{path}: its lowest vertex is at height {lowest:.3g} m, expected the table at 0 (z up in OBJ and PLY, "
             "y up in GLB) and metres"
         )
+    check_above(str(path), vertices, side=cloth_side, remedy=MESH_REMEDY)
     if not grid:
         return from_above(vertices, faces, pitch=_PITCH * cloth_side)
     scale = cloth_side / CLOTH_SIDE

@@ -115,7 +115,9 @@ class LivePanel:
         title = f"{planner.system.name}, {title}"
         self._live = begin(planner, start, goal, ask.steps, title=title, data=self._data, settings=self._settings)
         self._player.show(self._live.session)
-        return f"{_count(self._live.left)} to plan."
+        return "\n\n".join(
+            [f"{_count(self._live.left)} to plan.", *(f"⚠ {n}" for n in (*start.notices, *goal.notices))]
+        )
 
     def _search(self) -> str:
         assert self._live is not None

@@ -1,0 +1,72 @@
+"""Agreement of estimates with what was seen, counted by hand."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from clothkit.cloth.grid import flat
+from clothkit.cloth.voxels import HEIGHT, observe
+from clothkit.estimation.agreement import Agreement, AgreementConfig, agreement, proposed
+
+VOXEL = HEIGHT / 16
+
+
+def raised(layers: int) -> np.ndarray:
+    """The flat cloth in the middle of the voxels of that layer, of which the lowest is 0."""
+    return np.asarray(flat() + np.float32([0, 0, (layers + 0.5) * VOXEL]))
+
+
+def test_an_estimate_agrees_wholly_with_what_it_looks_like() -> None:
+    meshes = np.stack([flat(), raised(3)])
+    found = agreement(meshes, np.asarray(observe(meshes)))
+    np.testing.assert_array_equal(found.silhouette, [1, 1])
+    np.testing.assert_array_equal(found.heights, [1, 1])
+
+
+@given(st.integers(0, 15), st.integers(0, 15))
+def test_heights_count_voxels_up_to_the_surface(one: int, other: int) -> None:
+    found = agreement(raised(one), np.asarray(observe(raised(other))))
+    assert found.silhouette == 1
+    assert found.heights == pytest.approx((min(one, other) + 1) / (max(one, other) + 1))
+
+
+def test_columns_that_only_one_of_them_has_count_against_it() -> None:
+    seen = np.asarray(observe(raised(0)))
+    covered = int(seen[..., 0].sum())
+    half = seen.copy()
+    half[:16] = False
+    found = agreement(raised(0), half)
+    assert found.silhouette == pytest.approx(half[..., 0].sum() / covered)
+    assert found.heights == pytest.approx(found.silhouette)
+    nothing = agreement(flat() + np.float32([9, 0, 0]), np.zeros_like(seen))
+    assert (float(nothing.silhouette), float(nothing.heights)) == (1, 1)
+
+
+def test_heights_above_the_viewport_are_clamped_in_both() -> None:
+    assert agreement(raised(40), np.asarray(observe(raised(15)))).heights == 1
+    low = agreement(raised(1), np.asarray(observe(raised(1), height=4 * HEIGHT)), height=4 * HEIGHT)
+    assert low.heights == 1
+
+
+def test_both_have_to_be_high_enough() -> None:
+    least = AgreementConfig(silhouette=0.6, heights=0.3)
+    pairs = [(0.6, 0.3), (0.59, 0.9), (0.9, 0.29), (1.0, 1.0)]
+    found = Agreement(*(np.array(values) for values in zip(*pairs, strict=True)))
+    np.testing.assert_array_equal(found.explains(least), [True, False, False, True])
+
+
+def test_proposed_thresholds_raise_as_few_alarms_as_asked_for() -> None:
+    random = np.random.default_rng(0)
+    usual = Agreement(random.uniform(0.5, 1, 1000), random.uniform(0.2, 1, 1000))
+    least = proposed([usual], alarms=0.02)
+    share = (~usual.explains(least)).mean()
+    # Two independent measures, each at half the share; thresholds are whole hundredths, of which one holds 2 %.
+    assert 0.005 < share <= 0.02
+    assert least.silhouette == pytest.approx(0.5, abs=0.011)
+    worse = Agreement(usual.silhouette - 0.3, usual.heights)
+    both = proposed([usual, worse], alarms=0.02)
+    assert (~worse.explains(both)).mean() <= 0.02
+    assert both.silhouette == pytest.approx(least.silhouette - 0.3, abs=0.011)
+    none = Agreement(np.zeros(10), np.ones(10))
+    assert proposed([none], alarms=0.0) == AgreementConfig(silhouette=0.0, heights=1.0)
