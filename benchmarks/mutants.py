@@ -11,27 +11,30 @@ mutant, with the change, and per package the share of killed ones. A mutant that
 original, or shows that a test is missing. `--list` prints the sample without running a test.
 
 Annotations are no places to change. Comparisons are negated, and never made strict or lax: nearly all of them compare
-floats, which are hardly ever equal. Tests run one after the other in a copy of the checkout, on its working tree as it
-is, so that no mutant is left behind. With JAX_COMPILATION_CACHE_DIR set, compiled programs are kept for the next run.
+floats, which are hardly ever equal. Tests run one after the other, in a copy of the checkout with what is not
+committed, so that no mutant is left behind. With JAX_COMPILATION_CACHE_DIR set, compiled programs are kept for the
+next run.
 """
 
 import argparse
 import ast
 import difflib
+import importlib
 import os
 import random
 import re
 import shutil
 import signal
-import subprocess
 import sys
 import tempfile
 import time
 import tomllib
+import warnings
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import pytest
 from cosmic_ray.ast import ast_nodes, get_ast
 from cosmic_ray.mutating import mutate_code
 from cosmic_ray.plugins import get_operator, operator_names
@@ -40,6 +43,10 @@ ROOT = Path(__file__).parents[1]
 COPIED = ("src", "tests", "docs", "stages", "params.yaml", "pyproject.toml")
 """What tests need of the checkout."""
 
+IMPORTED = ("jax", "flax", "optax", "scipy.stats", "pandas", "cv2", "zarr", "hypothesis", "jaxtyping", "beartype")
+"""What is imported once, before tests run in forks of this process: imports take longer than most tests."""
+
+_PAUSE = 0.2  # seconds between looks at a running test
 _NO_FAILURE, _FAILURES, _INTERRUPTED, _INTERNAL = range(4)
 """pytest's exit statuses; an import that fails interrupts the collection."""
 
@@ -135,24 +142,35 @@ def mirrors(module: str, beside: dict[str, list[str]]) -> list[str]:
 
 def run_tests(copy: Path, tests: list[str], limit: float) -> Outcome:
     """Run tests in a copy of the checkout until one fails. Raises SystemExit if pytest can't run."""
-    environment = {**os.environ, "PYTHONPATH": f"{copy / 'src'}{os.pathsep}{copy}", "PYTHONDONTWRITEBYTECODE": "1"}
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider", *tests]
     started = time.perf_counter()
-    process = subprocess.Popen(
-        command, cwd=copy, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True
-    )
-    try:
-        output, _ = process.communicate(timeout=limit)
-    except subprocess.TimeoutExpired:
-        return Outcome(True, True, time.perf_counter() - started)
-    finally:
-        # Tests may have started processes of their own.
-        if process.poll() is None:
-            os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
-    if process.returncode not in (_NO_FAILURE, _FAILURES, _INTERRUPTED, _INTERNAL):
-        raise SystemExit(f"pytest could not run {' '.join(tests)}:\n{output.decode(errors='replace')}")
-    return Outcome(process.returncode != _NO_FAILURE, False, time.perf_counter() - started)
+    with tempfile.TemporaryFile() as output:
+        process = os.fork()
+        if process == 0:
+            os._exit(_run_here(copy, tests, output.fileno()))
+        late = False
+        while not (ended := os.waitpid(process, os.WNOHANG))[0]:
+            time.sleep(_PAUSE)
+            if time.perf_counter() - started > limit and not late:
+                # Tests may have started processes of their own.
+                late = True
+                os.killpg(process, signal.SIGKILL)
+        status = os.waitstatus_to_exitcode(ended[1])
+        if not late and status not in (_NO_FAILURE, _FAILURES, _INTERRUPTED, _INTERNAL):
+            output.seek(0)
+            raise SystemExit(f"pytest could not run {' '.join(tests)}:\n{output.read().decode(errors='replace')}")
+    return Outcome(status != _NO_FAILURE, late, time.perf_counter() - started)
+
+
+def _run_here(copy: Path, tests: list[str], output: int) -> int:
+    """pytest in this process: in a group of its own, for tests of the copy."""
+    os.setsid()
+    os.dup2(output, 1)
+    os.dup2(output, 2)
+    os.chdir(copy)
+    os.environ["PYTHONPATH"] = f"{copy / 'src'}{os.pathsep}{copy}"
+    sys.path[:0] = [str(copy / "src"), str(copy)]
+    sys.dont_write_bytecode = True
+    return int(pytest.main(["-x", "-q", "-n", "0", "-p", "no:cacheprovider", *tests]))
 
 
 def change(original: str, mutant: Mutant) -> Iterator[str]:
@@ -173,10 +191,17 @@ def main() -> None:
     options = parser.parse_args()
     wanted = re.compile(f"core/({'|'.join(table['operators'])})")
     operators = [name for name in operator_names() if wanted.fullmatch(name)]
+    # JAX minds forks once it has threads; here it has none.
+    warnings.filterwarnings("ignore", message="os.fork")
     shares = []
     with tempfile.TemporaryDirectory(prefix="clothkit-mutants-") as folder:
         copy = Path(folder) / "checkout"
         copy.mkdir()
+        # JAX reads its environment when it is imported.
+        os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", f"{folder}/compiled")
+        os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+        for name in () if options.list else IMPORTED:
+            importlib.import_module(name)
         for name in COPIED:
             source = ROOT / name
             (shutil.copytree if source.is_dir() else shutil.copy)(source, copy / name)

@@ -31,9 +31,9 @@ SAID_OF_TABLE = ("--table", *SMALL.table().normal.tolist(), SMALL.table().offset
 
 
 def still(net: Any, latent: Any, trace: Any, manipulation: Any) -> Any:
-    """The toy world's step, told truly that nothing but the vertices moves."""
-    mesh, trace, shift = toy.step(net, latent, trace, manipulation)
-    return mesh, trace, jnp.zeros_like(shift)
+    """The toy world's step, told truly that nothing but the vertices moves, and that the world forgets."""
+    mesh, _, shift = toy.step(net, latent, jnp.zeros_like(trace), manipulation)
+    return mesh, trace + 1, jnp.zeros_like(shift)
 
 
 STILL = toy.FORWARD._replace(step=still)
