@@ -29,6 +29,7 @@ import sys
 import tempfile
 import time
 import tomllib
+import traceback
 import warnings
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -43,8 +44,9 @@ ROOT = Path(__file__).parents[1]
 COPIED = ("src", "tests", "docs", "stages", "params.yaml", "pyproject.toml")
 """What tests need of the checkout."""
 
-IMPORTED = ("jax", "flax", "optax", "scipy.stats", "pandas", "cv2", "zarr", "hypothesis", "jaxtyping", "beartype")
-"""What is imported once, before tests run in forks of this process: imports take longer than most tests."""
+IMPORTED = ("jax", "flax", "optax", "scipy.stats", "pandas", "cv2")
+"""What is imported once, before tests run in forks of this process: imports take longer than most tests. Plugins of
+pytest are not among them: these it imports itself."""
 
 _PAUSE = 0.2  # seconds between looks at a running test
 _NO_FAILURE, _FAILURES, _INTERRUPTED, _INTERNAL = range(4)
@@ -73,6 +75,8 @@ class Outcome(NamedTuple):
     late: bool
     """Whether it was killed by the time limit."""
     seconds: float
+    said: str
+    """pytest's output."""
 
 
 def settings() -> dict[str, Any]:
@@ -146,7 +150,14 @@ def run_tests(copy: Path, tests: list[str], limit: float) -> Outcome:
     with tempfile.TemporaryFile() as output:
         process = os.fork()
         if process == 0:
-            os._exit(_run_here(copy, tests, output.fileno()))
+            status = _INTERNAL
+            try:
+                status = _run_here(copy, tests, output.fileno())
+            except Exception:
+                os.write(output.fileno(), traceback.format_exc().encode())
+            finally:
+                # The copy is the parent's to clear away.
+                os._exit(status)
         late = False
         while not (ended := os.waitpid(process, os.WNOHANG))[0]:
             time.sleep(_PAUSE)
@@ -154,11 +165,12 @@ def run_tests(copy: Path, tests: list[str], limit: float) -> Outcome:
                 # Tests may have started processes of their own.
                 late = True
                 os.killpg(process, signal.SIGKILL)
-        status = os.waitstatus_to_exitcode(ended[1])
-        if not late and status not in (_NO_FAILURE, _FAILURES, _INTERRUPTED, _INTERNAL):
-            output.seek(0)
-            raise SystemExit(f"pytest could not run {' '.join(tests)}:\n{output.read().decode(errors='replace')}")
-    return Outcome(status != _NO_FAILURE, late, time.perf_counter() - started)
+        output.seek(0)
+        said = output.read().decode(errors="replace")
+    status = os.waitstatus_to_exitcode(ended[1])
+    if not late and status not in (_NO_FAILURE, _FAILURES, _INTERRUPTED, _INTERNAL):
+        raise SystemExit(f"pytest could not run {' '.join(tests)}:\n{said}")
+    return Outcome(status != _NO_FAILURE, late, time.perf_counter() - started, said)
 
 
 def _run_here(copy: Path, tests: list[str], output: int) -> int:
@@ -216,8 +228,9 @@ def main() -> None:
                     continue
                 if tuple(tests) not in sound:
                     # What fails anyway would kill every mutant.
-                    if run_tests(copy, tests, 10 * options.limit).killed:
-                        raise SystemExit(f"{' '.join(tests)}: fails without a mutant")
+                    plain = run_tests(copy, tests, 10 * options.limit)
+                    if plain.killed:
+                        raise SystemExit(f"{plain.said}\n{' '.join(tests)}: fails without a mutant")
                     sound.add(tuple(tests))
                 (copy / mutant.path).write_text(mutant.code)
                 outcome = run_tests(copy, tests, options.limit)
