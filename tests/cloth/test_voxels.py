@@ -43,7 +43,22 @@ def test_the_flat_cloth_is_a_solid_square_one_voxel_high() -> None:
     inside &= inside[::-1]
     assert seen[inside][:, inside][:, :, 0].all()
     assert not seen[..., 1:].any()
-    assert np.asarray(of_mesh(flat())).sum() <= seen.sum()
+
+
+def test_a_meshs_own_voxels_are_those_of_its_vertices_alone() -> None:
+    """Neither midpoints nor what lies below, which a camera sees too."""
+    mesh = flat() * np.float32([2, 2, 1])
+    mesh[10:20, 10:20, 2] = 0.06
+    expected = np.zeros((32, 32, 16), bool)
+    for x, y, z in mesh.reshape(-1, 3):
+        if max(abs(x), abs(y)) < 1:
+            expected[int((x + 1) * 16), int((y + 1) * 16), int(z * 128)] = True
+    found, seen = np.asarray(of_mesh(mesh)), np.asarray(observe(mesh))
+    np.testing.assert_array_equal(found, expected)
+    # Vertices are farther apart than voxels are wide, midpoints are not.
+    assert found.any(-1).sum() < 600
+    assert seen[1:-1, 1:-1, 0].all()
+    assert seen[expected[..., 7]][:, :8].all()
 
 
 def test_noise_is_drawn_from_its_key_and_vanishes_with_its_scale() -> None:

@@ -1,4 +1,6 @@
 import numpy as np
+import pytest
+from scipy import stats
 
 from clothkit.cloth.mesh import error
 from clothkit.dataset.augment import AugmentConfig, augment
@@ -47,9 +49,37 @@ def test_a_null_leaves_the_state_and_moves_the_rest_on() -> None:
     assert seen == {0, 1, 2}
 
 
+def test_nulls_are_drawn_as_decided() -> None:
+    """Section 4.6: a displacement uniform in the disc of nulls; grasp points of the manipulation that it displaces, or,
+    of every other null, random ones; one hand of a third of these."""
+    original = make()
+    augmented = augment(original, AugmentConfig(variants=160, null_share=0.5))
+    states = augmented.vertices
+    same = (states[:, 1:] == states[:, :-1]).all((2, 3, 4))
+    assert set(same.sum(1)) == {0, 1}
+    row, step = np.nonzero(same)
+    assert len(row) / len(same) == pytest.approx(0.5, abs=0.06)
+    assert np.bincount(step) / len(step) == pytest.approx(np.full(3, 1 / 3), abs=0.08)
+    null, hands = augmented.manipulation[row, step], augmented.hands[row, step]
+    squared, angle = (null[:, 4:] ** 2).sum(1) / SHORTEST**2, np.arctan2(null[:, 5], null[:, 4]) / (2 * np.pi) + 0.5
+    for uniform in (squared, angle):
+        assert stats.kstest(uniform, "uniform").pvalue > 0.01
+    displaced = original.manipulation[row // 160, step]
+    kept = (null[:, :4] == displaced[:, :4]).all(1)
+    assert kept.mean() == pytest.approx(0.5, abs=0.08)
+    np.testing.assert_array_equal(hands[kept], original.hands[row // 160, step][kept])
+    drawn, of_drawn = null[~kept], hands[~kept]
+    single = (drawn[:, :2] == drawn[:, 2:4]).all(1)
+    np.testing.assert_array_equal(of_drawn, np.where(single, 1, 2))
+    assert single.mean() == pytest.approx(1 / 3, abs=0.1)
+    for uniform in (drawn[:, 0], drawn[:, 1], drawn[~single, 2], drawn[~single, 3]):
+        assert stats.kstest((uniform + 1) / 2, "uniform").pvalue > 0.01
+
+
 def test_the_seed_decides() -> None:
-    first, second = (augment(make(), AugmentConfig(seed=3)) for _ in range(2))
+    first, second, other = (augment(make(), AugmentConfig(seed=seed)) for seed in (3, 3, 4))
     np.testing.assert_array_equal(first.vertices, second.vertices)
+    assert (first.vertices != other.vertices).any()
 
 
 def test_short_sequences_stay_true() -> None:

@@ -14,16 +14,18 @@ ONE_TASK = np.ones(40, int)
 def test_the_interval_is_scipys() -> None:
     values = np.random.default_rng(0).normal(0.3, 1, 40)
     found = interval(values, ONE_TASK)
-    theirs = stats.bootstrap((values,), np.mean, method="percentile", n_resamples=10_000, rng=np.random.default_rng(1))
-    assert found == pytest.approx(tuple(theirs.confidence_interval), abs=0.02)
+    expected = stats.bootstrap(
+        (values,), np.mean, method="percentile", n_resamples=10_000, rng=np.random.default_rng(1)
+    )
+    assert found == pytest.approx(tuple(expected.confidence_interval), abs=0.02)
 
 
 def test_the_p_value_is_scipys() -> None:
     values = np.random.default_rng(1).normal(0.3, 1, 40)
-    theirs = stats.permutation_test(
+    expected = stats.permutation_test(
         (values, np.zeros(40)), lambda a, b: np.mean(a - b), permutation_type="samples", n_resamples=10_000, rng=2
     )
-    assert sign_flip(values) == pytest.approx(theirs.pvalue, abs=0.02)
+    assert sign_flip(values) == pytest.approx(expected.pvalue, abs=0.02)
 
 
 def test_p_is_never_zero_and_one_for_no_difference() -> None:
@@ -39,9 +41,25 @@ def test_p_is_uniform_without_a_difference() -> None:
     assert stats.kstest(found, "uniform").pvalue > 0.01
 
 
+def of_tasks(total: np.ndarray, count: np.ndarray, axis: int = -1) -> np.ndarray:
+    """The mean over tasks of sequences that have several each."""
+    return total.sum(axis) / count.sum(axis)
+
+
+def theirs(total: np.ndarray, count: np.ndarray) -> tuple[float, float]:
+    """SciPy's interval of a mean over tasks whose sequences are drawn."""
+    draws = {"n_resamples": 10_000, "rng": np.random.default_rng(1)}
+    found = stats.bootstrap((total, count), of_tasks, paired=True, vectorized=True, method="percentile", **draws)
+    return tuple(found.confidence_interval)
+
+
 def test_an_interval_over_sequences_weighs_them_by_their_tasks() -> None:
-    total, count = np.array([3.0, 1.0]), np.array([3, 1])
-    assert interval(total, count) == (1, 1)
+    """Where every sixth sequence has six tasks that are far worse, the mean of sequence means is another."""
+    count = np.tile([1, 1, 2, 1, 1, 6], 10)
+    means = np.random.default_rng(4).normal(0.1, 0.05, 60) + (count == 6)
+    found = interval(means * count, count)
+    assert found == pytest.approx(theirs(means * count, count), abs=0.02)
+    assert found[0] > means.mean() + 0.1
 
 
 def test_too_few_sequences_have_no_interval() -> None:
@@ -92,3 +110,22 @@ def test_tasks_that_one_system_lacks_are_left_out() -> None:
     found = compare(tidy[tidy["better"]], "voxel_error", "main_occluded", "a2")
     assert set(found["sequences"]) == {11}
     assert np.isfinite(found[["difference", "low", "high", "p"]]).all().all()
+
+
+def test_sequences_of_unequal_counts_are_compared_task_by_task() -> None:
+    """Of every other sequence there is the last start alone, and there the systems differ by more."""
+    tidy = rows(40)
+    tidy.loc[(tidy["system"] == "a2") & (tidy["sequence"] % 2 == 1), "voxel_error"] += 0.03
+    tidy = tidy[(tidy["sequence"] % 2 == 0) | (tidy["start"] + tidy["length"] == 3)]
+    found = compare(tidy[tidy["better"]], "voxel_error", "main_occluded", "a2")
+    row = found[(found["split"] == "test") & (found["column"] == "1/all")].iloc[0]
+    chosen = tidy[tidy["better"] & (tidy["split"] == "test") & (tidy["length"] == 1)]
+    task = chosen.set_index(["system", "sequence", "start"])["voxel_error"]
+    difference = task["main_occluded"] - task["a2"]
+    # Three tasks of each of 20 sequences, one of each of 20 others.
+    assert len(difference) == 80
+    assert row["difference"] == pytest.approx(difference.mean())
+    assert row["difference"] == pytest.approx(-0.01 - 0.03 / 4, abs=0.001)
+    by_sequence = difference.groupby("sequence")
+    expected = theirs(by_sequence.sum().to_numpy(), by_sequence.count().to_numpy())
+    assert (row["low"], row["high"]) == pytest.approx(expected, abs=3e-4)

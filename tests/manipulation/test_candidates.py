@@ -1,7 +1,8 @@
 import numpy as np
 
+from clothkit.cloth import voxels
 from clothkit.cloth.grid import flat
-from clothkit.manipulation.candidates import candidates
+from clothkit.manipulation.candidates import candidates, voxel_candidates
 
 
 def _nearest(points: np.ndarray, target: tuple[float, float]) -> float:
@@ -43,3 +44,22 @@ def test_a_diagonal_fold_has_three_corners() -> None:
     assert len(points) == 3
     for corner in [(-0.7, -0.7), (0.7, -0.7), (-0.7, 0.7)]:
         assert _nearest(points, corner) < 0.05
+
+
+def test_candidates_of_voxels_are_near_those_of_the_mesh() -> None:
+    found = voxel_candidates(np.asarray(voxels.observe(flat())))
+    wanted = candidates(flat())
+    assert len(found) == len(wanted) == 4
+    distance = np.linalg.norm(found[:, None] - wanted, axis=-1)
+    # Half a voxel is 0.03.
+    assert distance.min(0).max() < 0.06
+    assert sorted(distance.argmin(0).tolist()) == [0, 1, 2, 3]
+
+
+def test_voxels_without_a_corner_are_grasped_in_their_middle() -> None:
+    grid = np.zeros(voxels.RESOLUTION, bool)
+    grid[20, 9, 3] = True
+    np.testing.assert_allclose(voxel_candidates(grid), [[20.5 / 16 - 1, 9.5 / 16 - 1]], atol=1e-6)
+    grid[24, 13, 5] = True
+    np.testing.assert_allclose(voxel_candidates(grid), [[22.5 / 16 - 1, 11.5 / 16 - 1]], atol=1e-6)
+    np.testing.assert_allclose(voxel_candidates(np.zeros_like(grid)), [[0, 0]], atol=1e-6)

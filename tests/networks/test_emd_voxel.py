@@ -81,8 +81,14 @@ def test_steps_chain_to_a_rollout(config):
         np.testing.assert_allclose(emd_voxel.decode(net, latent), predicted[i], atol=1e-5)
         np.testing.assert_allclose(jax.nn.sigmoid(logits(net, latent)), predicted[i], atol=1e-5)
         np.testing.assert_allclose(shift, shifts[i], atol=1e-4)
-    _, resumed, _ = rollout(net, seen, manipulations[:, 1:], traces[0])
-    assert resumed.shape == (1, 2, 3)
+    # It goes on from the trace that it is given.
+    resumed, left, shift = rollout(net, seen, manipulations[:, 1:], traces[0])
+    latent, trace, moved = step(net, encode(net, seen), traces[0], manipulations[:, 1])
+    np.testing.assert_allclose(resumed[0], emd_voxel.decode(net, latent), atol=1e-5)
+    np.testing.assert_allclose(left[0], trace, atol=1e-5)
+    np.testing.assert_allclose(shift[0], moved, atol=1e-4)
+    _, forgetful, _ = rollout(net, seen, manipulations[:, 1:])
+    assert np.abs(forgetful - left).max() > 0.01
 
 
 def test_the_dense_variant_is_the_forward_pass_by_hand():

@@ -45,15 +45,15 @@ def random_net(config, seed):
     return Net(config, jax.tree.map(lambda w: rng.normal(0, 0.4, w.shape).astype(np.float32), store.shapes(config)))
 
 
-def by_hand(params, mesh, manipulations, channel):
-    """pEM*D as design 6.3 words it, one example, layer by layer."""
+def by_hand(params, mesh, manipulations, channel, trace=None):
+    """pEM*D as design 6.3 words it, one example, layer by layer; the first trace is zero."""
 
     def dense(layer, units):
         return units @ layer["kernel"] + layer.get("bias", 0)
 
     encoder, manipulator, decoder = params["E"], params["M"], params["D"]
     hidden = np.tanh(dense(encoder["layer_2"], np.tanh(dense(encoder["layer_1"], mesh.ravel()))))
-    latent, trace = dense(encoder["latent"], hidden), np.zeros(channel)
+    latent, trace = dense(encoder["latent"], hidden), np.zeros(channel) if trace is None else trace
     outcomes = []
     for manipulation in manipulations:
         layers = [np.concatenate([latent, trace, manipulation])]
@@ -96,10 +96,14 @@ def test_steps_chain_to_a_rollout_and_a_rollout_goes_on_from_its_trace():
         latent, trace, shift = pemd.step(net, latent, trace, manipulations[i])
         np.testing.assert_allclose(pemd.decode(net, latent).mean, predicted.mean[i], atol=1e-5)
         np.testing.assert_allclose(shift, shifts[i], atol=1e-5)
-    _, resumed, _ = pemd.rollout(net, mesh, manipulations[1:], traces[0])
-    _, _, expected = pemd.step(net, pemd.encode(net, mesh), traces[0], manipulations[1])
-    assert resumed.shape == (1, TINY.latent)
-    assert expected.shape == (2,)
+    resumed, left, shift = pemd.rollout(net, mesh, manipulations[1:], traces[0])
+    mean, std, trace, moved = by_hand(net.params, mesh, manipulations[1:], TINY.latent, np.asarray(traces[0]))
+    np.testing.assert_allclose(resumed.mean, mean, atol=2e-4)
+    np.testing.assert_allclose(resumed.std, std, rtol=2e-4)
+    np.testing.assert_allclose(left, trace, atol=2e-4)
+    np.testing.assert_allclose(shift, moved, atol=2e-4)
+    forgetful, _, _, _ = by_hand(net.params, mesh, manipulations[1:], TINY.latent)
+    assert np.abs(mean - forgetful).max() > 0.01
 
 
 def test_vtm_is_the_forward_pass_by_hand():

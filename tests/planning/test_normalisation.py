@@ -3,12 +3,15 @@
 import dataclasses
 import json
 from pathlib import Path
+from unittest import mock
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.stats import norm
 
 from clothkit.errors import InputError
+from clothkit.planning import normalisation
 from clothkit.planning.normalisation import load, normalise, save
 from clothkit.planning.settings import NormaliseConfig
 from tests.planning import toy
@@ -20,26 +23,58 @@ def whitened(mean: np.ndarray, std: np.ndarray | None = None) -> tuple[np.ndarra
     return (mean - mean.mean((0, 1))) / spread, None if std is None else std / spread
 
 
+def outcomes(mesh: np.ndarray, plan: np.ndarray) -> list[np.ndarray]:
+    """What each toy net predicts: memory makes vertices follow farther at every manipulation after the first."""
+    found = []
+    for net in toy.NETS:
+        state = jnp.asarray(mesh)
+        for i, manipulation in enumerate(plan):
+            state = toy.dragged(state, jnp.asarray(manipulation), net * (1 + 0.02 * i))
+        found.append(np.asarray(state))
+    return found
+
+
+def scores(start: np.ndarray, goal: np.ndarray, plan: np.ndarray) -> tuple[list[float], float]:
+    """The NLL of each net's outcome, and how far the nets differ."""
+    (mean, sigma), (other, other_sigma) = (
+        whitened(outcome, np.full_like(outcome, 0.015)) for outcome in outcomes(start, plan)
+    )
+    aimed = whitened(goal)[0]
+    of_nets = [-norm.logpdf(aimed, *of).mean() for of in ((mean, sigma), (other, other_sigma))]
+    return of_nets, ((mean - other) ** 2).mean() / 2 + ((sigma - other_sigma) ** 2).mean() / 2
+
+
 def test_medians_and_moments_by_hand() -> None:
-    data = dataset()
-    found = normalise(toy.FORWARD, toy.NETS, data, NormaliseConfig(draws=2))
-    scores, differences = [], []
-    for d in range(len(data)):
-        for i in range(3):
-            outcomes = [
-                np.asarray(toy.dragged(data.vertices[d, i], data.manipulation[d, i], float(net))) for net in toy.NETS
-            ]
-            std = np.full_like(outcomes[0], 0.015)
-            (mean, sigma), (other, other_sigma) = (whitened(outcome, std) for outcome in outcomes)
-            scores.append(-norm.logpdf(whitened(data.vertices[d, i + 1])[0], mean, sigma).mean())
-            differences.append(((mean - other) ** 2).mean() / 2 + ((sigma - other_sigma) ** 2).mean() / 2)
-    assert found.low[0][0] == pytest.approx(np.median(scores), rel=1e-3)
-    assert found.mu[0] == pytest.approx(np.mean(differences), rel=1e-2)
-    assert found.sigma[0] == pytest.approx(np.std(differences), rel=1e-2)
-    assert (np.array(found.low) < np.array(found.high)).all()
+    """low is of the recorded manipulations, high of random ones, from every start; mu and sigma of how nets differ."""
+    data, random, drawn = dataset(), np.random.default_rng(0), []
+
+    def draw(shape: tuple[int, ...], **_: object) -> jnp.ndarray:
+        drawn.append(random.uniform(-1, 1, (*shape, 6)).astype(np.float32))
+        return jnp.asarray(drawn[-1])
+
+    with mock.patch.object(normalisation, "random_manipulations", draw):
+        found = normalise(toy.FORWARD, toy.NETS, data, NormaliseConfig(draws=2))
+    for length in (1, 2):
+        tasks = [(d, i) for d in range(len(data)) for i in range(4 - length)]
+        ends = [(data.vertices[d, i], data.vertices[d, i + length]) for d, i in tasks]
+        plans = [data.manipulation[d, i : i + length] for d, i in tasks]
+        recorded = [scores(*of, plan) for of, plan in zip(ends, plans, strict=True)]
+        of_length = [plans for plans in drawn if plans.shape[1] == length]
+        assert len(of_length) == 2
+        at_random = [scores(*of, plan) for plans in of_length for of, plan in zip(ends, plans, strict=True)]
+        last = length - 1
+        for net in range(2):
+            low, high = (np.median([of_nets[net] for of_nets, _ in of]) for of in (recorded, at_random))
+            assert high > low + 1
+            assert found.low[net][last] == pytest.approx(low, rel=1e-3)
+            assert found.high[net][last] == pytest.approx(high, rel=1e-3)
+        apart = [difference for _, difference in recorded]
+        assert found.mu[last] == pytest.approx(np.mean(apart), rel=1e-2)
+        assert found.sigma[last] == pytest.approx(np.std(apart), rel=1e-2)
     reference = found.reference(2)
     assert reference.spans[1] == (np.float32(found.low[1][1]), np.float32(found.high[1][1]))
-    assert reference.spread.mean.shape == (2,)
+    assert reference.spread.mean.tolist() == pytest.approx(found.mu[:2])
+    assert reference.spread.std.tolist() == pytest.approx(found.sigma[:2])
 
 
 def test_reference_values_end_with_the_longest_sequence(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import dataclasses
 import tracemalloc
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 import jax.numpy as jnp
@@ -11,7 +12,7 @@ import pandas as pd
 import pytest
 
 from clothkit.cloth.equivalents import relabel
-from clothkit.cloth.mesh import error
+from clothkit.cloth.mesh import distance_aligned, error
 from clothkit.cloth.silhouette import centred
 from clothkit.dataset.store import SPLITS, Dataset
 from clothkit.dataset.tasks import Task
@@ -21,7 +22,7 @@ from clothkit.planning import record
 from clothkit.planning.evaluate import cost, evaluate
 from clothkit.planning.record import Pieces, Tasks, blank, join, load, save, save_piece, tasks_of_dataset
 from clothkit.planning.rows import rows
-from clothkit.planning.search import Problem
+from clothkit.planning.search import Found, Problem
 from clothkit.planning.session import best_of_restarts, run_sessions
 from clothkit.planning.sight import MeshSight, View, mesh_candidates
 from tests.planning import toy
@@ -54,6 +55,27 @@ def dataset(sequences: int = 2) -> Dataset:
 
 def tasks(*chosen: Task) -> Tasks:
     return tasks_of_dataset(dataset(), list(chosen), "test")
+
+
+def finding(plan: np.ndarray) -> Any:
+    """In place of searches: as if they found the last steps of a plan, whatever they are asked."""
+
+    def search(
+        _: object, nets: tuple, problems: Problem, *rest: object, length: int, settings: Any, **more: Any
+    ) -> Found:
+        tasks = len(problems.state)
+        size = (tasks, settings.iterations(length), settings.strains)
+        return Found(
+            plan=jnp.broadcast_to(plan[-length:], (tasks, length, 6)),
+            loss=jnp.zeros(tasks),
+            terms=jnp.zeros((tasks, len(nets) + 1)),
+            common=jnp.zeros(tasks, jnp.int32),
+            relative=jnp.asarray(problems.relative),
+            losses=jnp.zeros(size),
+            restarts=jnp.zeros(size, bool),
+        )
+
+    return mock.patch.object(planners, "search", search)
 
 
 def test_true_meshes_reach_the_goal_in_known_labels() -> None:
@@ -161,8 +183,56 @@ def test_a_second_search_is_given_the_first_ones_plan_and_traces() -> None:
     assert (asked[1].relative == sessions.relative[0, 0]).all()
 
 
+@pytest.mark.parametrize(("strengths", "cancelled"), [((-0.2, 2.2), False), ((1.0, -3.0), True)])
+def test_the_null_check_goes_by_the_mean_of_both_nets(strengths: tuple[float, float], cancelled: bool) -> None:
+    """Their mean reaches the goal where either net alone would do worse than nothing, and the other way round."""
+    planner = dataclasses.replace(toy.planner("b1"), nets=tuple(map(jnp.float32, strengths)))
+    given = tasks(Task(0, 0, 1))._replace(recorded=None)
+    with finding(MANIPULATIONS[:1]):
+        sessions, _ = run_sessions(given, planner, toy.execute)
+    assert sessions.null[0, 0] == sessions.cancelled[0, 0] == cancelled
+    # What hands do is linear in the nets' strength.
+    outcome = toy.dragged(jnp.asarray(given.start[0]), jnp.asarray(MANIPULATIONS[0]), np.mean(strengths))
+    off = np.asarray(outcome) - given.goal[0]
+    by_hand = np.linalg.norm(off - off.mean((0, 1)), axis=-1).mean() / 1.4
+    assert sessions.expected[0, 0] == pytest.approx(by_hand, abs=1e-4)
+
+
+def test_a_null_check_counts_what_it_cancelled() -> None:
+    """Cancelled where the goal is reached already; the manipulation, tried on the side, leads away from it."""
+    given = tasks(Task(0, 0, 1))
+    given = given._replace(goal=given.start, recorded=None)
+    with finding(MANIPULATIONS[:1]):
+        sessions, _ = run_sessions(given, toy.planner("b1"), toy.execute)
+    assert sessions.cancelled[0, 0]
+    outcome = centred(np.asarray(toy.dragged(jnp.asarray(given.start[0]), jnp.asarray(MANIPULATIONS[0]))))[0]
+    away = min(float(distance_aligned(outcome, relabel(given.goal[0], k))) for k in range(8))
+    assert sessions.error_otherwise[0, 0] == pytest.approx(away, abs=1e-3)
+    assert away > 0.05
+    assert np.isnan(sessions.loss_recorded).all()
+    np.testing.assert_array_equal(sessions.state[0, 1], sessions.state[0, 0])
+
+
+def test_the_next_state_is_expected_after_the_manipulation_that_is_executed() -> None:
+    """By the better net, and not where the whole plan would end."""
+    planner = dataclasses.replace(toy.planner("b1"), better=1)
+    given = tasks(Task(0, 0, 2))._replace(recorded=None)
+    told = []
+
+    def seen(sight: MeshSight, truth: np.ndarray, expected: np.ndarray | None) -> View:
+        told.append(expected)
+        return View(truth, np.zeros((len(truth), 2), np.float32))
+
+    with finding(MANIPULATIONS[:2]), mock.patch.object(MeshSight, "see", seen):
+        sessions, _ = run_sessions(given, planner, toy.execute)
+    assert not sessions.null[0, 0]
+    assert told[0] is None
+    after = toy.dragged(jnp.asarray(given.start[0]), jnp.asarray(MANIPULATIONS[0]), toy.NETS[1])
+    np.testing.assert_allclose(told[1][0], after, atol=1e-5)
+
+
 def test_a_broken_simulation_is_told() -> None:
-    with pytest.raises(InputError, match="not finite"):
+    with finding(MANIPULATIONS[:1]), pytest.raises(InputError, match="not finite"):
         run_sessions(tasks(Task(0, 0, 1)), toy.planner("b1"), lambda meshes, *_: meshes * np.nan)
 
 

@@ -1,6 +1,7 @@
 """A world that a forward model can know exactly: each hand drags the vertices near its grasp point along.
 
-It treats all equivalents alike, and serves both as a net and as what the net predicts.
+It treats all equivalents alike, and serves both as a net and as what the net predicts. A net's memory trace counts the
+manipulations that were executed: the more there were, the farther it expects vertices to follow a hand.
 """
 
 import jax.numpy as jnp
@@ -24,6 +25,12 @@ from clothkit.planning.systems import system
 NETS = (jnp.float32(1.0), jnp.float32(1.03))
 """A toy net is how far vertices follow the hand."""
 
+REMEMBERED = 0.02
+"""The share by which every manipulation before makes them follow farther: little, as the world itself forgets."""
+
+WEIGHTS = Weights(0.25, 5.0, 1.25)
+"""Another alpha than the one that may as well be left out."""
+
 
 def dragged(mesh: Array, manipulation: Array, strength: Array | float = 1.0) -> Array:
     """The meshes [*b u v 3] after a manipulation [*b 6] each."""
@@ -41,7 +48,8 @@ def encode(net: Array, mesh: Array) -> Array:
 
 
 def step(net: Array, latent: Array, trace: Array, manipulation: Array) -> tuple[Array, Array, Array]:
-    mesh = dragged(latent.reshape(*latent.shape[:-1], SIDE, SIDE, 3), manipulation, net)
+    strength = net * (1 + REMEMBERED * trace[..., 0])
+    mesh = dragged(latent.reshape(*latent.shape[:-1], SIDE, SIDE, 3), manipulation, strength[..., None, None, None])
     return mesh.reshape(latent.shape), trace + 1, manipulation[..., :2]
 
 
@@ -80,4 +88,4 @@ def planner(name: str) -> Planner:
     chosen = system(name)
     nets = NETS[: chosen.nets]
     sight = MeshSight(None, plan.refine, forward=FORWARD)
-    return Planner(chosen, sight, nets, 0, NORMALISATION, Weights(1.0, 5.0, 1.25), plan, CANDIDATES)
+    return Planner(chosen, sight, nets, 0, NORMALISATION, WEIGHTS, plan, CANDIDATES)

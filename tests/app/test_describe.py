@@ -1,0 +1,218 @@
+"""What a plan file says, against the same in NumPy: places in metres, errors in cloth lengths, how unsure nets are."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from clothkit.app.describe import Given, covered, describe, expected, frame_of, heights, paths_of, poses_of
+from clothkit.app.given import Seen
+from clothkit.app.plan_file import UNLIKELY, Plan
+from clothkit.app.planner import Planned
+from clothkit.cloth.equivalents import relabel
+from clothkit.cloth.grid import flat
+from clothkit.cloth.mesh import ProbabilisticMesh
+from clothkit.cloth.silhouette import centred, iou, silhouette
+from clothkit.observation.observe import observe
+from clothkit.observation.pose import Pose
+from clothkit.observation.states import MeshState, PointCloud
+from clothkit.observation.waypoints import MotionConfig
+from clothkit.planning.planner import Planner
+from clothkit.planning.sight import VoxelSight
+from clothkit.planning.systems import system
+from tests.observation.scenes import motion
+from tests.planning import toy
+
+SIDE, SCALE = 0.42, 0.3
+CENTRE = np.array([0.1, -0.05])
+AXES, ORIGIN = motion(3)
+POSE = Pose(AXES, ORIGIN, CENTRE, SCALE)
+PLAN = np.array([[-1, -1, 1, -1, 0.1, 0.7], [1, 1, 1, 1, -0.6, -0.4]], np.float32)
+SHIFTS = np.array([[0.2, -0.1], [-0.05, 0.4]])
+ENDS = (np.arange(32) % 2 * 2 - 1)[:, None] * np.float32([0, 0, 0.07])
+"""Every other row of vertices too high, the others too low."""
+
+
+def planner(name: str = "b1", nets: int = 2) -> Planner:
+    """The second net is the better one, where there are two."""
+    usual = dataclasses.replace(toy.NORMALISATION, mu=(0.3,) * 3, sigma=(0.2,) * 3)
+    return dataclasses.replace(toy.planner(name), better=nets - 1, normalisation=usual)
+
+
+def planned(nets: int = 2) -> Planned:
+    """Two manipulations of the flat cloth; the mean of what the nets expect is a bent cloth, but for `ENDS`."""
+    first, last = toy.bent() * np.float32([0.9, 1, 9]), toy.bent() + ENDS
+    apart = np.linspace(0, 0.2, 32, dtype=np.float32)[:, None, None]
+    a = ProbabilisticMesh(np.stack([first, last - apart]), np.full((2, 32, 32, 3), 0.02, np.float32))
+    b = ProbabilisticMesh(np.stack([first + 0.01, last + apart]), np.full((2, 32, 32, 3), 0.05, np.float32))
+    none = np.zeros((8, 4), np.float32)
+    return Planned(flat(), PLAN, 2, 5, (a, b)[:nets], SHIFTS, (none, none)[:nets], loss=1.5)
+
+
+def given(goal: np.ndarray, frame: str = "camera") -> Given:
+    mesh = MeshState(flat(), np.zeros(2, np.float32), SCALE)
+    seen = observe(mesh, cloth_side=SIDE)
+    state = Seen("cloud.ply", PointCloud(np.ones((4, 3))), dataclasses.replace(seen, pose=POSE))
+    return Given(state, Seen("goal.obj", mesh, seen), goal, None, SIDE, 7, frame, ("a", "b"))
+
+
+def described(frame: str = "camera", **changes: object) -> Plan:
+    plans, of = planner(), planned()._replace(**changes)
+    return describe(
+        plans, of, paths_of(plans, of, POSE, MotionConfig()), given(np.asarray(relabel(toy.bent(), 3)), frame)
+    )
+
+
+def in_metres(mesh: np.ndarray, moved: np.ndarray, frame: str) -> np.ndarray:
+    """A mesh whose centre has moved [normalised], spelled out vertex by vertex."""
+    table = mesh.astype(float) * 0.3 + [0.1 + 0.3 * moved[0], -0.05 + 0.3 * moved[1], 0]
+    return table if frame == "table" else np.einsum("uvi,ij->uvj", table, AXES) + ORIGIN
+
+
+def test_hands_are_where_the_better_net_expects_the_cloth() -> None:
+    first, second = paths_of(planner(), planned(), POSE, MotionConfig())
+    corners = np.array([[-0.7, -0.7, 0], [0.7, -0.7, 0]])
+    np.testing.assert_allclose(first.points[:, 0], 0.3 * corners + [*CENTRE, 0], atol=1e-6)
+    # Net b's corner after the first step, about where the cloth has moved to by then.
+    corner = planned().predictions[1].mean[0, 31, 31].astype(float) + np.array([0.2, -0.1, 0])
+    np.testing.assert_allclose(second.points[:, 0], 0.3 * corner[None] + [*CENTRE, 0], atol=1e-6)
+    np.testing.assert_allclose(second.points[0, -1, :2] - second.points[0, 0, :2], [-0.18, -0.12], atol=1e-6)
+
+
+def test_shifts_of_the_centre_add_up() -> None:
+    centres = [pose.centre for pose in poses_of(planned(), POSE)]
+    np.testing.assert_allclose(centres, [[0.1, -0.05], [0.16, -0.08], [0.145, 0.04]], atol=1e-9)
+
+
+def test_voxels_are_grasped_at_the_top_of_the_nearest_column() -> None:
+    voxels = np.zeros((32, 32, 16), np.float32)
+    voxels[20, 9, :4], voxels[20, 9, 4:6], voxels[5, 25, 0], voxels[0, 0] = 0.5, 0.4, 0.9, 0.4
+    # Middles of the columns are (0.281, -0.406) and (-0.656, 0.594): halfway between them is (-0.188, 0.094).
+    xy = np.array([[0.281, -0.406], [-0.656, 0.594], [-0.16, 0.07], [-0.21, 0.11], [-1, 1]])
+    voxel = 0.125 / 16
+    np.testing.assert_allclose(heights(voxels, xy), np.array([3.5, 0.5, 3.5, 0.5, 0.5]) * voxel, atol=1e-9)
+    np.testing.assert_array_equal(heights(np.full_like(voxels, 0.4), xy), np.zeros(5))
+
+
+@pytest.mark.parametrize("frame", ["camera", "table"])
+def test_places_are_in_metres_in_the_plans_frame(frame: str) -> None:
+    plan, of = described(frame), planned()
+    assert (plan.frame, plan.side_m, plan.metres_per_normalised, plan.seed) == (frame, 0.42, 0.3, 7)
+    assert (plan.state.kind, plan.goal.kind) == ("points", "mesh")
+    np.testing.assert_allclose(plan.table.axes, AXES if frame == "camera" else np.eye(3))
+    np.testing.assert_allclose(plan.table.origin_m, ORIGIN if frame == "camera" else np.zeros(3))
+    np.testing.assert_allclose(plan.start.state.vertices_m, in_metres(flat(), np.zeros(2), frame), atol=1e-6)
+    assert plan.start.state.sigma_m is None
+    moved = np.zeros(2)
+    nothing = np.zeros((1, 1, 3))
+    for number, step in enumerate(plan.steps):
+        grasp = in_metres((flat(), of.predictions[1].mean[0])[number], moved, frame)[-number, -number]
+        np.testing.assert_allclose(step.hands[0].grasp_m, grasp, atol=1e-6)
+        moved = moved + SHIFTS[number]
+        np.testing.assert_allclose(step.centre_m, in_metres(nothing, moved, frame)[0, 0], atol=1e-6)
+        np.testing.assert_allclose(step.manipulation, PLAN[number])
+        assert not step.null
+        assert len(step.hands) == 2 - number
+        for prediction, net, sigma in zip(step.predictions, of.predictions, (0.006, 0.015), strict=True):
+            np.testing.assert_allclose(
+                prediction.state.vertices_m, in_metres(net.mean[number], moved, frame), atol=1e-6
+            )
+            np.testing.assert_allclose(prediction.state.sigma_m, np.full((32, 32, 3), sigma), atol=1e-6)
+    # Nets a and b are 0.01 apart along each axis, then twice 0 to 0.2.
+    assert plan.steps[0].disagreement_m == pytest.approx(0.3 * 0.01 * np.sqrt(3), rel=1e-4)
+    assert plan.steps[1].disagreement_m == pytest.approx(0.3 * 0.2 * np.sqrt(3), rel=1e-4)
+
+
+def test_what_is_expected_is_of_the_nets_mean_whatever_the_goals_labels() -> None:
+    found = described().expected
+    assert found.error_cloth_lengths == pytest.approx(0.05, rel=1e-3)
+    assert found.error_m == pytest.approx(0.05 * 0.42, rel=1e-3)
+    idle = []
+    for k in range(8):
+        off = flat().astype(float) - np.asarray(relabel(toy.bent(), k))
+        idle.append(np.linalg.norm(off - off.mean((0, 1)), axis=-1).mean() / 1.4)
+    assert found.error_no_action_cloth_lengths == pytest.approx(min(idle), rel=1e-3)
+    assert found.error_no_action_m == pytest.approx(min(idle) * 0.42, rel=1e-3)
+    goal, still = (silhouette(centred(mesh)[0]) for mesh in (toy.bent(), flat()))
+    assert found.silhouette_iou == pytest.approx(1, abs=0.01)
+    assert found.silhouette_iou_no_action == pytest.approx(iou(still, goal), abs=1e-9)
+    assert found.silhouette_iou_no_action < 0.95
+    assert found.voxel_error is found.voxel_error_no_action is None
+    assert found.loss == 1.5
+    # Eqs. (13) and (15): six whitened channels.
+    exponents = []
+    for i in range(2):
+        six = []
+        for net in planned().predictions:
+            mean, spread = net.mean[i].astype(float), np.maximum(net.mean[i].astype(float).std((0, 1)), 0.005)
+            six.append(np.concatenate([(mean - mean.mean((0, 1))) / spread, net.std[i] / spread], axis=-1))
+        exponents.append(5 * ((((six[0] - six[1]) ** 2).mean() - 0.3) / 0.2 - 1.25))
+    assert found.epistemic_uncertainty == pytest.approx(np.mean(np.exp(exponents)), rel=2e-3)
+    assert found.epistemic_uncertainty > 1
+
+
+def test_a_plan_is_warned_of_that_brings_nothing_nearer() -> None:
+    good = described()
+    assert good.expected.improves
+    assert good.warning is None
+    far = planned().predictions
+    worse = tuple(net._replace(mean=net.mean + 10 * ENDS) for net in far)
+    for plan in (described(predictions=worse), described(plan=PLAN * np.float32([1, 1, 1, 1, 0.3, 0.3]))):
+        assert not plan.expected.improves
+        assert plan.warning == UNLIKELY
+
+
+def test_what_a_later_plan_takes_up() -> None:
+    memory = described().memory
+    assert (memory.common, memory.relative, memory.better, memory.traces_before) == (2, 5, 1, None)
+    traces = tuple(np.random.default_rng(k).normal(size=(8, 4)).astype(np.float32) for k in (0, 1))
+    np.testing.assert_allclose(described(traces=traces).memory.traces_before, traces, atol=1e-7)
+    # One trace alone is something to remember too.
+    assert described(traces=(traces[0], 0 * traces[1])).memory.traces_before is not None
+
+
+def test_one_net_alone_can_not_disagree() -> None:
+    plans, of = planner("b2", nets=1), planned(nets=1)
+    about = given(toy.bent())._replace(nets=("b",), matrix=np.array([[0.0, -1.0], [1.0, 0.0]]))
+    plan = describe(plans, of, paths_of(plans, of, POSE, MotionConfig()), about)
+    assert plan.turned == ((0.0, -1.0), (1.0, 0.0))
+    assert plan.expected.epistemic_uncertainty is None
+    for step in plan.steps:
+        assert step.disagreement_m is None
+        assert [prediction.net for prediction in step.predictions] == ["b"]
+
+
+def test_plans_in_voxels() -> None:
+    plans = dataclasses.replace(planner("b1"), system=system("b4"), sight=VoxelSight())
+    goal, state = np.zeros((2, 32, 32, 16), bool)
+    goal[8:16, 8:16, 0] = state[8:24, 8:16, 0] = True
+    # Both nets put 0.75 and 0.65 where the goal is, and nothing anywhere else.
+    a, b = (np.where(goal, np.log(p / (1 - p)), -30).astype(np.float32)[None] for p in (0.75, 0.65))
+    plan = np.array([[-0.4, -0.4, -0.4, -0.4, 0.7, 0.1]], np.float32)
+    none = np.zeros((1, 4), np.float32)
+    of = Planned(state, plan, 0, 0, (a, b), SHIFTS[:1], (none, none), loss=0.5)
+    (path,) = paths_of(plans, of, POSE, MotionConfig())
+    np.testing.assert_allclose(path.points[0, 0], [0.1 - 0.12, -0.05 - 0.12, 0.3 * 0.5 * 0.125 / 16], atol=1e-6)
+    told = expected(plans, of, given(goal))
+    assert told["voxel_error"] == pytest.approx(64 * 0.3 / 16384, rel=1e-4)
+    assert told["voxel_error_no_action"] == pytest.approx(64 / 16384, rel=1e-4)
+    assert told["error_m"] is told["error_no_action_cloth_lengths"] is None
+    assert told["silhouette_iou"] == 1
+    assert told["silhouette_iou_no_action"] == 0.5
+    assert told["improves"]
+    written = describe(plans, of, [path], given(goal))
+    occupancy = np.array(written.steps[0].predictions[0].state.occupancy)
+    np.testing.assert_allclose(occupancy, np.where(goal, 0.75, 0), atol=1e-3)
+    assert written.start.state.kind == "voxels"
+    assert written.steps[0].disagreement_m is None
+
+
+def test_frames_and_silhouettes() -> None:
+    seen = given(toy.bent())
+    assert frame_of(seen.state, "camera") == "camera"
+    assert frame_of(seen.state, "table") == frame_of(seen.goal, "camera") == "table"
+    voxels = np.zeros((32, 32, 16), np.float32)
+    voxels[3, 4, 7], voxels[5, 6, 2] = 0.5, 0.49
+    assert np.argwhere(covered(voxels)).tolist() == [[3, 4]]
+    moved = flat() + np.float32([0.3, -0.2, 0])
+    assert iou(covered(moved), silhouette(flat())) > 0.98
