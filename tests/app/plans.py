@@ -21,12 +21,22 @@ BOTH = np.array([1.0, -1.0, 1.0, 1.0, -1.3, 0.0], np.float32)
 ONE = np.array([-1.0, -1.0, -1.0, -1.0, 0.6, 0.5], np.float32)
 
 
-def content(name: str = "b1", *, side: float = 0.4) -> dict[str, Any]:
-    """Two hands and then one, of a flat cloth; nets expect what the toy world makes of it."""
+def content(
+    name: str = "b1",
+    *,
+    side: float = 0.4,
+    vectors: tuple[np.ndarray, ...] = (BOTH, ONE),
+    camera: tuple[np.ndarray, np.ndarray] | None = None,
+) -> dict[str, Any]:
+    """Manipulations of a flat cloth; nets expect what the toy world makes of them.
+
+    In the table's frame, or in that of a camera, in which the table has these axes and this origin.
+    """
     chosen = system(name)
-    poses, mesh, steps = [Pose(np.eye(3), np.zeros(3), np.array(AT), side / 1.4)], flat(), []
-    start = _state(mesh, chosen.voxels, poses[0])
-    for vector in (BOTH, ONE):
+    axes, origin = camera or (np.eye(3), np.zeros(3))
+    poses, mesh, steps = [Pose(axes, origin, np.array(AT), side / 1.4)], flat(), []
+    start = {"state": _state(mesh, chosen.voxels, poses[0]), "centre_m": _centre(poses[0])}
+    for vector in vectors:
         paths = hand_paths(vector, mesh, poses[-1])
         if chosen.voxels:
             paths = paths_from(np.insert(vector[:4].reshape(2, 2), 2, 0, axis=1), vector, poses[-1])
@@ -39,7 +49,7 @@ def content(name: str = "b1", *, side: float = 0.4) -> dict[str, Any]:
                 "release_m": points[-1],
                 "waypoints": [{"time_s": t, "position_m": at} for t, at in zip(times, points, strict=True)],
             }
-            for points in paths.points.round(6).tolist()
+            for points in poses[0].table_to_camera(paths.points).round(6).tolist()
         ]
         states = {net: _state(mesh, chosen.voxels, poses[-1]) for net in "ab"[: chosen.nets]}
         steps.append(
@@ -48,7 +58,7 @@ def content(name: str = "b1", *, side: float = 0.4) -> dict[str, Any]:
                 "null": False,
                 "hands": hands,
                 "predictions": [{"net": net, "state": state} for net, state in states.items()],
-                "centre_m": [*poses[-1].centre.tolist(), 0.0],
+                "centre_m": _centre(poses[-1]),
                 "disagreement_m": 0.0 if chosen.nets == 2 and not chosen.voxels else None,
             }
         )
@@ -58,14 +68,14 @@ def content(name: str = "b1", *, side: float = 0.4) -> dict[str, Any]:
         "version": 1,
         "system": name,
         "seed": 0,
-        "frame": "table",
+        "frame": "camera" if camera else "table",
         "state": {"file": "start.obj", "kind": "mesh"},
         "goal": {"file": "goal.obj", "kind": "mesh"},
         "turned": None,
         "side_m": side,
         "metres_per_normalised": side / 1.4,
-        "table": {"axes": np.eye(3).tolist(), "origin_m": [0.0, 0.0, 0.0]},
-        "start": {"state": start, "centre_m": [*AT, 0.0]},
+        "table": {"axes": axes.tolist(), "origin_m": origin.tolist()},
+        "start": start,
         "steps": steps,
         "expected": {
             "error_cloth_lengths": of_mesh,
@@ -88,8 +98,12 @@ def content(name: str = "b1", *, side: float = 0.4) -> dict[str, Any]:
 def _state(mesh: np.ndarray, voxels: bool, pose: Pose) -> dict[str, Any]:
     if voxels:
         return {"kind": "voxels", "occupancy": np.ones(RESOLUTION).tolist()}
-    metres = pose.normalised_to_table(mesh.astype(float))
+    metres = pose.normalised_to_camera(mesh.astype(float))
     return {"kind": "mesh", "vertices_m": metres.round(6).tolist(), "sigma_m": None}
+
+
+def _centre(pose: Pose) -> list[float]:
+    return pose.table_to_camera(np.append(pose.centre, 0.0)).round(7).tolist()
 
 
 def write(path: Path, plan: dict[str, Any]) -> None:

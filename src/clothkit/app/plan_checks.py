@@ -31,8 +31,13 @@ ROUNDING = 1e-4
 def check_axes(axes: Sequence[Sequence[float]]) -> None:
     """That the rows are a right-handed frame."""
     rows = np.array(axes, float)
-    if np.abs(rows @ rows.T - np.eye(3)).max() > ROUNDING or np.linalg.det(rows) < 0:
+    if not _orthonormal(rows) or np.linalg.det(rows) < 0:
         raise ValueError(f"axes: expected unit vectors at right angles, z being x cross y, found {rows.tolist()}")
+
+
+def _orthonormal(rows: Float[np.ndarray, "n n"]) -> bool:
+    with np.errstate(over="ignore", invalid="ignore"):
+        return bool((np.abs(rows @ rows.T - np.eye(len(rows))) <= ROUNDING).all())
 
 
 def check_hand(hand: "clothkit.app.plan_file.Hand") -> None:
@@ -98,7 +103,7 @@ def _check_turn(plan: "clothkit.app.plan_file.Plan", system: System) -> None:
     if system.voxels:
         raise ValueError(f"turned: expected null, since system {system.name} turns no plans")
     rows = np.array(plan.turned, float)
-    if np.abs(rows @ rows.T - np.eye(2)).max() > ROUNDING:
+    if not _orthonormal(rows):
         raise ValueError(f"turned: expected a matrix that turns or mirrors, found {rows.tolist()}")
 
 

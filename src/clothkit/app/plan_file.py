@@ -37,6 +37,7 @@ Direction = tuple[float, float, float]
 Geodesic = Annotated[float, Ge(-1), Le(1)]
 Displacement = Annotated[float, Ge(-LONGEST), Le(LONGEST)]
 NotNegative = Annotated[float, Ge(0)]
+_Unit = Annotated[float, Ge(-1e6), Le(1e6)]
 Share = Annotated[float, Ge(0), Le(1)]
 Grid = Annotated[list[Annotated[list[Point], Len(SIDE, SIDE)]], Len(SIDE, SIDE)]
 _Deviation = tuple[NotNegative, NotNegative, NotNegative]
@@ -189,7 +190,7 @@ class Memory(Part):
     """The relabelling that brings the goal under the state's labels."""
     better: Annotated[int, Ge(0), Le(1)]
     """Which of the predictions is the better net's."""
-    traces_before: list[list[list[float]]] | None
+    traces_before: list[list[list[_Unit]]] | None
     """[net][label][unit]: memory traces before the plan; null: none, the session begins."""
 
 
