@@ -17,6 +17,7 @@ from clothkit.app.output import write_mesh
 from clothkit.cloth.grid import flat
 from clothkit.networks import store
 from tests.app.conftest import run, succeed
+from tests.app.plans import changed, content, write
 
 PLAN = ("plan", "--goal", "{files}/goal.glb", "--steps", 1, "--out", "out.json", "--state")
 START = "{files}/start.obj"
@@ -161,7 +162,7 @@ STATES: list[tuple[Callable[[], None], tuple[object, ...], str, str]] = [
     (raw("params.yaml", "scale: [\n"), (START,), "params.yaml", "is not valid YAML"),
     (raw("old.json", "{"), (START, "--after", "old.json"), "old.json", "is not valid JSON"),
     (raw("old.json", "{}"), (START, "--after", "old.json"), "old.json", "format: field required"),
-    (nothing, (START, "--after", "old.json"), "old.json", "can't be read as a plan"),
+    (nothing, (START, "--after", "old.json"), "old.json", "not found, expected a plan"),
 ]
 
 
@@ -208,17 +209,7 @@ BAD_PLANS: list[tuple[str, object, str]] = [
 
 @pytest.mark.parametrize(("field", "value", "says"), BAD_PLANS)
 def test_a_plan_file_that_is_none_is_told(here: Path, files: Path, field: str, value: object, says: str) -> None:
-    succeed("plan", "--state", files / "start.obj", "--goal", files / "goal.glb", "--steps", 1)
-    plan = json.loads(Path("plan.json").read_text())
-    *path, last = field.split(".")
-    place = plan
-    for name in path:
-        place = place[int(name) if name.isdigit() else name]
-    if value is ...:
-        del place[last]
-    else:
-        place[int(last) if last.isdigit() else last] = value
-    Path("plan.json").write_text(json.dumps(plan))
+    write(here / "plan.json", changed(content(), field, value))
     result = run("predict", "--state", files / "start.obj", "--plan", "plan.json")
     assert result.exit_code == 1
     *_, sentence = result.stderr.splitlines()
@@ -229,19 +220,9 @@ def test_a_plan_file_that_is_none_is_told(here: Path, files: Path, field: str, v
 
 
 def test_a_plan_in_another_frame_is_not_simulated(here: Path, files: Path) -> None:
-    succeed("plan", "--state", files / "start.obj", "--goal", files / "goal.glb", "--steps", 1)
-    plan = json.loads(Path("plan.json").read_text())
-    step = plan["steps"][0]
-    step["null"] = False
-    step["hands"] = [
-        {
-            "grasp_m": [2, 0, 0],
-            "release_m": [1, 0, 0],
-            "waypoints": [{"time_s": t, "position_m": [2 - t, 0, 0]} for t in (0, 1)],
-        }
-    ]
-    Path("plan.json").write_text(json.dumps(plan))
-    result = run("simulate", "--plan", "plan.json")
+    write(here / "plan.json", content())
+    write_mesh(here / "elsewhere.obj", flat().astype(float) * 0.4 / 1.4 + [2, 0, 0])
+    result = run("simulate", "--plan", "plan.json", "--state", "elsewhere.obj")
     assert result.exit_code == 1
     assert "plan.json: step 1 grasps" in result.stderr
     assert not Path("mesh.glb").exists()
@@ -336,7 +317,7 @@ def test_other_commands_tell_as_well(here: Path, files: Path) -> None:
         (("export", "data", "--all", "--cloth-side", "inf"), "export: cloth side inf: expected metres, above 0"),
         (("export", "data", "--all", "--cloth-side", "-0.4"), "export: cloth side -0.4: expected metres, above 0"),
         (("export", "data", "--all", "--cloth-side", "1e300"), "export: cloth side 1e+300: expected metres, above"),
-        (("simulate", "--plan", "none.json"), "simulate: none.json: can't be read as a plan"),
+        (("simulate", "--plan", "none.json"), "simulate: none.json: not found, expected a plan"),
     ):
         result = run(*arguments)
         assert result.exit_code == 1

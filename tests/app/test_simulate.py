@@ -1,36 +1,22 @@
 """The real simulator at the end of the command line: a half fold that a plan file tells is a half fold."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from clothkit.app.plan_file import read_plan
-from clothkit.cloth.grid import flat
 from clothkit.observation.files import read
-from clothkit.observation.pose import Pose
-from clothkit.observation.waypoints import hand_paths
 from tests.app.conftest import AT, run, succeed
-from tests.observation.scenes import SCALE, SMALL
+from tests.app.plans import content, write
+from tests.observation.scenes import SMALL
 
 HALF = np.array([1.0, -1.0, 1.0, 1.0, -1.38, 0.0], np.float32)
 
 
 @pytest.mark.parametrize("frame", ["table", "camera"])
 def test_a_half_fold_in_metres_away_from_the_origin(here: Path, files: Path, frame: str) -> None:
-    succeed("plan", "--state", files / "start.obj", "--goal", files / "goal.glb", "--steps", 1)
-    plan = json.loads((here / "plan.json").read_text())
-    axes, origin = SMALL.table().frame() if frame == "camera" else (np.eye(3), np.zeros(3))
-    pose = Pose(axes, origin, np.array(AT), SCALE)
-    paths = hand_paths(HALF, flat(), pose)
-    hands = []
-    for points in pose.table_to_camera(paths.points).round(6).tolist():
-        waypoints = [{"time_s": t, "position_m": p} for t, p in zip(paths.times.tolist(), points, strict=True)]
-        hands.append({"grasp_m": points[0], "release_m": points[-1], "waypoints": waypoints})
-    plan["steps"][0].update(manipulation=HALF.astype(float).tolist(), null=False, hands=hands)
-    plan.update(frame=frame, table={"axes": axes.tolist(), "origin_m": origin.tolist()})
-    (here / "plan.json").write_text(json.dumps(plan))
+    write(here / "plan.json", content(vectors=(HALF,), camera=SMALL.table().frame() if frame == "camera" else None))
     assert len(read_plan(here / "plan.json").steps) == 1
     said = succeed("simulate", "--state", files / "start.obj", "--plan", "plan.json", "--goal", files / "goal.glb")
     outcome = read(here / "mesh.glb")

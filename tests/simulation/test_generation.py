@@ -1,6 +1,8 @@
 """Recorded sequences: the same bytes for any number of workers and after an interruption, and exact replays."""
 
 import dataclasses
+from collections.abc import Callable
+from concurrent.futures import Future
 from pathlib import Path
 
 import numpy as np
@@ -9,13 +11,14 @@ import pytest
 
 from clothkit.cloth.grid import CLOTH_SIDE, triangles
 from clothkit.errors import InputError
-from clothkit.simulation import generation
-from clothkit.simulation.attempts import folds, to_metres
+from clothkit.simulation import generation, world
+from clothkit.simulation.attempts import Attempts, folds, to_metres
 from clothkit.simulation.executor import execute, grasp, perform
 from clothkit.simulation.generation import generate
 from clothkit.simulation.settings import Limits, SimulateConfig, SimulationConfig
 from clothkit.simulation.solver import flat_state
 from clothkit.simulation.world import Worlds
+from tests.tiny import attempts
 
 SIDE = 16
 SIMULATION = SimulationConfig(side=SIDE)
@@ -57,19 +60,19 @@ def test_the_artifacts_hold_what_the_design_says(raw: Path) -> None:
     material = topologies["material"][0].reshape(-1, 2)
     assert np.ptp(material, axis=0) == pytest.approx([0.4, 0.4])
     np.testing.assert_array_equal(topologies["triangles"][0].reshape(-1, 3), triangles(SIDE))
-    attempts = pd.read_parquet(raw / "attempts.parquet")
-    assert attempts["accepted"].sum() == 3
-    assert attempts["accepted"].iloc[-1]
-    assert ((attempts["reason"] == "") == attempts["accepted"]).all()
-    assert attempts["area"][0][0] == pytest.approx(1, abs=0.03)
-    accepted = attempts[attempts["accepted"]]
+    tried = pd.read_parquet(raw / "attempts.parquet")
+    assert tried["accepted"].sum() == 3
+    assert tried["accepted"].iloc[-1]
+    assert ((tried["reason"] == "") == tried["accepted"]).all()
+    assert tried["area"][0][0] == pytest.approx(1, abs=0.03)
+    accepted = tried[tried["accepted"]]
     for name in ("height", "strain_p99", "strain_worst", "intersections", "gap", "residual_speed"):
-        lists = np.stack(attempts[name].tolist())
+        lists = np.stack(tried[name].tolist())
         assert lists.dtype == np.float32
-        np.testing.assert_array_equal(np.isnan(lists).sum(1), 4 - attempts["states"])
+        np.testing.assert_array_equal(np.isnan(lists).sum(1), 4 - tried["states"])
         np.testing.assert_array_equal(np.concatenate(accepted[name].tolist()), states[name])
-    settled = np.stack(attempts["settle_time"].tolist())
-    np.testing.assert_array_equal(np.isnan(settled).sum(1), 4 - attempts["states"])
+    settled = np.stack(tried["settle_time"].tolist())
+    np.testing.assert_array_equal(np.isnan(settled).sum(1), 4 - tried["states"])
     np.testing.assert_array_equal(np.concatenate(accepted["settle_time"].tolist()), manipulations["settle_time"])
 
 
@@ -149,5 +152,78 @@ def test_fold_count() -> None:
 def test_limits_that_accept_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(generation, "HOPELESS", 1)
     impossible = dataclasses.replace(SETTINGS, limits=Limits(height=1e-3))
-    with pytest.raises(InputError, match=r"simulate\.limits accepted none of 1"):
+    with pytest.raises(InputError, match=r"simulate\.limits accepted none of 1 attempted sequences \(too high 1\);"):
         record(tmp_path, impossible)
+
+
+def made_up(monkeypatch: pytest.MonkeyPatch, accepted: Callable[[int], bool]) -> list[int]:
+    """Attempts take no time, and are accepted as told. Returns where the numbers of those that were made are added."""
+    made: list[int] = []
+
+    def attempt(numbers: range, settings: SimulateConfig) -> Attempts:
+        made.extend(numbers)
+        found = np.array([accepted(number) for number in numbers])
+        one = {name: np.repeat(array[:1], len(numbers), axis=0) for name, array in attempts(1)._asdict().items()}
+        numbered = {"attempt": np.array(numbers), "accepted": found, "reason": np.where(found, "", "strained")}
+        return Attempts(**{**one, **numbered})
+
+    monkeypatch.setattr(generation, "attempt_sequences", attempt)
+    return made
+
+
+class Here:
+    """A pool of worker processes that is none: what is submitted is done at once."""
+
+    def submit(self, work: Callable[..., Path], *arguments: object) -> "Future[Path]":
+        done: Future[Path] = Future()
+        done.set_result(work(*arguments))
+        return done
+
+    def shutdown(self, **_: object) -> None:
+        pass
+
+
+@pytest.mark.parametrize(
+    ("wanted", "block", "workers", "most"),
+    [
+        (3, 4, 12, 2),  # if half of them are accepted
+        (1, 1, 12, 2),
+        (40, 4, 2, 13),  # no more than two for each worker ahead of the tenth
+        (40, 1, 12, 45),
+    ],
+)
+def test_no_more_blocks_are_begun_than_are_likely_to_be_needed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wanted: int, block: int, workers: int, most: int
+) -> None:
+    made = made_up(monkeypatch, lambda number: True)
+    monkeypatch.setattr(generation, "make_pool", lambda workers: Here())
+    settings = SimulateConfig(sequences=wanted, block=block, workers=workers)
+    (tmp_path / "work").mkdir()
+    found = generate(tmp_path / "raw", settings, work=tmp_path / "work", attributes={})
+    assert found.accepted == found.attempts == wanted
+    assert made == list(range(len(made)))
+    assert wanted <= len(made) <= most * block
+
+
+def test_a_run_that_accepts_nothing_any_more_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(generation, "HOPELESS", 50)
+    made = made_up(monkeypatch, lambda number: number in (0, 1))
+    settings = SimulateConfig(sequences=3, block=4, workers=1)
+    with pytest.raises(InputError, match=r"accepted none of the last 50 attempted sequences \(strained 50\)"):
+        record(tmp_path, settings)
+    assert len(made) == 52
+
+
+def test_a_low_yield_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One in 60 after one in 9: more than 50 in a row, but fewer than 20 times 9."""
+    monkeypatch.setattr(generation, "HOPELESS", 50)
+    made_up(monkeypatch, lambda number: number in (8, 68, 128))
+    found = generate(tmp_path / "raw", SimulateConfig(sequences=3, workers=1), work=tmp_path, attributes={})
+    assert (found.accepted, found.attempts) == (3, 129)
+
+
+def test_an_attempt_whose_budget_is_spent_is_rejected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(world, "PATIENCE", 1e-6)
+    monkeypatch.setattr(generation, "HOPELESS", 1)
+    with pytest.raises(InputError, match=r"accepted none of 1 attempted sequences \(out of steps 1\)"):
+        record(tmp_path, SETTINGS)

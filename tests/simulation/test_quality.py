@@ -37,7 +37,7 @@ def pierced_pairs(mesh: np.ndarray) -> int:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_intersections_by_brute_force(seed: int) -> None:
-    mesh = crumpled(seed, 6)
+    mesh = crumpled(seed, 8)
     expected = pierced_pairs(mesh)
     assert expected > 0
     assert intersections(mesh[None])[0] == expected
@@ -59,12 +59,12 @@ def test_flat_cloth_has_none() -> None:
 
 
 def test_gaps_by_minimisation() -> None:
-    mesh = crumpled(5, 7)
+    mesh = crumpled(5, 8)
     x = mesh.reshape(-1, 3).astype(float)
     best = np.inf
     for i in range(len(x)):
-        for corners in triangles(7):
-            if any(max(abs(i // 7 - k // 7), abs(i % 7 - k % 7)) <= 2 for k in corners):
+        for corners in triangles(8):
+            if any(max(abs(i // 8 - k // 8), abs(i % 8 - k % 8)) <= 2 for k in corners):
                 continue
             a, b, c = x[corners]
             best = min(best, distance(x[i], a, b, c, best))
@@ -103,18 +103,19 @@ def test_measures_of_a_stretched_cloth() -> None:
 
 
 def test_reasons() -> None:
-    def rejected(**changes: float) -> str:
+    def rejected(*, spent: bool = False, **changes: float) -> str:
         values = {
             "finite": True, "lowest": 0.001, "height": 0.1, "strain_p99": 0.02, "strain_worst": 0.1,
             "intersections": 0, "gap": 0.001,
         }  # fmt: skip
         quality = Quality(**{name: np.array([changes.get(name, value)]) for name, value in values.items()})
         speed = np.array([changes.get("speed", 0.001)])
-        outcome = Outcome(np.zeros((1, 2, 2, 3), np.float32), np.array([True]), speed, np.zeros(1))
+        outcome = Outcome(np.zeros((1, 2, 2, 3), np.float32), np.array([True]), speed, np.zeros(1), np.array([spent]))
         return reason(quality, outcome, SimulateConfig(sequences=1), 0)
 
     assert rejected() == ""
     assert rejected(finite=False) == "not finite"
+    assert rejected(spent=True) == "out of steps"
     assert rejected(speed=0.02) == "not at rest"
     assert rejected(lowest=-0.001) == "below table"
     assert rejected(intersections=1) == "intersections"

@@ -13,7 +13,7 @@ from clothkit.simulation.executor import layers_below, place_hands
 from clothkit.simulation.kernels.state import PATH
 from clothkit.simulation.quality import measure, reason
 from clothkit.simulation.settings import Settling, SimulateConfig, SimulationConfig
-from clothkit.simulation.solver import flat_state
+from clothkit.simulation.solver import LAUNCH_SECONDS, flat_state
 from clothkit.simulation.world import Motion, Outcome, Worlds, arcs
 
 SIDE = 32
@@ -286,3 +286,33 @@ def test_more_states_than_worlds() -> None:
     flat = flat_state(SETTINGS)
     with pytest.raises(ValueError, match="2 states for 1 worlds"):
         Worlds(1, SETTINGS).execute(np.stack([flat, flat]), joined(NOTHING, NOTHING))
+
+
+def test_a_world_that_never_rests_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After its own budget of steps, whatever runs beside; one that comes to rest does not notice."""
+    settings = SimulationConfig(side=16)
+    flat = flat_state(settings)
+    fold = half_fold(flat, settings)
+    expected = run(flat, fold, settings)
+    worlds = Worlds(2, settings)
+    restless = NOTHING._replace(seconds=np.array([1.5]))
+    budgets = worlds.budget(np.concatenate([restless.seconds, fold.seconds]))
+    assert (budgets * LAUNCH_SECONDS > 2 * (4 + np.array([1.5, fold.seconds[0]]))).all()
+    # Short of its hands' motion, and of nobody else's.
+    monkeypatch.setattr(worlds, "budget", lambda seconds: np.where(seconds == 1.5, 3, budgets[1]))
+    found = worlds.execute(np.stack([flat, flat]), joined(restless, fold))
+    assert found.spent.tolist() == [True, False]
+    assert found.rested.tolist() == [False, True]
+    assert expected.spent.tolist() == [False]
+    np.testing.assert_array_equal(found.states[1], expected.states[0])
+    assert float(worlds.read("time", 2)[0]) == pytest.approx(3 * LAUNCH_SECONDS, abs=1e-3)
+
+
+@pytest.mark.parametrize("seconds", [np.nan, np.inf, 1e9])
+def test_motions_without_end_are_not_begun(monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
+    settings = SimulationConfig(side=16)
+    worlds, flat = Worlds(1, settings), flat_state(settings)
+    monkeypatch.setattr(worlds, "advance", lambda count: pytest.fail("a step was run"))
+    found = worlds.execute(flat[None], NOTHING._replace(seconds=np.array([seconds])))
+    assert found.spent.tolist() == [True]
+    np.testing.assert_array_equal(found.states[0], flat)

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from clothkit.app import plan_file
 from clothkit.app.explained import Explained
 from clothkit.app.given import Seen
-from clothkit.app.plan_file import Plan, rounded
+from clothkit.app.plan_file import Plan, plan_of, rounded
 from clothkit.app.planner import Believed, Planned, disagreement
 from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.cloth.mesh import ProbabilisticMesh, distance, error
@@ -84,7 +84,10 @@ def heights(voxels: Believed, xy: Float[np.ndarray, "points 2"]) -> Float[np.nda
 
 
 def describe(planner: Planner, planned: Planned, paths: list[HandPaths], given: Given) -> Plan:
-    """The plan file's content. `paths` are in the table's frame."""
+    """The plan file's content. `paths` are in the table's frame.
+
+    Raises InputError when it comes to a plan that no file may hold.
+    """
     real = given.state.pose
     # What is already in the table's frame stays as it is.
     pose = real if given.frame == "camera" else Pose(np.eye(3), np.zeros(3), real.centre, real.scale)
@@ -116,7 +119,7 @@ def describe(planner: Planner, planned: Planned, paths: list[HandPaths], given: 
             else None,
         },
     }
-    return Plan.model_validate(content)
+    return plan_of(content)
 
 
 def notices(given: Given) -> list[str]:

@@ -12,7 +12,7 @@ from clothkit.app.given import Seen, keep_compiled_programs, look, looking, reac
 from clothkit.app.output import check_target, part
 from clothkit.app.plan_file import Plan, read_plan, write_plan
 from clothkit.app.planner import Planned, believed, find_plan, goal_of, planner_of, turned_goal, turned_plan
-from clothkit.app.recall import past_of
+from clothkit.app.recall import check_nets, past_of, side_of
 from clothkit.errors import InputError
 from clothkit.observation.waypoints import HandPaths, MotionConfig, ReachConfig, beyond, symmetries
 from clothkit.planning.planner import Planner, artifacts
@@ -101,8 +101,8 @@ def command(
     if after and out.resolve() == after.resolve():
         raise InputError(f"--out: {out} is what --after reads, expected another file")
     before = read_plan(after) if after else None
-    if before and options["side"] is None:
-        options["side"] = before.side_m
+    if before and after:
+        options["side"] = side_of(before, options["side"], after)
     how, box = seeing(given.app, **options), reach_of(given.app, reach)
     length = _length(steps, before, after)
     keep_compiled_programs()
@@ -111,6 +111,8 @@ def command(
     chosen = _system(name, seen, before, after)
     with part("load nets"):
         planner = planner_of(chosen, data, given)
+        if before and after:
+            check_nets(before, planner, data, after)
         past = past_of(before, planner, after) if before and after else None
     with part("estimate"):
         cloth = believed(chosen, seen, data, given, expected=past.expected if past else None)

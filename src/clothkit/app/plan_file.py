@@ -1,6 +1,7 @@
 """Plan files: what a robot is to do, and what is expected of it, as JSON. `docs/plan.schema.json` is made of this.
 
-Positions are metres in `frame`. What nets and planning take is beside them, in normalised units.
+Positions are metres in `frame`. What nets and planning take is beside them, in normalised units. No plan is made
+or read whose parts are impossible or contradict each other: `plan_checks` tells how they must agree.
 """
 
 import json
@@ -13,19 +14,34 @@ from annotated_types import Ge, Gt, Le, Len
 
 from clothkit.app.given import Kind
 from clothkit.app.output import unfinished
+from clothkit.app.plan_checks import check_axes, check_hand, check_plan, check_step
 from clothkit.cloth.grid import SIDE
 from clothkit.cloth.voxels import RESOLUTION
-from clothkit.errors import InputError
+from clothkit.errors import InputError, system_error
 from clothkit.observation.pose import Pose
+from clothkit.planning.systems import system
 
 UNLIKELY = "this plan is not expected to improve the state"
 
 _SHORT = 100
 
-Point = tuple[float, float, float]
+WITHIN = 100.0
+"""Metres from the origin of `frame`: what is farther from a camera or a robot is a mistake, or in millimetres."""
+
+LONGEST = 8.0
+"""Normalised, along x or y, of a displacement. At most 2.6 is drawn, and a search moves that by 0.05 an iteration."""
+
+Coordinate = Annotated[float, Ge(-WITHIN), Le(WITHIN)]
+Point = tuple[Coordinate, Coordinate, Coordinate]
+Direction = tuple[float, float, float]
+Geodesic = Annotated[float, Ge(-1), Le(1)]
+Displacement = Annotated[float, Ge(-LONGEST), Le(LONGEST)]
 NotNegative = Annotated[float, Ge(0)]
+_Unit = Annotated[float, Ge(-1e6), Le(1e6)]
 Share = Annotated[float, Ge(0), Le(1)]
 Grid = Annotated[list[Annotated[list[Point], Len(SIDE, SIDE)]], Len(SIDE, SIDE)]
+_Deviation = tuple[NotNegative, NotNegative, NotNegative]
+Deviations = Annotated[list[Annotated[list[_Deviation], Len(SIDE, SIDE)]], Len(SIDE, SIDE)]
 _Column = Annotated[list[Share], Len(RESOLUTION[2], RESOLUTION[2])]
 Occupancy = Annotated[
     list[Annotated[list[_Column], Len(RESOLUTION[1], RESOLUTION[1])]], Len(RESOLUTION[0], RESOLUTION[0])
@@ -62,10 +78,15 @@ class Source(Part):
 class Table(Part):
     """The table's frame: p_table = axes (p - origin_m)."""
 
-    axes: tuple[Point, Point, Point]
-    """Its x, y and z (up), in `frame`."""
+    axes: tuple[Direction, Direction, Direction]
+    """Its x, y and z (up), in `frame`: unit vectors at right angles."""
     origin_m: Point
     """In `frame`."""
+
+    @pydantic.model_validator(mode="after")
+    def _agrees(self) -> "Table":
+        check_axes(self.axes)
+        return self
 
 
 class MeshState(Part):
@@ -74,7 +95,7 @@ class MeshState(Part):
     kind: Literal["mesh"]
     vertices_m: Grid
     """In `frame`."""
-    sigma_m: Grid | None
+    sigma_m: Deviations | None
     """Standard deviations along x, y and z of the table's frame; null: not known."""
 
 
@@ -100,8 +121,8 @@ class Placed(Part):
 class Waypoint(Part):
     """Where a hand is when."""
 
-    time_s: NotNegative
-    """From the grasp."""
+    time_s: Annotated[float, Ge(0), Le(3600)]
+    """From the grasp; later than the waypoint before."""
     position_m: Point
     """In `frame`."""
 
@@ -115,6 +136,11 @@ class Hand(Part):
     """The last one."""
     waypoints: Annotated[list[Waypoint], Len(2)]
 
+    @pydantic.model_validator(mode="after")
+    def _agrees(self) -> "Hand":
+        check_hand(self)
+        return self
+
 
 class Prediction(Part):
     """What one net expects after a step."""
@@ -126,7 +152,7 @@ class Prediction(Part):
 class Step(Part):
     """One manipulation."""
 
-    manipulation: tuple[float, float, float, float, float, float]
+    manipulation: tuple[Geodesic, Geodesic, Geodesic, Geodesic, Displacement, Displacement]
     """u1 v1 u2 v2: grasp points on the cloth, geodesic, -1..1 (x and y from its centre where the system plans in
     voxels); dx dy: displacement in the table's frame, normalised. One hand: the grasp point twice."""
     null: bool
@@ -137,6 +163,11 @@ class Step(Part):
     """Where the cloth's centre is expected afterwards, on the table, in `frame`."""
     disagreement_m: NotNegative | None
     """Mean distance between the vertices that the two nets predict; null: there is one net, or it predicts voxels."""
+
+    @pydantic.model_validator(mode="after")
+    def _agrees(self) -> "Step":
+        check_step(self)
+        return self
 
 
 class Expectation(Part):
@@ -172,7 +203,7 @@ class Memory(Part):
     """The relabelling that brings the goal under the state's labels."""
     better: Annotated[int, Ge(0), Le(1)]
     """Which of the predictions is the better net's."""
-    traces_before: list[list[list[float]]] | None
+    traces_before: list[list[list[_Unit]]] | None
     """[net][label][unit]: memory traces before the plan; null: none, the session begins."""
 
 
@@ -191,9 +222,10 @@ class Plan(Part):
     goal: Source
     turned: tuple[tuple[float, float], tuple[float, float]] | None
     """The matrix in the table's plane that the goal was turned or mirrored by for the hands to reach all waypoints."""
-    side_m: Annotated[float, Gt(0)]
+    side_m: Annotated[float, Ge(0.01), Le(10)]
     """Of the flat cloth."""
     metres_per_normalised: Annotated[float, Gt(0)]
+    """side_m / 1.4."""
     table: Table
     start: Placed
     """What the state was taken for."""
@@ -204,6 +236,11 @@ class Plan(Part):
     notices: list[str] = []
     """What was not seen of state or goal, and whether their estimates fail to explain what was."""
     memory: Memory
+
+    @pydantic.model_validator(mode="after")
+    def _agrees(self) -> "Plan":
+        check_plan(self, system(self.system))
+        return self
 
     def pose(self, centre_m: Point) -> Pose:
         """The pose of a cloth whose centre [m, in `frame`] is given."""
@@ -225,21 +262,37 @@ def write_plan(path: Path, plan: Plan) -> None:
         part.write_text(lines(plan.model_dump(mode="json")) + "\n")
 
 
+def plan_of(content: dict[str, Any]) -> Plan:
+    """The plan of these fields. Raises InputError that names the first that is not as it should be."""
+    try:
+        return Plan.model_validate(content)
+    except pydantic.ValidationError as error:
+        raise InputError(f"the plan found: {_first(error)}") from error
+
+
 def read_plan(path: Path) -> Plan:
     """Read a plan file. Raises InputError that names the file and the first field that is not as it should be."""
     try:
         text = path.read_bytes()
     except OSError as error:
-        raise InputError(f"{path}: can't be read as a plan ({error.strerror})") from error
+        raise system_error(error, path, expected="a plan, as clothkit plan writes it") from error
     try:
         return Plan.model_validate_json(text, strict=True)
     except pydantic.ValidationError as error:
-        first = error.errors(include_url=False, include_context=False)[0]
-        if first["type"] == "json_invalid":
-            raise InputError(f"{path}: is not valid JSON, expected a plan") from error
-        field = ".".join(str(place) for place in first["loc"])
-        message = first["msg"][0].lower() + first["msg"][1:]
-        raise InputError(f"{path}: {field or 'plan'}: {message}") from error
+        raise InputError(f"{path}: {_first(error)}") from error
+
+
+def _first(error: pydantic.ValidationError) -> str:
+    """What the first error says, with the field's name before it."""
+    first = error.errors(include_url=False, include_context=False)[0]
+    if first["type"] == "json_invalid":
+        return "is not valid JSON, expected a plan"
+    place, message, found = [str(part) for part in first["loc"]], first["msg"], first["input"]
+    if first["type"] == "value_error":
+        # Of a check, which begins with a field's name.
+        return ".".join([*place, message.removeprefix("Value error, ")])
+    message = f"{'.'.join(place) or 'plan'}: {message[0].lower()}{message[1:]}"
+    return message if isinstance(found, dict | list) else f"{message}, found {found!r:.40}"
 
 
 def lines(value: Any, indent: str = "") -> str:

@@ -1,5 +1,8 @@
 """`clothkit predict`: what the nets expect of a plan for a state."""
 
+import contextlib
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -9,12 +12,12 @@ import numpy as np
 from clothkit.app.describe import poses_of
 from clothkit.app.explained import of_state, warn
 from clothkit.app.given import keep_compiled_programs, look, looking, seeing, settings
-from clothkit.app.output import part, write_arrays, write_mesh
+from clothkit.app.output import check_target, part, write_arrays, write_mesh
 from clothkit.app.plan_file import read_plan
 from clothkit.app.planner import believed, planner_of, predicted
-from clothkit.app.recall import believed_of, manipulations, traces_before
+from clothkit.app.recall import believed_of, check_nets, manipulations, side_of, traces_before
 from clothkit.cloth.mesh import distance_aligned
-from clothkit.errors import InputError
+from clothkit.errors import InputError, system_error
 from clothkit.planning.systems import system
 
 
@@ -38,47 +41,61 @@ def command(*, state: str, source: Path, out: Path, data: Path, mask: str | None
     """
     given = settings()
     plan = read_plan(source)
-    if options["side"] is None:
-        options["side"] = plan.side_m
+    options["side"] = side_of(plan, options["side"], source)
     how = seeing(given.app, **options)
-    _check_folder(out)
+    chosen = system(plan.system)
+    nets = [prediction.net for prediction in plan.steps[0].predictions]
+    _check_folder(out, [f"step_{step + 1}_net_{net}" for step in range(len(plan.steps)) for net in nets])
     keep_compiled_programs()
     with part("look"):
         seen = look(state, how, mask=mask)
-    chosen = system(plan.system)
     with part("load nets"):
         planner = planner_of(chosen, data, given)
+        check_nets(plan, planner, data, source)
         traces = traces_before(plan, planner, source)
     with part("predict"):
         start = believed_of(plan, plan.start)
-        if start.shape != planner.sight.shape:
-            raise InputError(f"{source}: start: is not what system {chosen.name} plans from")
         # Labels follow those of the plan, in which its grasp points are.
         cloth = believed(chosen, seen, data, given, expected=None if chosen.voxels else start)
         estimate = of_state(chosen, seen, cloth, given)
         found = predicted(planner, cloth, manipulations(plan), common=plan.memory.common, traces=traces)
     warn(estimate)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{out}: can't be made ({error.strerror})") from error
-    nets = [prediction.net for prediction in plan.steps[0].predictions]
-    for step, pose in enumerate(poses_of(found, seen.pose)[1:]):
-        for net, of_net in zip(nets, found.predictions, strict=True):
-            name, mean = f"step_{step + 1}_net_{net}", planner.sight.means(of_net)[step]
-            if chosen.voxels:
-                write_arrays(out / f"{name}.npz", {"occupancy": mean.astype(np.float32)})
-                continue
-            placed = pose.normalised_to_table(mean.astype(float))
-            sigma = np.asarray(of_net.std[step], float) * pose.scale
-            write_mesh(out / f"{name}.obj", placed)
-            write_arrays(out / f"{name}.npz", {"mean": placed.astype(np.float32), "sigma": sigma.astype(np.float32)})
+    with _folder(out) as unfinished:
+        for step, pose in enumerate(poses_of(found, seen.pose)[1:]):
+            for net, of_net in zip(nets, found.predictions, strict=True):
+                name, mean = f"step_{step + 1}_net_{net}", planner.sight.means(of_net)[step]
+                if chosen.voxels:
+                    write_arrays(unfinished / f"{name}.npz", {"occupancy": mean.astype(np.float32)})
+                    continue
+                placed = pose.normalised_to_table(mean.astype(float))
+                sigma = np.asarray(of_net.std[step], float) * pose.scale
+                write_mesh(unfinished / f"{name}.obj", placed)
+                arrays = {"mean": placed.astype(np.float32), "sigma": sigma.astype(np.float32)}
+                write_arrays(unfinished / f"{name}.npz", arrays)
     click.echo(f"{out}: {len(plan.steps)} step{'s' if len(plan.steps) > 1 else ''}, nets {', '.join(nets)}")
     if not chosen.voxels:
         apart = float(distance_aligned(cloth, start))
         click.echo(f"the state differs by {apart:.3f} cloth lengths from the one that was planned for")
 
 
-def _check_folder(path: Path) -> None:
+def _check_folder(path: Path, names: list[str]) -> None:
+    """That the files can be written before any work is done for them. Raises InputError."""
     if path.exists() and not path.is_dir():
         raise InputError(f"{path}: is a file, expected a folder")
+    if path.is_dir():
+        for name in names:
+            for ending in ("obj", "npz"):
+                check_target(path / f"{name}.{ending}", (ending,))
+
+
+@contextlib.contextmanager
+def _folder(path: Path) -> Iterator[Path]:
+    """A folder whose files come into `path` once all of them are there. Raises InputError."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".part", dir=path) as unfinished:
+            yield Path(unfinished)
+            for file in sorted(Path(unfinished).iterdir()):
+                file.replace(path / file.name)
+    except OSError as error:
+        raise system_error(error, path, action="written") from error

@@ -13,7 +13,7 @@ from clothkit.app.given import Seen, keep_compiled_programs, look, looking, seei
 from clothkit.app.output import check_target, part, write_mesh
 from clothkit.app.plan_file import Plan, Step, read_plan
 from clothkit.app.planner import estimated, mesh_of, vtm_of
-from clothkit.app.recall import believed_of
+from clothkit.app.recall import believed_of, side_of
 from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.cloth.mesh import error
 from clothkit.cloth.silhouette import centred, iou, silhouette
@@ -87,8 +87,7 @@ def command(
     plan = read_plan(source)
     if steps and steps > len(plan.steps):
         raise InputError(f"--steps: {source} has {len(plan.steps)}, found {steps}")
-    if options["side"] is None:
-        options["side"] = plan.side_m
+    options["side"] = side_of(plan, options["side"], source)
     how = seeing(given.app, **options)
     check_target(out, FORMATS)
     keep_compiled_programs()

@@ -4,7 +4,7 @@ from typing import Annotated
 
 import cv2
 import numpy as np
-from annotated_types import Ge, Gt, Lt
+from annotated_types import Ge, Gt, Le, Lt
 from jaxtyping import Bool, Float
 from scipy import ndimage
 
@@ -19,16 +19,16 @@ EDGE_BLUR = 0.025
 class CandidateConfig:
     """Settings of the corner detector. Lengths in normalised units."""
 
-    resolution: Annotated[int, Ge(256)] = 256
-    extent: Annotated[float, Gt(1.0)] = 1.1
-    most: Annotated[int, Ge(1)] = 12
+    resolution: Annotated[int, Ge(256), Le(2048)] = 256
+    extent: Annotated[float, Gt(1.0), Le(4.0)] = 1.1
+    most: Annotated[int, Ge(1), Le(100)] = 12
     quality: Annotated[float, Gt(0), Lt(1)] = 0.08
     """Least corner response, as a share of the strongest corner's."""
-    spacing: Annotated[float, Gt(0)] = 0.1
+    spacing: Annotated[float, Gt(0), Le(1)] = 0.1
     """Least distance between two corners."""
-    block: Annotated[float, Gt(0)] = 0.07
+    block: Annotated[float, Gt(0), Le(0.5)] = 0.07
     """Side of the window over which the gradients are summed."""
-    radius: Annotated[float, Gt(0)] = 0.14
+    radius: Annotated[float, Gt(0), Le(1)] = 0.14
     """Radius of the disc that decides whether a corner is convex."""
     convex: Annotated[float, Gt(0), Lt(1)] = 0.45
     """A corner is convex when less than this share of its disc is cloth."""

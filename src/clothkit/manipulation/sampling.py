@@ -18,17 +18,17 @@ from clothkit.manipulation.vector import SHORTEST
 class SamplingConfig:
     """How manipulations are drawn. Lengths in normalised units."""
 
-    tries: Annotated[int, Ge(1)] = 400
+    tries: Annotated[int, Ge(1), Le(10**5)] = 400
     """Draws before a step is given up."""
     single_share: Annotated[float, Ge(0), Le(1)] = 1 / 3
     """Share of manipulations with one hand: single to dual 1:2."""
-    fold_point: Annotated[float, Gt(0), Le(1)] = 0.8
+    fold_point: Annotated[float, Ge(0.1), Le(1)] = 0.8
     """The reference point q lies at this share of the displacement."""
-    least_grasp_distance: Annotated[float, Ge(0)] = 0.15
+    least_grasp_distance: Annotated[float, Ge(0), Le(2)] = 0.15
     """Two hands need this much room."""
-    least_travel: Annotated[float, Ge(0)] = 0.1
+    least_travel: Annotated[float, Ge(0), Le(2)] = 0.1
     """Each hand moves at least this far."""
-    reach: Annotated[float, Gt(0)] = 1.0
+    reach: Annotated[float, Gt(0), Le(10)] = 1.0
     """Hands stay within -reach..reach in x and y, measured from where the flat cloth lay."""
 
 

@@ -1,8 +1,9 @@
 """Recording sequences: blocks of attempts over worker processes, resumable, the same whatever the number of workers."""
 
+import math
 import os
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,7 +18,8 @@ from clothkit.simulation.records import write_raw
 from clothkit.simulation.settings import SimulateConfig
 
 AHEAD = 2  # blocks in flight per worker
-HOPELESS = 200  # attempts without an accepted one after which it ends
+HOPELESS = 200  # attempts in a row without an accepted one after which it ends, at the least
+UNUSUAL = 20  # times the attempts that an accepted one took so far, likewise
 
 
 class Summary(NamedTuple):
@@ -44,25 +46,29 @@ def generate(folder: Path, settings: SimulateConfig, *, work: Path, attributes: 
 
     Accepted sequences are taken in the order of their attempts' numbers, so workers and blocks change nothing.
     Finished blocks lie in `work`; an interrupted run goes on from them. Raises InputError when the limits accept
-    nothing.
+    nothing, or nothing any more.
     """
     paths: list[Path] = []
     # Without their states, which would fill the memory: these are read again, block by block, as they are written.
     blocks: list[Attempts] = []
-    accepted = 0
+    tried = accepted = 0
+
+    def wanted() -> int:
+        """Blocks that are likely to be needed yet, by what was accepted so far (by Laplace's rule: half, at first)."""
+        return math.ceil((settings.sequences - accepted) / (settings.block * (accepted + 1) / (tried + 2)))
+
     with tqdm(total=settings.sequences, desc="simulate", unit="sequence", mininterval=1, smoothing=0.05) as bar:
-        for path in _finished_blocks(settings, work):
+        for path in _finished_blocks(settings, work, wanted):
             block = read_block(path)
             paths.append(path)
             blocks.append(block._replace(states=block.states[:, :0].copy()))
+            tried += len(block.attempt)
             accepted += int(block.accepted.sum())
             bar.update(min(accepted, settings.sequences) - bar.n)
-            tried = sum(len(b.attempt) for b in blocks)
             bar.set_postfix({"yield": f"{accepted / tried:.0%}"}, refresh=False)
             if accepted >= settings.sequences:
                 break
-            if accepted == 0 and tried >= HOPELESS:
-                raise InputError(f"params.yaml: simulate.limits accepted none of {tried} attempted sequences")
+            _check_hope(blocks)
     attempts = Attempts(*(np.concatenate(arrays) for arrays in zip(*blocks, strict=True)))
     last = np.flatnonzero(np.cumsum(attempts.accepted) == settings.sequences)[0] + 1
     attempts = Attempts(*(array[:last] for array in attempts))
@@ -77,6 +83,22 @@ def summarise(attempts: Attempts) -> Summary:
     hands = attempts.hands[attempts.accepted]
     single = float((hands == 1).mean()) if hands.size else 0.0
     return Summary(len(attempts.attempt), int(attempts.accepted.sum()), dict(rejected.most_common()), single)
+
+
+def _check_hope(blocks: list[Attempts]) -> None:
+    """Raises InputError when so many attempts in a row were rejected that there is no reason to go on."""
+    accepted = np.concatenate([block.accepted for block in blocks])
+    last = int(np.flatnonzero(accepted)[-1]) + 1 if accepted.any() else 0
+    since = len(accepted) - last
+    if since < max(HOPELESS, UNUSUAL * last / max(1, accepted.sum())):
+        return
+    reasons = Counter(np.concatenate([block.reason for block in blocks])[last:].tolist()).most_common()
+    why = ", ".join(f"{name} {count}" for name, count in reasons)
+    of = f"none of {since} attempted sequences" if last == 0 else f"none of the last {since} attempted sequences"
+    raise InputError(
+        f"params.yaml: simulate.limits accepted {of} ({why}); change simulate.limits, simulate.simulation or "
+        "simulate.sampling"
+    )
 
 
 def make_block(number: int, settings: SimulateConfig, work: Path) -> Path:
@@ -97,8 +119,11 @@ def read_block(path: Path) -> Attempts:
         return Attempts(**{name: arrays[name] for name in Attempts._fields})
 
 
-def _finished_blocks(settings: SimulateConfig, work: Path) -> Iterator[Path]:
-    """The blocks' files in order, made on all workers at once (on CUDA in this process: a block fills the device)."""
+def _finished_blocks(settings: SimulateConfig, work: Path, wanted: Callable[[], int]) -> Iterator[Path]:
+    """The blocks' files in order, made on all workers at once (on CUDA in this process: a block fills the device).
+
+    No more are begun ahead than are `wanted` yet.
+    """
     workers = settings.workers or cores()
     number = 0
     if workers == 1 or settings.simulation.device != "cpu":
@@ -109,7 +134,7 @@ def _finished_blocks(settings: SimulateConfig, work: Path) -> Iterator[Path]:
     try:
         jobs: dict[int, Future[Path]] = {}
         while True:
-            for ahead in range(number, number + AHEAD * workers):
+            for ahead in range(number, number + min(AHEAD * workers, wanted())):
                 if ahead not in jobs:
                     jobs[ahead] = pool.submit(make_block, ahead, settings, work)
             wait([jobs[number]], return_when=FIRST_COMPLETED)

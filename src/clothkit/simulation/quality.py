@@ -53,6 +53,7 @@ def reason(quality: Quality, outcome: Outcome, settings: SimulateConfig, index: 
     limits = settings.limits
     checks = {
         "not finite": not quality.finite[index],
+        "out of steps": outcome.spent[index],
         "not at rest": not outcome.rested[index] or outcome.residual_speed[index] > limits.residual_speed,
         "below table": quality.lowest[index] < -limits.below_table,
         "intersections": quality.intersections[index] > limits.intersections,

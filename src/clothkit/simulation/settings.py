@@ -2,7 +2,8 @@
 
 from typing import Annotated, Literal
 
-from annotated_types import Ge, Gt
+import pydantic
+from annotated_types import Ge, Gt, Le
 from pydantic import BeforeValidator
 
 from clothkit.config import config
@@ -10,40 +11,53 @@ from clothkit.manipulation.candidates import CandidateConfig
 from clothkit.manipulation.sampling import SamplingConfig
 from clothkit.simulation.material import Material, NotNegative, Positive, of_fabric
 
+LEAST_SPACING = 1.5
+"""Thicknesses between neighbouring vertices: layers of a grid that is finer keep each other from folding."""
+
 
 @config
 class Settling:
-    """From release to rest."""
+    """From release to rest. Ranges are those in which sequences of folds were tried."""
 
-    interval: Positive = 0.01  # s, speeds are means over so long: what trembles within it is at rest
-    rest_speed: Positive = 0.01  # m/s, of the fastest vertex
-    rest_time: Positive = 0.25  # s, for so long
-    longest: Positive = 4.0  # s
+    interval: Annotated[float, Ge(2e-3), Le(0.1)] = 0.01  # s, speeds are means over so long: what trembles is at rest
+    rest_speed: Annotated[float, Ge(1e-3), Le(0.1)] = 0.01  # m/s, of the fastest vertex
+    rest_time: Annotated[float, Ge(0.01), Le(60)] = 0.25  # s, for so long
+    longest: Annotated[float, Ge(0.1), Le(60)] = 4.0  # s
 
 
 @config
 class Guard:
-    """Against tangles: a world in which edges begin to pierce triangles goes back, and takes care."""
+    """Against tangles: a world in which edges begin to pierce triangles goes back, and takes care.
 
-    interval: Positive = 0.1  # s, between two searches
-    care: Positive = 0.05  # s, of care after the time of what was undone
-    tries: Annotated[int, Gt(0)] = 3  # at a crossing, from the second on without speed, before it is let be
-    passes: Annotated[int, Gt(1)] = 3  # over the contacts, instead of one, while care is taken
+    Ranges are those in which sequences of folds were tried.
+    """
+
+    interval: Annotated[float, Ge(0.02), Le(1)] = 0.1  # s, between two searches
+    care: Annotated[float, Ge(0.01), Le(0.5)] = 0.05  # s, of care after the time of what was undone
+    tries: Annotated[int, Ge(1), Le(10)] = 3  # at a crossing, from the second on without speed, before it is let be
+    passes: Annotated[int, Ge(2), Le(10)] = 3  # over the contacts, instead of one, while care is taken
 
 
 @config
 class SimulationConfig:
-    """The simulated world."""
+    """The simulated world. Ranges are those in which sequences of folds were tried: there an attempt ends in seconds to
+    minutes, and most folds are accepted or rejected for a reason; beyond them it may take hours, or come to nothing.
 
-    side: Annotated[int, Ge(4)] = 32  # vertices along a side of the grid
-    cloth_side: Positive = 0.4  # m
-    time_step: Positive = 1e-3  # s
-    hand_speed: Positive = 0.42  # m/s, mean along the arc
-    shortest_move: Positive = 0.4  # s
-    highest_lift: Positive = 0.2  # normalised, section 4.2.2: hands end at min(highest_lift, k / 2)
+    Settings must agree, too: neighbouring vertices are at least one and a half thicknesses of the material apart, and
+    hands are no faster than vertices may be.
+    """
+
+    side: Annotated[int, Ge(8), Le(64)] = 32  # vertices along a side of the grid
+    cloth_side: Annotated[float, Ge(0.1), Le(1)] = 0.4  # m
+    time_step: Annotated[float, Ge(2e-4), Le(2e-3)] = 1e-3  # s
+    hand_speed: Annotated[float, Ge(0.05), Le(2)] = 0.42  # m/s, mean along the arc
+    shortest_move: Annotated[float, Ge(0.05), Le(10)] = 0.4  # s
+    # normalised, section 4.2.2: hands end at min(highest_lift, k / 2)
+    highest_lift: Annotated[float, Ge(0.02), Le(0.7)] = 0.2
     grasp: Literal["top", "all"] = "top"  # layers that a hand takes
-    top_speed: Positive = 0.7  # m/s, so that no vertex moves further than layers are apart in a time step
-    push_speed: Positive = 0.3  # m/s, at which penetrations are removed
+    # m/s, so that no vertex moves further than layers are apart in a time step
+    top_speed: Annotated[float, Ge(0.1), Le(5)] = 0.7
+    push_speed: Annotated[float, Ge(0.03), Le(3)] = 0.3  # m/s, at which penetrations are removed
     material: Annotated[Material, BeforeValidator(of_fabric)] = Material()  # or the name of one of the FABRICS
     settling: Settling = Settling()
     guard: Guard = Guard()
@@ -53,6 +67,21 @@ class SimulationConfig:
     def spacing(self) -> float:
         """Metres between neighbouring vertices."""
         return self.cloth_side / (self.side - 1)
+
+    @pydantic.model_validator(mode="after")
+    def _agrees(self) -> "SimulationConfig":
+        least = LEAST_SPACING * self.material.thickness
+        if self.spacing < least:
+            raise ValueError(
+                f"cloth_side / (side - 1), the distance of neighbouring vertices, is {self.spacing:.2g} m, expected at "
+                f"least {least:.2g} m, {LEAST_SPACING:g} times material.thickness"
+            )
+        if self.hand_speed > self.top_speed:
+            raise ValueError(
+                f"hand_speed is {self.hand_speed:g} m/s, expected at most top_speed, {self.top_speed:g} m/s: no vertex "
+                "follows a faster hand"
+            )
+        return self
 
 
 @config
@@ -76,12 +105,12 @@ class SimulateConfig:
     follows `runs` matters only to the worlds in which plans are executed.
     """
 
-    sequences: Annotated[int, Gt(0)]  # accepted ones to be recorded
+    sequences: Annotated[int, Gt(0), Le(10**6)]  # accepted ones to be recorded
     source: Literal["own", "arcsim"] = "own"  # our solver, or runs of ARCSim that are there already
     runs: str = ""  # with source arcsim: the folder that holds runs.csv, from the repository's root
     seed: Annotated[int, Ge(0)] = 0
-    block: Annotated[int, Gt(0)] = 4  # attempts that a worker takes at a time; changes no outcome
-    workers: Annotated[int, Ge(0)] = 0  # processes, 0 for one per core; changes no outcome
+    block: Annotated[int, Gt(0), Le(4096)] = 4  # attempts that a worker takes at a time; changes no outcome
+    workers: Annotated[int, Ge(0), Le(1024)] = 0  # processes, 0 for one per core; changes no outcome
     simulation: SimulationConfig = SimulationConfig()
     limits: Limits = Limits()
     sampling: SamplingConfig = SamplingConfig()

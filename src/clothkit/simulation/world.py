@@ -11,9 +11,12 @@ from clothkit.manipulation.geometry import arc
 from clothkit.simulation.kernels.advance import advance
 from clothkit.simulation.kernels.state import HELD, PATH
 from clothkit.simulation.settings import SimulationConfig
-from clothkit.simulation.solver import LANES_ON_CUDA, make_solver, make_state
+from clothkit.simulation.solver import LANES_ON_CUDA, LAUNCH_SECONDS, make_solver, make_state
 
 RESTED = 1  # the kernels' `done` of a world that came to rest
+SPENT = 3  # `done` of a world that was given up here
+PATIENCE = 3  # times the steps of a world that goes back, at every search, as often as its guard lets it
+MOST_STEPS = 10**6  # of a world, however long it may move and settle
 FAR = 1e3  # m; vertices that were listed there make the contact lists stale at once
 UNSEARCHED = 2**20  # crossings before the first search: whatever a given state has is not undone
 FRESH = (
@@ -46,6 +49,8 @@ class Outcome(NamedTuple):
     """m/s, of the fastest vertex, mean over a check's interval: the highest in the last `rest_time`, else the last."""
     settle_time: Float[np.ndarray, " worlds"]
     """Simulated seconds from release to rest, without the `rest_time` over which rest was watched."""
+    spent: Bool[np.ndarray, " worlds"]
+    """Whether it was given up because its budget of steps was spent."""
 
 
 def arcs(
@@ -81,24 +86,43 @@ class Worlds:
         """Grasp, move, release, settle.
 
         States are in metres, world frame, float32. Every contact is found anew from the state, so the same arguments
-        give the same outcome to the last bit, whatever the worlds did before and whichever others run beside.
+        give the same outcome to the last bit, whatever the worlds did before and whichever others run beside. A world
+        whose budget of steps is spent is left as it lies then.
         """
         worlds = len(states)
         if worlds > self.count:
             raise ValueError(f"{worlds} states for {self.count} worlds")
         if worlds == 0:
-            return Outcome(states, *(np.zeros(0, kind) for kind in (bool, np.float32, np.float32)))
+            return Outcome(states, *(np.zeros(0, kind) for kind in (bool, np.float32, np.float32, bool)))
         self.begin(states, motion)
-        while not self.read("done", worlds).all():
+        left = self.budget(motion.seconds)
+        while not (done := self.read("done", worlds)).all():
+            spent = (done == 0) & (left <= 0)
+            if spent.any():
+                self._write("done", np.where(spent, SPENT, done).astype(np.int32))
+                continue
             self.advance(worlds)
-        rested = self.read("done", worlds) == RESTED
+            left -= 1
+        rested = done == RESTED
         watched = np.where(rested, np.float32(self.settings.settling.rest_time), np.float32(0))
         return Outcome(
             self.read("position", worlds).reshape(states.shape),
             rested,
             self.read("residual", worlds),
             self.read("time", worlds) - self.read("move_time", worlds) - watched,
+            done == SPENT,
         )
+
+    def budget(self, seconds: Float[np.ndarray, " worlds"]) -> Int[np.ndarray, " worlds"]:
+        """Launches after which a world that moves for so long is given up: none that ends at all needs as many.
+
+        None for motions that are not finite, or that `MOST_STEPS` would not bring to their end.
+        """
+        dt, settings = self.settings.time_step, self.settings
+        ends = np.isfinite(seconds) & (seconds <= MOST_STEPS * dt)
+        longest = np.where(ends, seconds, 0.0) + settings.settling.longest
+        simulated = np.minimum(PATIENCE * (1 + settings.guard.tries) * longest, MOST_STEPS * dt)
+        return np.where(ends, np.ceil(simulated / LAUNCH_SECONDS), 0).astype(int)
 
     def begin(self, states: Float[np.ndarray, "worlds u v 3"], motion: Motion) -> None:
         """Set the first worlds up for a manipulation each, with nothing left of what they did before."""

@@ -1,0 +1,250 @@
+"""Whether what a plan file says is possible and agrees with itself; each check raises ValueError with the field's name.
+
+`plan_file` declares what each field is, and has these run whenever a plan is made or read.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+from clothkit.cloth.grid import CLOTH_SIDE
+from clothkit.manipulation.geometry import release_points, to_cartesian
+from clothkit.manipulation.vector import is_null, is_single
+from clothkit.observation.pose import Pose
+from clothkit.planning.systems import System
+
+if TYPE_CHECKING:
+    import clothkit.app.plan_file
+
+FARTHEST = 20.0
+"""Cloth sides from where the cloth lies at first: what a plan of three steps may reach, and more."""
+
+AGREES = 0.01
+"""Cloth sides: positions that differ by less agree. They are rounded, and what they are computed from is float32."""
+
+ROUNDING = 1e-4
+"""What numbers without a unit may be off by."""
+
+
+def check_axes(axes: Sequence[Sequence[float]]) -> None:
+    """That the rows are a right-handed frame."""
+    rows = np.array(axes, float)
+    if not _orthonormal(rows) or np.linalg.det(rows) < 0:
+        raise ValueError(f"axes: expected unit vectors at right angles, z being x cross y, found {rows.tolist()}")
+
+
+def _orthonormal(rows: Float[np.ndarray, "n n"]) -> bool:
+    with np.errstate(over="ignore", invalid="ignore"):
+        return bool((np.abs(rows @ rows.T - np.eye(len(rows))) <= ROUNDING).all())
+
+
+def check_hand(hand: "clothkit.app.plan_file.Hand") -> None:
+    """That a hand's waypoints lead, in time, from where it grasps to where it releases."""
+    times = [point.time_s for point in hand.waypoints]
+    late = next((i for i in range(1, len(times)) if times[i] <= times[i - 1]), None)
+    if times[0] != 0:
+        raise ValueError(f"waypoints.0.time_s: expected 0, when the hand grasps, found {times[0]:g}")
+    if late is not None:
+        raise ValueError(
+            f"waypoints.{late}.time_s: expected later than the {times[late - 1]:g} s before it, found {times[late]:g}"
+        )
+    for name, place, end in (("grasp_m", 0, hand.grasp_m), ("release_m", -1, hand.release_m)):
+        if np.abs(np.subtract(hand.waypoints[place].position_m, end)).max() > 1e-5:
+            which = "first" if place == 0 else "last"
+            raise ValueError(f"{name}: expected the {which} waypoint, {list(hand.waypoints[place].position_m)}")
+
+
+def check_step(step: "clothkit.app.plan_file.Step") -> None:
+    """That a manipulation has the hands that it takes, which move together, and predictions of different nets."""
+    vector = np.array(step.manipulation, np.float32)
+    null, hands = bool(is_null(vector)), 1 if bool(is_single(vector)) else 2
+    if step.null != null:
+        length = float(np.hypot(*step.manipulation[4:])) / CLOTH_SIDE
+        raise ValueError(
+            f"null: expected {str(null).lower()}, by a displacement of {length:.2f} cloth lengths (null below 0.35)"
+        )
+    if len(step.hands) != (0 if null else hands):
+        raise ValueError(f"hands: expected {0 if null else hands}, by its manipulation, found {len(step.hands)}")
+    if len({tuple(point.time_s for point in hand.waypoints) for hand in step.hands}) > 1:
+        raise ValueError("hands: expected waypoints at the same times, since both hands grasp and release together")
+    if len({prediction.net for prediction in step.predictions}) < len(step.predictions):
+        raise ValueError(f"predictions: expected different nets, found net {step.predictions[0].net} twice")
+
+
+def check_plan(plan: "clothkit.app.plan_file.Plan", system: System) -> None:
+    """That a plan's parts agree with one another and with the system that made it."""
+    _check_frame(plan)
+    _check_turn(plan, system)
+    _check_kinds(plan, system)
+    _check_places(plan)
+    for number in range(len(plan.steps)):
+        _check_hands(plan, system, number)
+    _check_expectation(plan, system)
+    _check_memory(plan, system)
+
+
+def _check_frame(plan: "clothkit.app.plan_file.Plan") -> None:
+    scale = plan.side_m / CLOTH_SIDE
+    if abs(plan.metres_per_normalised / scale - 1) > ROUNDING:
+        raise ValueError(
+            f"metres_per_normalised: expected side_m / {CLOTH_SIDE}, {scale:.6g}, found "
+            f"{plan.metres_per_normalised:.6g}"
+        )
+    own = np.abs(np.array(plan.table.axes) - np.eye(3)).max() <= ROUNDING and not np.any(plan.table.origin_m)
+    if plan.frame == "table" and not own:
+        raise ValueError("table: expected the axes x, y, z and the origin 0 0 0, since frame is table")
+
+
+def _check_turn(plan: "clothkit.app.plan_file.Plan", system: System) -> None:
+    if plan.turned is None:
+        return
+    if system.voxels:
+        raise ValueError(f"turned: expected null, since system {system.name} turns no plans")
+    rows = np.array(plan.turned, float)
+    if not _orthonormal(rows):
+        raise ValueError(f"turned: expected a matrix that turns or mirrors, found {rows.tolist()}")
+
+
+def _check_kinds(plan: "clothkit.app.plan_file.Plan", system: System) -> None:
+    kind = "voxels" if system.voxels else "mesh"
+    if system.true_meshes and plan.state.kind != "mesh":
+        raise ValueError(f"state.kind: expected mesh, from which system {system.name} plans, found {plan.state.kind}")
+    for name, found, _ in _states(plan):
+        if found != kind:
+            raise ValueError(f"{name}.kind: expected {kind}, in which system {system.name} plans, found {found}")
+    first = [prediction.net for prediction in plan.steps[0].predictions]
+    for number, step in enumerate(plan.steps):
+        nets = [prediction.net for prediction in step.predictions]
+        if len(nets) != system.nets:
+            raise ValueError(
+                f"steps.{number}.predictions: expected {system.nets}, one of each net of system {system.name}, found "
+                f"{len(nets)}"
+            )
+        if nets != first or (system.nets == 2 and nets != ["a", "b"]):
+            names = "a, b" if system.nets == 2 else first[0]
+            raise ValueError(f"steps.{number}.predictions: expected nets {names}, found {', '.join(nets)}")
+        apart = step.disagreement_m is not None
+        if apart != (system.nets == 2 and not system.voxels):
+            expected = "null" if apart else "a number"
+            raise ValueError(f"steps.{number}.disagreement_m: expected {expected} for system {system.name}")
+
+
+def _states(plan: "clothkit.app.plan_file.Plan") -> Iterator[tuple[str, str, np.ndarray | None]]:
+    """The name of each state in the plan, its kind, and a mesh's vertices in the plan's frame [u v 3]."""
+    named = [("start.state", plan.start.state)]
+    for number, step in enumerate(plan.steps):
+        named += [(f"steps.{number}.predictions.{k}.state", made.state) for k, made in enumerate(step.predictions)]
+    for name, state in named:
+        yield name, state.kind, np.array(state.vertices_m, float) if state.kind == "mesh" else None
+
+
+def _check_places(plan: "clothkit.app.plan_file.Plan") -> None:
+    """That the cloth lies on the table, where it is said to lie, and that nothing is far from it."""
+    pose = plan.pose(plan.start.centre_m)
+    centres = [("start.centre_m", plan.start.centre_m)]
+    centres += [(f"steps.{number}.centre_m", step.centre_m) for number, step in enumerate(plan.steps)]
+    for name, centre in centres:
+        above = float(pose.camera_to_table(np.array(centre, float))[2])
+        if abs(above) > AGREES * plan.side_m:
+            raise ValueError(f"{name}: expected a point on the table, found one {above:.3g} m above it")
+        _check_near(plan, pose, name, np.array(centre, float))
+    for name, _, vertices in _states(plan):
+        if vertices is not None:
+            _check_near(plan, pose, f"{name}.vertices_m", vertices)
+    for number, step in enumerate(plan.steps):
+        for k, hand in enumerate(step.hands):
+            points = np.array([point.position_m for point in hand.waypoints], float)
+            _check_near(plan, pose, f"steps.{number}.hands.{k}.waypoints", points)
+    if plan.start.state.kind == "mesh":
+        xy = pose.camera_to_normalised(np.array(plan.start.state.vertices_m, float))[..., :2]
+        # The mean of what is covered is within its bounds.
+        if xy.min((0, 1)).max() > AGREES * CLOTH_SIDE or xy.max((0, 1)).min() < -AGREES * CLOTH_SIDE:
+            raise ValueError("start.centre_m: expected the middle of start.state, found a point beside it")
+
+
+def _check_near(
+    plan: "clothkit.app.plan_file.Plan", pose: Pose, name: str, points: Float[np.ndarray, "*points 3"]
+) -> None:
+    away = float(np.linalg.norm(pose.camera_to_normalised(points), axis=-1).max()) / CLOTH_SIDE
+    if away > FARTHEST:
+        raise ValueError(
+            f"{name}: expected within {FARTHEST:g} cloth sides of start.centre_m, found {away:.3g} sides of "
+            f"{plan.side_m:g} m away"
+        )
+
+
+def _check_hands(plan: "clothkit.app.plan_file.Plan", system: System, number: int) -> None:
+    """That hands grasp where the manipulation says, on the cloth as it is expected, and release by eq. (1)."""
+    step = plan.steps[number]
+    if step.null:
+        return
+    before = plan.steps[number - 1] if number else None
+    pose = plan.pose(plan.start.centre_m if before is None else before.centre_m)
+    uv = np.array(step.manipulation[:4], np.float32).reshape(2, 2)
+    grasps = pose.camera_to_normalised(np.array([step.hands[0].grasp_m, step.hands[-1].grasp_m], float))
+    releases = pose.camera_to_normalised(np.array([step.hands[0].release_m, step.hands[-1].release_m], float))
+    better = min(plan.memory.better, system.nets - 1)
+    state = plan.start.state if before is None else before.predictions[better].state
+    expected = uv.astype(float)
+    if state.kind == "mesh":
+        mesh = pose.camera_to_normalised(np.array(state.vertices_m, float)).astype(np.float32)
+        expected = np.stack([np.asarray(to_cartesian(mesh, point), float)[:2] for point in uv])
+    off = np.linalg.norm(grasps[:, :2] - expected, axis=-1) / CLOTH_SIDE
+    where = np.asarray(release_points(grasps[:, :2], np.array(step.manipulation[4:], float)).points)
+    missed = np.linalg.norm(releases[:, :2] - where, axis=-1) / CLOTH_SIDE
+    for name, distances, by in (
+        ("grasp_m", off, "the manipulation's grasp point"),
+        ("release_m", missed, "the release point of eq. (1) by the manipulation's displacement"),
+    ):
+        for hand in range(len(step.hands)):
+            if distances[hand] > AGREES:
+                raise ValueError(
+                    f"steps.{number}.hands.{hand}.{name}: expected {by}, found {distances[hand]:.3g} cloth lengths "
+                    "beside it"
+                )
+
+
+def _check_expectation(plan: "clothkit.app.plan_file.Plan", system: System) -> None:
+    of_meshes = ("error_cloth_lengths", "error_m", "error_no_action_cloth_lengths", "error_no_action_m")
+    of_voxels = ("voxel_error", "voxel_error_no_action")
+    expected = plan.expected
+    for names, present in ((of_meshes, not system.voxels), (of_voxels, system.voxels)):
+        for name in names:
+            if (getattr(expected, name) is not None) != present:
+                wanted = "a number" if present else "null"
+                raise ValueError(f"expected.{name}: expected {wanted} for system {system.name}")
+    if (expected.epistemic_uncertainty is not None) != (system.nets == 2):
+        wanted = "a number" if system.nets == 2 else "null"
+        raise ValueError(f"expected.epistemic_uncertainty: expected {wanted} for system {system.name}")
+    if not system.voxels:
+        for name in ("error", "error_no_action"):
+            lengths, metres = getattr(expected, f"{name}_cloth_lengths"), getattr(expected, f"{name}_m")
+            if abs(lengths * plan.side_m - metres) > ROUNDING * plan.side_m:
+                raise ValueError(
+                    f"expected.{name}_m: expected {name}_cloth_lengths times side_m, {lengths * plan.side_m:.6g}, "
+                    f"found {metres:.6g}"
+                )
+    error, none = (getattr(expected, name) for name in (of_voxels if system.voxels else of_meshes[::2]))
+    improves = error < none and not all(step.null for step in plan.steps)
+    if expected.improves != improves:
+        raise ValueError(f"expected.improves: expected {str(improves).lower()}, by the expected errors and the steps")
+
+
+def _check_memory(plan: "clothkit.app.plan_file.Plan", system: System) -> None:
+    memory, labels = plan.memory, 1 if system.voxels else 8
+    for name, most in (("common", labels - 1), ("relative", labels - 1), ("better", system.nets - 1)):
+        value = getattr(memory, name)
+        if value > most:
+            raise ValueError(f"memory.{name}: expected at most {most} for system {system.name}, found {value}")
+    traces = memory.traces_before
+    if traces is None:
+        return
+    if len(traces) != system.nets or any(len(trace) != labels for trace in traces):
+        raise ValueError(
+            f"memory.traces_before: expected {system.nets} of {labels} rows, found {len(traces)} of "
+            f"{', '.join(str(len(trace)) for trace in traces)}"
+        )
+    if any(len({len(row) for row in trace}) > 1 for trace in traces):
+        raise ValueError("memory.traces_before: expected rows of one length")
