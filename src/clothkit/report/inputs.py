@@ -19,8 +19,6 @@ from clothkit.report.settings import ReportConfig
 
 NETS = ("a", "b")
 
-PICTURES = ("sequence", "shown", "height", "voxels", "mesh")
-
 
 @dataclass(frozen=True)
 class Inputs:
@@ -97,13 +95,13 @@ def read(data: Path, settings: ReportConfig) -> Inputs:
         planning_comparisons=rows.read_comparisons(evaluation / "planning/comparisons.parquet"),
         intervals=rows.read(evaluation / "planning/intervals.parquet", rows.INTERVALS),
         failures=rows.read(evaluation / "planning/failures.parquet", rows.FAILURES),
-        estimates=arrays.load(evaluation / "estimates.zarr", ("sequence", "mean", "std", "mesh", "label")),
-        predictions=arrays.load(evaluation / "predictions.zarr", ("sequence", "start", "mean", "std", "shift")),
+        estimates=arrays.load(evaluation / "estimates.zarr", arrays.ESTIMATES),
+        predictions=arrays.load(evaluation / "predictions.zarr", arrays.PREDICTIONS),
         sessions=record.load(evaluation / f"planning/sessions_{settings.planners[0]}.zarr"),
         camera_estimation=tidy.read(evaluation / "camera/estimation.parquet", rows.CAMERA_ESTIMATION),
         camera_planning=rows.read(evaluation / "camera/planning.parquet", rows.CAMERA_PLANNING),
         camera_comparisons=rows.read_comparisons(evaluation / "camera/comparisons.parquet"),
-        pictures=arrays.load(evaluation / "camera/pictures.zarr", PICTURES),
+        pictures=arrays.load(evaluation / "camera/pictures.zarr", arrays.PICTURES),
     )
 
 
