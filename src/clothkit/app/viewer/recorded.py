@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from clothkit.app.viewer.session import Look, Session, ShownPlan, Step, matched
+from clothkit.dataset import tables
 from clothkit.evaluation import tidy
 from clothkit.planning import record
 from clothkit.planning.systems import SYSTEMS
@@ -56,7 +57,7 @@ def _errors(path: Path) -> dict[tuple[str, int, int, int], float]:
     if not path.exists():
         return {}
     columns = ("split", *_KEYS, "error")
-    rows = tidy.read(path, columns)
+    rows = tables.read(path, tidy.PLANNING, columns)
     named = zip(*(rows[column].tolist() for column in columns), strict=True)
     return {(split, sequence, start, length): error for split, sequence, start, length, error in named}
 
@@ -64,7 +65,7 @@ def _errors(path: Path) -> dict[tuple[str, int, int, int], float]:
 def session_of(data: Path, system: str, entry: Entry) -> Session:
     """A recorded session. Raises InputError."""
     chosen = record.load(_store(data, system), slice(entry.place, entry.place + 1))
-    one = {name: values[0] for name, values in vars(chosen).items()}
+    one = {name: np.asarray(values[0]) for name, values in vars(chosen).items()}
     n = entry.length
     states = tuple(one["state"][: n + 1])
     steps = tuple(matched(_step(one, i, n), states[i]) for i in range(n))
