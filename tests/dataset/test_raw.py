@@ -105,10 +105,13 @@ FAULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
         r"column vertices: .* found nan \(sequence 1, state 2\)",
     ),
     "NaN in vertices": (
-        cell(STATES, "vertices", 6, np.full(3072, np.nan)),
+        cell(STATES, "vertices", 6, np.full(3072, np.nan, np.float32)),
         r"column vertices: .* found nan \(sequence 1, state 2\)",
     ),
-    "vertices short": (cell(STATES, "vertices", 6, np.zeros(3071)), "has 3071 coordinates of vertices, expected x y z"),
+    "vertices short": (
+        cell(STATES, "vertices", 6, np.zeros(3071, np.float32)),
+        "has 3071 coordinates of vertices, expected x y z",
+    ),
     "vertices text": (table(STATES, lambda rows: rows.assign(vertices="flat")), "column vertices: expected lists of"),
     "state 9": (cell(STATES, "state", 1, 9), "column state: expected whole numbers 0 to 3, found 9"),
     "state missing": (
