@@ -110,7 +110,7 @@ FAULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
     ),
     "vertices short": (
         cell(STATES, "vertices", 6, np.zeros(3071, np.float32)),
-        "has 3071 coordinates of vertices, expected x y z",
+        "has 3071 coordinates",
     ),
     "vertices text": (table(STATES, lambda rows: rows.assign(vertices="flat")), "column vertices: expected lists of"),
     "state 9": (cell(STATES, "state", 1, 9), "column state: expected whole numbers 0 to 3, found 9"),

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Float16, Int8, Int64
 from clothkit.dataset.store import LENGTHS, SPLITS, STEPS, Dataset
 from clothkit.dataset.tasks import Task
 from clothkit.dataset.zarr_store import Declared, open_store, written
-from clothkit.planning.record_checks import KEYS, check_keys, check_values
+from clothkit.planning.record_checks import KEYS, check_counts, check_keys, check_values
 
 MESH = ("u", "v", "xyz")
 SEEN = ("seen_0", "seen_1", "seen_2")
@@ -260,8 +260,9 @@ def load(path: Path, chosen: slice = slice(None)) -> Sessions:
     """
     store = open_store(path, _FIELDS, lengths=_LENGTHS, holds=_HOLDS)
     arrays = {name: store.read(name, chosen) for name in _FIELDS}
-    names = store.attributes.get("splits")
-    check_keys(path, arrays, names)
+    names = check_keys(path, arrays, store.attributes)
+    if chosen == slice(None):
+        check_counts(path, arrays, store.attributes)
     check_values(path, arrays)
     return Sessions(**{**arrays, "split": np.array(names, dtype="U10")[arrays["split"]]})
 
@@ -270,7 +271,7 @@ def load_tasks(path: Path) -> list[tuple[str, int, int, int]]:
     """Split, sequence, start and length of each recorded session. Raises InputError, as `load` does."""
     store = open_store(path, {name: _FIELDS[name] for name in KEYS}, lengths=_LENGTHS, holds=_HOLDS)
     arrays = {name: store.read(name) for name in KEYS}
-    names: Any = store.attributes.get("splits")
-    check_keys(path, arrays, names)
+    names = check_keys(path, arrays, store.attributes)
+    check_counts(path, arrays, store.attributes)
     splits = [names[code] for code in arrays["split"]]
     return list(zip(splits, *(arrays[name].tolist() for name in KEYS[1:]), strict=True))

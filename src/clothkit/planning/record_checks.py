@@ -5,6 +5,7 @@ Of some arrays a lost part reads as zeros (`dataset.zarr_store`): what other arr
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool
@@ -16,8 +17,12 @@ from clothkit.errors import InputError
 KEYS = ("split", "sequence", "start", "length")
 
 
-def check_keys(path: Path, arrays: Mapping[str, np.ndarray], splits: object) -> None:
-    """Raises InputError unless KEYS name a task each, no task twice; `splits` are the names that `split` numbers."""
+def check_keys(path: Path, arrays: Mapping[str, np.ndarray], attributes: Mapping[str, Any]) -> list[str]:
+    """The names that `split` numbers, which the attribute `splits` says.
+
+    Raises InputError unless KEYS name a task in each row, no task twice.
+    """
+    splits = attributes.get("splits")
     if not isinstance(splits, list) or not set(map(str, splits)) <= set(SPLITS):
         raise InputError(f"{path}: attribute splits: expected names of {', '.join(SPLITS)}, found {splits}")
     start, length = (arrays[name].astype(int) for name in ("start", "length"))
@@ -35,6 +40,20 @@ def check_keys(path: Path, arrays: Mapping[str, np.ndarray], splits: object) -> 
         again = np.ones(len(keys), bool)
         again[first] = False
         _refuse(path, "sequence", again, "expected each task once, by split, sequence, start and length")
+    return splits
+
+
+def check_counts(path: Path, arrays: Mapping[str, np.ndarray], attributes: Mapping[str, Any]) -> None:
+    """Raises InputError unless as many sequences of each split were planned for as the plan stage's settings say."""
+    params = attributes.get("params")
+    if not str(attributes.get("stage")).startswith("plan@") or not isinstance(params, Mapping):
+        return
+    for code, split in enumerate(attributes["splits"]):
+        wanted, found = params.get(split, 0), len(np.unique(arrays["sequence"][arrays["split"] == code]))
+        if wanted != found:
+            raise InputError(
+                f"{path}: split: expected {wanted} sequences of {split}, as its attributes say, found {found}"
+            )
 
 
 def check_values(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
