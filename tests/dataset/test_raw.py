@@ -177,7 +177,7 @@ def test_what_is_healthy_is_read_in_order(folder: Path) -> None:
 
 def test_measures_may_be_missing_and_attempts_have_lists_of_them(tmp_path: Path) -> None:
     path = tmp_path / "attempts.parquet"
-    lists = {"height": [[0.1, np.nan], None], "area": [None, None], "folds": [[-1, 2], []]}
+    lists = {"height": [[0.1, np.nan], None], "area": [None, None], "folds": [[-1, 2], []], "gap": [[None], []]}
     rows = pd.DataFrame({"attempt": [3, 5], "accepted": [True, False], "reason": ["", "height"], "states": [2, 0]})
     rows.assign(**lists).to_parquet(path)
     assert len(tables.read(path, ATTEMPTS)) == 2
