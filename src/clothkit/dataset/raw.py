@@ -26,7 +26,8 @@ STRETCH = 2.0
 
 _COUNTED = Column("whole numbers", 0)
 _MEASURE = Column("numbers", missing=True, optional=True)
-_MEASURES = Column("lists of numbers", missing=True, optional=True)
+# Of a tried state that was no longer finite, too.
+_MEASURES = Column("lists of numbers", missing=True, infinite=True, optional=True)
 # Grasp points come from float32 coordinates.
 _GEODESIC = Column("numbers", -1.001, 1.001)
 _DISPLACEMENT = Column("numbers", -10, 10)

@@ -29,7 +29,7 @@ _LIST = "lists of "
 
 @dataclasses.dataclass(frozen=True)
 class Column:
-    """What stands in a column. Numbers are finite."""
+    """What stands in a column."""
 
     kind: str
     """Of _KINDS, or a list of them."""
@@ -39,6 +39,8 @@ class Column:
     """The texts that may stand there; any if there are none."""
     missing: bool = False
     """Whether there may be nothing: null or NaN, in lists too."""
+    infinite: bool = False
+    """Whether numbers may be infinite."""
     optional: bool = False
     """Whether the whole column may be missing."""
 
@@ -224,7 +226,7 @@ def _surely_right(column: Column, values: np.ndarray) -> bool:
 
 def _wrong(column: Column, values: np.ndarray) -> np.ndarray:
     """Which numbers are not those that are expected. NaN is not within limits."""
-    right = (values >= column.least) & (values <= column.most) & np.isfinite(values)
+    right = (values >= column.least) & (values <= column.most) & (column.infinite | np.isfinite(values))
     return ~(right | np.isnan(values)) if column.missing else ~right
 
 
