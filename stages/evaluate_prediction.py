@@ -21,7 +21,7 @@ def main() -> None:
     with stage("evaluate_prediction") as s:
         work = s.work(inputs=[MESHES, ESTIMATES, *NETS.values(), *VOXEL_NETS.values()])
         dataset = store.load(MESHES)
-        estimates = arrays.load(ESTIMATES, ("sequence", "mean", "std", "mesh", "label"))
+        estimates = arrays.load(ESTIMATES, arrays.ESTIMATES)
         given = prediction.starts(dataset, estimates)
         nets = {name: load(folder, "pemd") for name, folder in NETS.items()}
         voxel_nets = {name: load(folder, "emd_voxel") for name, folder in VOXEL_NETS.items()}

@@ -105,7 +105,7 @@ def write_data(folder: Path, params: Path) -> None:
     about = _about(given, "evaluate_estimation")
     arrays.save(evaluations / "estimates.zarr", found.arrays(), about)
     write_rows(evaluations / "estimation.parquet", estimation.rows(dataset, found), about)
-    stored = arrays.load(evaluations / "estimates.zarr", ("sequence", "mesh", "label"))
+    stored = arrays.load(evaluations / "estimates.zarr", arrays.ESTIMATES)
     nets = {name: store.load(folder / f"nets/pemd_{name}") for name in "ab"}
     starts, settings = prediction.starts(dataset, stored), given.stages.evaluate_prediction
     about = _about(given, "evaluate_prediction")

@@ -150,14 +150,14 @@ def test_stored_predictions_come_back(
         files = sorted(path for path in (tmp_path / name).rglob("*") if path.is_file())
         contents.append([(path.relative_to(tmp_path / name), path.read_bytes()) for path in files])
     assert contents[0] == contents[1]
-    found = arrays.load(tmp_path / "one.zarr", ("sequence", "mean", "shift"))
+    found = arrays.load(tmp_path / "one.zarr", arrays.PREDICTIONS, ("sequence", "mean", "shift"))
     assert found["sequence"].tolist() == [0, 1]
     assert found["mean"].shape == (2, 3, 32, 32, 3)
     np.testing.assert_array_equal(found["shift"], stored["shift"].values)
-    with pytest.raises(InputError, match="nothing"):
-        arrays.load(tmp_path / "one.zarr", ("nothing",))
+    with pytest.raises(InputError, match="has no array label"):
+        arrays.load(tmp_path / "one.zarr", arrays.ESTIMATES, ("label",))
     with pytest.raises(InputError, match=r"three\.zarr"):
-        arrays.load(tmp_path / "three.zarr", ("mean",))
+        arrays.load(tmp_path / "three.zarr", arrays.PREDICTIONS)
 
 
 def test_what_lies_past_a_sequences_end_may_be_missing(
@@ -167,7 +167,7 @@ def test_what_lies_past_a_sequences_end_may_be_missing(
     stored = prediction.stored(dataset, given, forward["a"], EvaluatePredictionConfig(stored=3))
     assert np.argwhere(np.isnan(stored["mean"].values).all((2, 3, 4))).tolist() == [[3, 2]]
     arrays.save(tmp_path / "whole.zarr", stored, {})
-    found = arrays.load(tmp_path / "whole.zarr", ("start", "mean", "shift"))
+    found = arrays.load(tmp_path / "whole.zarr", arrays.PREDICTIONS)
     np.testing.assert_array_equal(np.isnan(found["shift"]).any(-1), np.isnan(found["mean"]).any((2, 3, 4)))
     for place in ((3, 1), (3, 0), (0, 0, 5, 6, 1)):
         mean = stored["mean"].values.copy()
@@ -176,4 +176,4 @@ def test_what_lies_past_a_sequences_end_may_be_missing(
             mean[3, 2] = 0
         arrays.save(tmp_path / "holes.zarr", {"mean": stored["mean"]._replace(values=mean)}, {})
         with pytest.raises(InputError, match="array mean: expected finite values"):
-            arrays.load(tmp_path / "holes.zarr", ("mean",))
+            arrays.load(tmp_path / "holes.zarr", arrays.PREDICTIONS, ("mean",))

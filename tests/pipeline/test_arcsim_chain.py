@@ -50,7 +50,7 @@ from clothkit.planning.settings import NormaliseConfig, PlanConfig
 from clothkit.planning.sight import MeshSight
 from clothkit.planning.systems import system
 from clothkit.report.build import build
-from clothkit.report.inputs import PICTURES, Inputs
+from clothkit.report.inputs import Inputs
 from clothkit.report.settings import ReportConfig
 from clothkit.simulation.arcsim import import_runs
 from clothkit.simulation.arcsim_runs import read_runs
@@ -125,7 +125,7 @@ def test_the_chain_runs_on_from_arcsims_runs(tmp_path: Path) -> None:
 
     found = estimation.estimates(dataset, vtm, EvaluateEstimationConfig(refine=REFINE, batch=4))
     arrays.save(tmp_path / "estimates.zarr", found.arrays(), {})
-    estimates = arrays.load(tmp_path / "estimates.zarr", ("sequence", "mean", "std", "mesh", "label"))
+    estimates = arrays.load(tmp_path / "estimates.zarr", arrays.ESTIMATES)
     settings = EvaluatePredictionConfig(batch=4, stored=3)
     given = prediction.starts(dataset, estimates)
     arrays.save(tmp_path / "predictions.zarr", prediction.stored(dataset, given, nets["a"], settings), {})
@@ -160,12 +160,12 @@ def test_the_chain_runs_on_from_arcsims_runs(tmp_path: Path) -> None:
         intervals=planning.intervals(planned),
         failures=planning.failures(planned),
         estimates=estimates,
-        predictions=arrays.load(tmp_path / "predictions.zarr", ("sequence", "start", "mean", "std", "shift")),
+        predictions=arrays.load(tmp_path / "predictions.zarr", arrays.PREDICTIONS),
         sessions=sessions,
         camera_estimation=seen.rows,
         camera_planning=before,
         camera_comparisons=camera_planning.comparisons(before),
-        pictures=arrays.load(tmp_path / "pictures.zarr", PICTURES),
+        pictures=arrays.load(tmp_path / "pictures.zarr", arrays.PICTURES),
     )
     unoccluded = of_meshes[of_meshes["system"] != prediction.OCCLUDED]
     for tidy in (inputs.estimation, unoccluded, inputs.planning):

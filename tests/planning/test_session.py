@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import pytest
+import zarr
 
 from clothkit.cloth.equivalents import relabel
 from clothkit.cloth.mesh import distance_aligned, error
@@ -297,10 +298,11 @@ def test_memory_does_not_grow_with_the_number_of_tasks(tmp_path: Path, monkeypat
 
     peak(2)
     assert peak(12) < 1.2 * peak(3)
-    back = load(tmp_path / "12.zarr")
-    assert len(back) == 12 * 4
+    # By zarr itself: sessions that were never planned, and the same ones again, are not loaded.
+    back = zarr.open_group(tmp_path / "12.zarr", mode="r")
     for name, values in vars(sessions).items():
-        np.testing.assert_array_equal(getattr(back, name), np.concatenate([values] * 12))
+        if name != "split":
+            np.testing.assert_array_equal(back[name][:], np.concatenate([values] * 12))
 
 
 def test_more_sequences_than_there_are_is_told(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ def tidy_tasks(systems: tuple[str, ...], *, sequences: int = 4, seed: int = 0) -
                 "sigma_ratio": 0.7 + 0.01 * sequence,
                 "position_error": 0.01 * (sequence + length) + (net == "b"),
                 "position_no_action": 0.1 * length,
-                "voxel_error": rng.uniform(0.01, 0.02) + (net == "b"),
+                "voxel_error": rng.uniform(0.01, 0.02) + 0.5 * (net == "b"),
                 "voxel_error_no_action": 0.05 + 0.01 * (system in VOXEL_SYSTEMS),
             }
             for split in ("test", "train")

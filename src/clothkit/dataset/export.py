@@ -20,7 +20,7 @@ from trimesh.visual.material import PBRMaterial
 
 from clothkit.cloth.grid import CLOTH_SIDE, geodesic, triangles
 from clothkit.dataset import store
-from clothkit.dataset.raw import STATE_COLUMNS, Topologies, read_states, read_table, state_files
+from clothkit.dataset.raw import STATE_COLUMNS, Topologies, read_states
 from clothkit.errors import InputError, system_error
 from clothkit.publish import unfinished
 
@@ -87,10 +87,9 @@ def raw_surfaces(folder: Path, sequences: Sequence[int] | None) -> tuple[int, It
 
     Raises InputError when a sequence isn't there, or a state's topology.
     """
-    numbers = [read_table(file, ("sequence",))["sequence"] for file in state_files(folder / "states")]
-    present = np.unique(np.concatenate(numbers))
-    chosen = _checked(folder, sequences, present.tolist())
-    count = int(np.isin(np.concatenate(numbers), chosen).sum())
+    numbers = read_states(folder / "states", ("sequence", "state"))["sequence"].to_numpy()
+    chosen = _checked(folder, sequences, np.unique(numbers).tolist())
+    count = int(np.isin(numbers, chosen).sum())
     topologies = Topologies(folder)
 
     def surfaces() -> Iterator[Surface]:

@@ -1,56 +1,101 @@
 """Reading the raw artifacts: what the simulation wrote, before it is a grid of 32 x 32 (design section 4)."""
 
-import json
-from collections.abc import Collection
+import dataclasses
+from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 from jaxtyping import Float, Int
 
+from clothkit.dataset.store import STATES, STEPS
+from clothkit.dataset.tables import Column, Complete, Table, check, read
 from clothkit.errors import InputError
 
 STATE_COLUMNS = ("sequence", "state", "topology", "vertices")
 MANIPULATION_COLUMNS = ("sequence", "step", "hands", "u1", "v1", "u2", "v2", "dx", "dy")
-TOPOLOGY_COLUMNS = ("topology", "material", "triangles")
+MEASURED = ("height", "strain_p99", "strain_worst", "intersections", "gap", "residual_speed")
+"""What is measured of states, where the simulator measures it."""
 
+FARTHEST = 100.0
+"""Nothing lies farther from the world's origin [m]."""
 
-def read_table(
-    path: Path,
-    columns: tuple[str, ...],
-    *,
-    optional: tuple[str, ...] = (),
-    sequences: Collection[int] | None = None,
-) -> pd.DataFrame:
-    """The named columns of a parquet file, of all or of the given sequences; `optional` ones where there are any.
+STRETCH = 2.0
+"""No cloth reaches farther along an axis than this many times its flat diagonal."""
 
-    Raises InputError naming a file or column that can't be read.
-    """
-    try:
-        found = pq.read_schema(path).names
-        missing = [column for column in columns if column not in found]
-        if missing:
-            raise InputError(f"{path}: has no column {missing[0]!r}")
-        wanted = [*columns, *(column for column in optional if column in found)]
-        rows = None if sequences is None else [("sequence", "in", sorted(sequences))]
-        return pq.read_table(path, columns=wanted, filters=rows).to_pandas()
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: not found; run the stage that writes it (dvc repro)") from error
-    except (pa.ArrowInvalid, OSError) as error:
-        raise InputError(f"{path}: can't be read as parquet ({str(error).splitlines()[0]})") from error
+_COUNTED = Column("whole numbers", 0)
+_MEASURE = Column("numbers", missing=True, optional=True)
+# Of a tried state that was no longer finite, too.
+_MEASURES = Column("lists of numbers", missing=True, infinite=True, optional=True)
+# Grasp points come from float32 coordinates.
+_GEODESIC = Column("numbers", -1.001, 1.001)
+_DISPLACEMENT = Column("numbers", -10, 10)
 
+STATES_TABLE = Table(
+    {
+        "sequence": _COUNTED,
+        "state": Column("whole numbers", 0, STATES - 1),
+        "topology": _COUNTED,
+        "vertices": Column("lists of numbers", -FARTHEST, FARTHEST),
+        **dict.fromkeys(MEASURED, _MEASURE),
+    },
+    keys=("sequence", "state"),
+)
+"""Metres, world frame."""
 
-def read_attributes(path: Path) -> dict[str, Any]:
-    """What a parquet file says of how it was made: stage, scale and params; empty when it says nothing."""
-    try:
-        return json.loads((pq.read_schema(path).metadata or {}).get(b"clothkit", b"{}"))
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: not found; run the stage that writes it (dvc repro)") from error
-    except (pa.ArrowInvalid, OSError, ValueError) as error:
-        raise InputError(f"{path}: its attributes can't be read ({str(error).splitlines()[0]})") from error
+_ALL_STATES = Table(
+    STATES_TABLE.columns,
+    STATES_TABLE.keys,
+    complete=(
+        Complete(
+            ("sequence",),
+            ("state",),
+            lambda states: (states["state"] + 1).clip(lower=2),
+            "two to four states, from 0 on and none left out",
+        ),
+    ),
+)
+"""Of all files together."""
+
+MANIPULATIONS = Table(
+    {
+        "sequence": _COUNTED,
+        "step": Column("whole numbers", 0, STEPS - 1),
+        "hands": Column("whole numbers", 1, 2),
+        **dict.fromkeys(("u1", "v1", "u2", "v2"), _GEODESIC),
+        **dict.fromkeys(("dx", "dy"), _DISPLACEMENT),
+        "attempt": dataclasses.replace(_COUNTED, optional=True),
+        "settle_time": Column("numbers", 0, missing=True, optional=True),
+    },
+    keys=("sequence", "step"),
+    complete=(Complete(("sequence",), ("step",), lambda moves: moves["step"] + 1, "steps from 0 on, none left out"),),
+)
+"""Grasp points geodesic, displacements normalised."""
+
+ATTEMPTS = Table(
+    {
+        "attempt": dataclasses.replace(_COUNTED, optional=True),
+        "accepted": Column("true or false"),
+        "reason": Column("text"),
+        "states": Column("whole numbers", 0, STATES),
+        **dict.fromkeys((*MEASURED, "area", "folds", "settle_time"), _MEASURES),
+    },
+    keys=("attempt",),
+)
+
+TOPOLOGIES = Table(
+    {
+        "topology": _COUNTED,
+        "material": Column("lists of numbers", -FARTHEST, FARTHEST),
+        "triangles": Column("lists of whole numbers", 0),
+    },
+    keys=("topology",),
+)
+"""Material coordinates in metres."""
+
+_SIDES = (0.01, 20.0)
+"""Of flat cloths [m]: what is smaller or larger has other units."""
 
 
 def state_files(folder: Path) -> list[Path]:
@@ -61,21 +106,36 @@ def state_files(folder: Path) -> list[Path]:
     return files
 
 
-def read_states(folder: Path, *, sequences: Collection[int] | None = None) -> pd.DataFrame:
+def read_states(
+    folder: Path, columns: Sequence[str] = STATE_COLUMNS, *, sequences: Collection[int] | None = None
+) -> pd.DataFrame:
     """Every state, or those of some sequences, by sequence and state.
 
-    Raises InputError when one has no vertices or isn't finite.
+    Raises InputError for a file that is not as it should be, and for sequences that lack a state or have one twice.
     """
-    tables = []
-    for file in state_files(folder):
-        table = read_table(file, STATE_COLUMNS, sequences=sequences)
-        for sequence, state, vertices in zip(table["sequence"], table["state"], table["vertices"], strict=True):
-            if len(vertices) % 3:
-                raise InputError(f"{file}: vertices of sequence {sequence}, state {state} are not x y z triples")
-            if not np.isfinite(vertices).all():
-                raise InputError(f"{file}: vertices of sequence {sequence}, state {state} are not finite")
-        tables.append(table)
-    return pd.concat(tables).sort_values(["sequence", "state"], kind="stable").reset_index(drop=True)
+    found = [read(file, STATES_TABLE, columns, sequences=sequences) for file in state_files(folder)]
+    states = pd.concat(found).sort_values(["sequence", "state"], kind="stable").reset_index(drop=True)
+    check(folder, _ALL_STATES, states)
+    return states
+
+
+def read_manipulations(raw: Path, states: pd.DataFrame, columns: Sequence[str] = MANIPULATION_COLUMNS) -> pd.DataFrame:
+    """The manipulations of a folder of raw artifacts, by sequence and step.
+
+    Raises InputError for a file that is not as it should be, and unless `states` are those between them.
+    """
+    path = raw / "manipulations.parquet"
+    moves = read(path, MANIPULATIONS, columns).sort_values(["sequence", "step"], kind="stable").reset_index(drop=True)
+    steps, reached = moves.groupby("sequence").size(), states.groupby("sequence").size() - 1
+    steps, reached = steps.align(reached, fill_value=0)
+    differ = steps != reached
+    if differ.any():
+        sequence = differ.index[differ.to_numpy()][0]
+        raise InputError(
+            f"{path}: sequence {sequence}: expected a manipulation from each state to the next, {reached[sequence]} of "
+            f"them, found {steps[sequence]}"
+        )
+    return moves
 
 
 class Topology(NamedTuple):
@@ -90,19 +150,40 @@ class Topologies:
     """The triangulations of a folder of raw artifacts."""
 
     def __init__(self, raw: Path) -> None:
-        self.rows = read_table(raw / "topologies.parquet", TOPOLOGY_COLUMNS).set_index("topology")
         self.path = raw / "topologies.parquet"
+        self.rows = read(self.path, TOPOLOGIES).set_index("topology")
 
     def __call__(self, where: str, number: int, vertices: np.ndarray) -> tuple[Topology, np.ndarray]:
         """A state's topology, and its vertices as float32 [vertices 3].
 
-        Raises InputError, naming the state as `where` says, when there is no such topology or its vertices are others.
+        Raises InputError, naming the state as `where` says, when there is no such topology, when its vertices are
+        others, or when these lie farther apart than a cloth's can.
         """
         if number not in self.rows.index:
             raise InputError(f"{where}: its topology {number} is not in topologies.parquet")
-        material = np.asarray(self.rows.at[number, "material"], float).reshape(-1, 2)
-        triangles = np.asarray(self.rows.at[number, "triangles"], np.int32).reshape(-1, 3)
+        topology = self._topology(number)
+        if len(vertices) != 3 * len(topology.material):
+            raise InputError(
+                f"{where}: has {len(vertices)} coordinates of vertices, expected x y z of each of the "
+                f"{len(topology.material)} of its topology {number}"
+            )
         positions = np.asarray(vertices, np.float32).reshape(-1, 3)
-        if len(positions) != len(material):
-            raise InputError(f"{where}: has {len(positions)} vertices, its topology {number} has {len(material)}")
-        return Topology(material, triangles), positions
+        reach, most = np.ptp(positions, axis=0).max(), STRETCH * float(np.hypot(*np.ptp(topology.material, axis=0)))
+        if reach > most:
+            raise InputError(f"{where}: vertices lie {reach:.3g} m apart, expected at most {most:.3g} m (in metres?)")
+        return topology, positions
+
+    def _topology(self, number: int) -> Topology:
+        name = f"{self.path}: topology {number}"
+        material = np.asarray(self.rows.at[number, "material"], float)
+        triangles = np.asarray(self.rows.at[number, "triangles"], np.int64)
+        if len(material) % 2 or len(material) < 6:
+            raise InputError(f"{name}: material has {len(material)} coordinates, expected x y of each vertex")
+        if len(triangles) % 3 or not len(triangles) or triangles.max() >= len(material) // 2:
+            raise InputError(f"{name}: triangles: expected three numbers of vertices each, below {len(material) // 2}")
+        sides = np.ptp(material.reshape(-1, 2), axis=0)
+        if sides.min() < _SIDES[0] or sides.max() > _SIDES[1]:
+            raise InputError(
+                f"{name}: material spans {sides[0]:.3g} x {sides[1]:.3g}, expected {_SIDES[0]:g} to {_SIDES[1]:g} m"
+            )
+        return Topology(material.reshape(-1, 2), triangles.astype(np.int32).reshape(-1, 3))

@@ -12,7 +12,7 @@ from tqdm import tqdm
 from clothkit.cloth.grid import CLOTH_SIDE, SIDE, geodesic
 from clothkit.cloth.silhouette import centred
 from clothkit.config import config
-from clothkit.dataset.raw import MANIPULATION_COLUMNS, STATE_COLUMNS, Topologies, Topology, read_states, read_table
+from clothkit.dataset.raw import STATE_COLUMNS, Topologies, Topology, read_manipulations, read_states
 from clothkit.dataset.store import SPLITS, STATES, STEPS, Dataset
 from clothkit.errors import InputError
 
@@ -95,7 +95,7 @@ def _near(
 def regularise(raw: Path, settings: RegulariseConfig) -> Dataset:
     """The dataset of a folder of raw artifacts. Raises InputError when they are too few, or not as they should be."""
     states = read_states(raw / "states")
-    manipulations = read_table(raw / "manipulations.parquet", MANIPULATION_COLUMNS)
+    manipulations = read_manipulations(raw, states)
     wanted = settings.train + settings.validation + settings.test
     sequences = states["sequence"].unique()[:wanted].tolist()
     if len(sequences) < wanted:

@@ -1,7 +1,7 @@
 """The zarr store of meshes, and the record that the rest of the library reads it as (design section 4)."""
 
 import dataclasses
-import json
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,20 +10,28 @@ import zarr
 from jaxtyping import Bool, Float, Int, Int8
 
 from clothkit.cloth.grid import SIDE
+from clothkit.dataset.zarr_store import Declared, Store, open_store, written
 from clothkit.errors import InputError
 
 SPLITS = ("train", "validation", "test")
 STATES, STEPS = 4, 3
+LENGTHS = {"state": STATES, "step": STEPS, "u": SIDE, "v": SIDE, "xyz": 3, "xy": 2, "component": 6}
+"""Dimensions that are as long in every store."""
+
 _CHUNK, _SHARD = 16, 1024
-_SHAPES: dict[str, tuple[tuple[int, ...], str, tuple[str, ...]]] = {
-    "vertices": ((STATES, SIDE, SIDE, 3), "f4", ("state", "u", "v", "xyz")),
-    "centre": ((STATES, 2), "f4", ("state", "xy")),
-    "manipulation": ((STEPS, 6), "f4", ("step", "component")),
-    "hands": ((STEPS,), "i1", ("step",)),
-    "length": ((), "i1", ()),
-    "split": ((), "i1", ()),
-    "evaluated": ((), "bool", ()),
+_ARRAYS = {
+    "vertices": Declared("f4", ("sequence", "state", "u", "v", "xyz")),
+    "centre": Declared("f4", ("sequence", "state", "xy")),
+    "manipulation": Declared("f4", ("sequence", "step", "component")),
+    "hands": Declared("i1", ("sequence", "step")),
+    "length": Declared("i1", ("sequence",)),
+    "split": Declared("i1", ("sequence",), zeros=True),
+    "evaluated": Declared("bool", ("sequence",), zeros=True),
 }
+_HOLDS = "which a store of meshes holds"
+
+FARTHEST = 1000.0
+"""No length is more [normalised]: a file that says so has other units, or is damaged."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,54 +72,89 @@ class Dataset:
 def save(path: Path, dataset: Dataset, attributes: dict[str, Any]) -> None:
     """Write a dataset as a zarr v3 directory of a handful of shards; the same dataset gives the same bytes."""
     group = zarr.create_group(path, overwrite=True, attributes={**attributes, "splits": list(SPLITS)})
-    for name, (_, dtype, dimensions) in _SHAPES.items():
-        data = np.ascontiguousarray(getattr(dataset, name)).astype(dtype)
+    for name, declared in _ARRAYS.items():
+        data = np.ascontiguousarray(getattr(dataset, name)).astype(declared.dtype)
         array = group.create_array(
             name,
             shape=data.shape,
-            dtype=dtype,
+            dtype=declared.dtype,
             chunks=(_CHUNK, *data.shape[1:]),
             shards=(_SHARD, *data.shape[1:]),
-            dimension_names=("sequence", *dimensions),
+            dimension_names=declared.dimensions,
+            config=written(declared),
         )
         array[:] = data
 
 
+def open_meshes(path: Path, names: Collection[str] = tuple(_ARRAYS)) -> Store:
+    """A store of meshes whose arrays of those names are as they should be, none of them read. Raises InputError."""
+    return open_store(path, {name: _ARRAYS[name] for name in names}, lengths=LENGTHS, holds=_HOLDS)
+
+
 def load(path: Path) -> Dataset:
     """Read and check a store. Raises InputError naming the file, the array and what was expected."""
-    if not Path(path).exists():
-        raise InputError(f"{path}: not found; run the stage that writes it (dvc repro)")
-    try:
-        group = zarr.open_group(path, mode="r")
-        arrays = {name: np.asarray(group[name][:]) for name in _SHAPES}  # type: ignore[index]
-    except KeyError as error:
-        raise InputError(f"{path}: has no array {error}, which a store of meshes holds") from error
-    except (OSError, ValueError, RuntimeError, json.JSONDecodeError) as error:
-        raise InputError(f"{path}: can't be read as a zarr store ({str(error).splitlines()[0]})") from error
-    count = len(arrays["length"])
-    for name, (shape, dtype, dimensions) in _SHAPES.items():
-        found = arrays[name].shape
-        if found != (count, *shape):
-            wanted = ", ".join(("sequence", *dimensions))
-            raise InputError(f"{path}: {name} has shape {found}, expected {(count, *shape)} for ({wanted})")
-        if arrays[name].dtype != np.dtype(dtype):
-            raise InputError(f"{path}: {name} holds {arrays[name].dtype}, expected {np.dtype(dtype)}")
-    dataset = Dataset(**arrays)
-    _check_finite(Path(path), dataset)
+    path = Path(path)
+    store = open_meshes(path)
+    dataset = Dataset(**{name: store.read(name) for name in _ARRAYS})
+    _check_splits(path, dataset.split, dataset.length, dataset.evaluated, store.attributes)
+    _check_values(path, dataset)
     return dataset
 
 
-def _check_finite(path: Path, dataset: Dataset) -> None:
-    if np.any((dataset.length < 1) | (dataset.length > STEPS)):
-        raise InputError(f"{path}: length has values outside 1..{STEPS}")
+def load_splits(path: Path) -> tuple[Int8[np.ndarray, " sequence"], Int8[np.ndarray, " sequence"]]:
+    """Split and length of each sequence of a store, no mesh read. Raises InputError, as `load` does."""
+    store = open_meshes(path, ("split", "length", "evaluated"))
+    split, length, evaluated = (store.read(name) for name in ("split", "length", "evaluated"))
+    _check_splits(path, split, length, evaluated, store.attributes)
+    return split, length
+
+
+def _check_splits(
+    path: Path, split: np.ndarray, length: np.ndarray, evaluated: np.ndarray, attributes: Mapping[str, Any]
+) -> None:
+    """Besides ranges, what reads as all zeros where a file was lost: `split` and `evaluated`.
+
+    How many sequences of each split there should be, and which of them evaluations use, is known of stores that our
+    stages made, and of no others.
+    """
+    for name, values, least, most in (("length", length, 1, STEPS), ("split", split, 0, len(SPLITS) - 1)):
+        if np.any((values < least) | (values > most)):
+            raise InputError(f"{path}: {name} has values outside {least}..{most}")
+    stage, params = attributes.get("stage"), attributes.get("params")
+    if stage == "augment" and (split.any() or not evaluated.any()):
+        raise InputError(f"{path}: expected split to be train throughout, and evaluated to be true of some sequences")
+    if stage != "regularise" or not isinstance(params, Mapping):
+        return
+    for code, name in enumerate(SPLITS):
+        chosen = evaluated[split == code]
+        if params.get(name, len(chosen)) != len(chosen):
+            raise InputError(
+                f"{path}: split: expected {params[name]} of {name}, as its attributes say, found {len(chosen)}"
+            )
+        used = 0 if name == "validation" else min(len(chosen), int(params.get("evaluated", chosen.sum())))
+        if chosen.sum() != used or not chosen[:used].all():
+            raise InputError(
+                f"{path}: evaluated: expected the first {used} sequences of {name}, as its attributes say, found "
+                f"{chosen.sum()}"
+            )
+
+
+def _check_values(path: Path, dataset: Dataset) -> None:
     present = {
         "state": np.arange(STATES) <= dataset.length[:, None],
         "step": np.arange(STEPS) < dataset.length[:, None],
     }
     for name, axis in (("vertices", "state"), ("centre", "state"), ("manipulation", "step")):
         values = getattr(dataset, name)
-        finite = np.isfinite(values).all(axis=tuple(range(2, values.ndim)))
-        bad = np.argwhere(present[axis] & ~finite)
-        if len(bad):
-            sequence, position = bad[0]
-            raise InputError(f"{path}: {name} of sequence {sequence}, {axis} {position} is not finite")
+        rest = tuple(range(2, values.ndim))
+        _refuse(path, name, axis, present[axis] & ~np.isfinite(values).all(axis=rest), "is not finite")
+        # A NaN, past the end, is no more than anything.
+        far = present[axis] & (np.abs(values) > FARTHEST).any(axis=rest)
+        _refuse(path, name, axis, far, f"is beyond {FARTHEST:g}, expected normalised lengths")
+    _refuse(path, "hands", "step", present["step"] & ~np.isin(dataset.hands, (1, 2)), "is not 1 or 2")
+
+
+def _refuse(path: Path, name: str, axis: str, bad: Bool[np.ndarray, "sequence place"], what: str) -> None:
+    if bad.any():
+        sequence, place = np.argwhere(bad)[0]
+        raise InputError(f"{path}: {name} of sequence {sequence}, {axis} {place} {what}")

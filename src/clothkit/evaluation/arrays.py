@@ -7,7 +7,36 @@ from typing import Any, NamedTuple
 import numpy as np
 import zarr
 
+from clothkit.cloth.voxels import RESOLUTION
+from clothkit.dataset.store import LENGTHS, STATES
+from clothkit.dataset.zarr_store import Declared, open_store
 from clothkit.errors import InputError
+
+_LENGTHS = {**LENGTHS, **dict(zip("xyz", RESOLUTION, strict=True))}
+_VERTICES = ("u", "v", "xyz")
+_NUMBERS = Declared("i8", ("sequence",), zeros=True)
+
+ESTIMATES = {
+    "sequence": _NUMBERS,
+    "mean": Declared("f4", ("sequence", "state", *_VERTICES)),
+    "std": Declared("f4", ("sequence", "state", *_VERTICES)),
+    "mesh": Declared("f4", ("sequence", "state", *_VERTICES)),
+    "label": Declared("i4", ("sequence", "state"), zeros=True),
+}
+PREDICTIONS = {
+    "sequence": _NUMBERS,
+    "start": Declared("f4", ("sequence", *_VERTICES)),
+    "mean": Declared("f4", ("sequence", "step", *_VERTICES)),
+    "std": Declared("f4", ("sequence", "step", *_VERTICES)),
+    "shift": Declared("f4", ("sequence", "step", "xy")),
+}
+PICTURES = {
+    "sequence": _NUMBERS,
+    "shown": Declared("i8", ("sequence",)),
+    "height": Declared("f4", ("sequence", "condition", "row", "column")),
+    "voxels": Declared("bool", ("sequence", "condition", "x", "y", "z"), zeros=True),
+    "mesh": Declared("f4", ("sequence", "condition", *_VERTICES)),
+}
 
 
 class Named(NamedTuple):
@@ -26,27 +55,39 @@ def save(path: Path, arrays: Mapping[str, Named], attributes: Mapping[str, Any])
         )
 
 
-def load(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """The arrays of those names. Raises InputError if the store or one of them is missing, or holds NaN or infinity.
+def load(path: Path, declared: Mapping[str, Declared], names: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
+    """The declared arrays, or those of `names` alone.
 
-    Along a dimension `state` or `step`, what lies past a sequence's end is NaN throughout; that is no error.
+    Raises InputError if the store or one of them is missing, damaged or not as declared, or holds NaN or infinity,
+    numbers that can't be, or a sequence twice. Along a dimension `state` or `step`, what lies past a sequence's end is
+    NaN throughout; that is no error.
     """
-    try:
-        group = zarr.open_group(path, mode="r")
-    except (OSError, ValueError) as reason:
-        raise InputError(f"{path}: expected a zarr group, could not open it ({reason})") from reason
-    found = {}
-    for name in names:
-        array = group.get(name)
-        if not isinstance(array, zarr.Array):
-            raise InputError(f"{path}: expected an array {name}, found none")
-        values = np.asarray(array[:])
-        names_of_dimensions = getattr(array.metadata, "dimension_names", None) or ()
-        ending = any(name in ("state", "step") for name in names_of_dimensions[1:2])
+    chosen = {name: declared[name] for name in names or declared}
+    store = open_store(path, chosen, lengths=_LENGTHS, holds="a result of an evaluation")
+    found = {name: store.read(name) for name in chosen}
+    for name, values in found.items():
+        ending = chosen[name].dimensions[1:2] in (("state",), ("step",))
         if values.dtype.kind == "f" and not (_ends_whole(values) if ending else np.isfinite(values).all()):
             raise InputError(f"{path}: array {name}: expected finite values, found NaN or infinity")
-        found[name] = values
+    _check_values(path, found)
     return found
+
+
+def _check_values(path: Path, found: Mapping[str, np.ndarray]) -> None:
+    """What a lost chunk would do to the arrays of which one may be all zeros; see `dataset.zarr_store`."""
+    sequence = found.get("sequence", np.arange(0))
+    if len(np.unique(sequence)) < len(sequence) or np.any(sequence < 0):
+        raise InputError(f"{path}: array sequence: expected another sequence in each row, from 0 on")
+    if "std" in found and np.any(found["std"] <= 0):
+        raise InputError(f"{path}: array std: expected values above 0")
+    if "shown" in found and np.any((found["shown"] < 1) | (found["shown"] >= STATES)):
+        raise InputError(f"{path}: array shown: expected states 1 to {STATES - 1}")
+    if "label" in found:
+        label = found["label"]
+        if np.any((label < -1) | (label > 7)):
+            raise InputError(f"{path}: array label: expected labels 0 to 7, -1 past a sequence's end")
+        if "mesh" in found and np.any((label < 0) != np.isnan(found["mesh"]).all((2, 3, 4))):
+            raise InputError(f"{path}: array label: expected -1 past a sequence's end alone, where mesh is NaN")
 
 
 def _ends_whole(values: np.ndarray) -> bool:

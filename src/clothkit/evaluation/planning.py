@@ -5,10 +5,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from clothkit.dataset.tables import read as read_table
 from clothkit.errors import InputError
-from clothkit.evaluation import tidy as files
 from clothkit.evaluation.comparisons import COLUMNS, compare, interval, totals
 from clothkit.evaluation.settings import EvaluatePlanningConfig
+from clothkit.evaluation.tidy import PLANNING
 
 ROWS = (
     "split",
@@ -47,16 +48,16 @@ cloth that is folded twice."""
 def read(folder: Path, settings: EvaluatePlanningConfig) -> pd.DataFrame:
     """The rows of every system, `<folder>/<system>.parquet` each, one below the other.
 
-    Raises InputError for a file that can't be read, lacks one of ROWS, or holds rows of another system.
+    Raises InputError for a file that is not as it should be, or holds rows of another system.
     """
     found = []
     for system in settings.systems:
         path = folder / f"{system}.parquet"
-        rows = files.read(path, ROWS)
+        rows = read_table(path, PLANNING, ROWS)
         others = rows.loc[rows["system"] != system, "system"]
         if len(others):
             raise InputError(f"{path}: column system: expected {system} only, found {others.iloc[0]}")
-        found.append(rows[list(ROWS)])
+        found.append(rows)
     return pd.concat(found, ignore_index=True)
 
 

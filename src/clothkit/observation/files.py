@@ -18,6 +18,8 @@ import zarr
 from clothkit.cloth.grid import CLOTH_SIDE, SIDE
 from clothkit.cloth.silhouette import centred
 from clothkit.cloth.voxels import RESOLUTION
+from clothkit.dataset.store import STATES, open_meshes
+from clothkit.dataset.zarr_store import check_shards, open_node, read_array
 from clothkit.errors import InputError
 from clothkit.observation.pcd import read_pcd
 from clothkit.observation.states import MeshState, PointCloud, VoxelState
@@ -135,41 +137,46 @@ def _mesh(name: str, vertices: np.ndarray, cloth_side: float) -> MeshState:
 
 
 def _read_zarr(path: Path, inside: str | None, cloth_side: float) -> State:
-    try:
-        node: Any = zarr.open(path, mode="r")
-    except Exception as error:  # zarr tells a broken store by many kinds of errors
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise InputError(f"{path}: can't be read as a zarr store ({reason})") from error
-    if isinstance(node, zarr.Group) and "vertices" in node and "centre" in node:
-        return _stored(path, node, inside, cloth_side)
+    node: Any = open_node(path)
     name = f"{path}:{inside}" if inside else str(path)
     try:
+        if isinstance(node, zarr.Group) and "vertices" in node and "centre" in node:
+            return _stored(path, inside, cloth_side)
         node = node[inside] if inside else node
-    except (KeyError, IndexError, ValueError, TypeError) as error:
+        arrays = [array for _, array in sorted(node.arrays())] if isinstance(node, zarr.Group) else [node]
+    except InputError:
+        raise
+    except (KeyError, IndexError, TypeError) as error:
         raise InputError(f"{path}: has nothing called {inside}") from error
-    if isinstance(node, zarr.Group):
-        arrays = [array for _, array in sorted(node.arrays())]
-        if len(arrays) != 1:
-            raise InputError(f"{name}: is a group of {len(arrays)} arrays, expected one {_SHAPES}")
-        node = arrays[0]
-    if not isinstance(node, zarr.Array):
+    except Exception as error:  # zarr tells of damaged metadata by many kinds of errors
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(f"{name}: can't be read as zarr ({reason})") from error
+    if len(arrays) != 1:
+        raise InputError(f"{name}: is a group of {len(arrays)} arrays, expected one {_SHAPES}")
+    if not isinstance(arrays[0], zarr.Array):
         raise InputError(f"{name}: is no array")
-    return from_array(np.asarray(node[:]), name=name, cloth_side=cloth_side)
+    # Nothing is allocated for what has no chance. Most voxels are empty: of theirs a chunk of zeros need not be there.
+    shape = arrays[0].shape
+    if shape not in ((SIDE, SIDE, 3), RESOLUTION) and (len(shape) != 2 or shape[1] != 3):
+        raise InputError(f"{name}: has shape {list(shape)}, expected {_SHAPES}")
+    check_shards(arrays[0], name, zeros=shape == RESOLUTION)
+    return from_array(read_array(arrays[0], name), name=name, cloth_side=cloth_side)
 
 
-def _stored(path: Path, group: Any, inside: str | None, cloth_side: float) -> MeshState:
+def _stored(path: Path, inside: str | None, cloth_side: float) -> MeshState:
     """A state of our own store; only what it needs is read."""
     wanted = re.fullmatch(r"(\d+)/(\d+)", inside or "")
     if not wanted:
         raise InputError(f"{path}: is a store of meshes, expected {path.name}:SEQUENCE/STATE, found {inside or 'none'}")
     sequence, state = int(wanted[1]), int(wanted[2])
     name = f"{path}: sequence {sequence}, state {state}"
-    shape = group["vertices"].shape
-    if len(shape) != 5 or shape[2:] != (SIDE, SIDE, 3):
-        raise InputError(f"{path}: vertices has shape {list(shape)}, expected [sequence, state, 32, 32, 3]")
-    if sequence >= shape[0] or state >= shape[1]:
-        raise InputError(f"{name}: not there, it holds sequences 0 to {shape[0] - 1} with states 0 to {shape[1] - 1}")
-    mesh = np.asarray(group["vertices"][sequence, state], np.float32)
-    if not np.isfinite(mesh).all():
+    store = open_meshes(path, ("vertices", "centre"))
+    count = len(store)
+    if sequence >= count or state >= STATES:
+        raise InputError(f"{name}: not there, it holds sequences 0 to {count - 1} with states 0 to {STATES - 1}")
+    vertices, centre = (store.read(part, slice(sequence, sequence + 1))[0, state] for part in ("vertices", "centre"))
+    if np.isnan(vertices).all():
         raise InputError(f"{name}: not there, the sequence is shorter")
-    return MeshState(mesh, np.asarray(group["centre"][sequence, state], np.float32), cloth_side / CLOTH_SIDE)
+    if not (np.isfinite(vertices).all() and np.isfinite(centre).all()):
+        raise InputError(f"{name}: vertices or centre is not finite")
+    return MeshState(vertices, centre, cloth_side / CLOTH_SIDE)

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array
 
 from clothkit.dataset.store import STEPS, Dataset
-from clothkit.errors import InputError
+from clothkit.errors import InputError, system_error
 from clothkit.planning.batches import in_batches
 from clothkit.planning.draw import random_manipulations
 from clothkit.planning.forward import Forward, unroll
@@ -49,12 +49,17 @@ class Normalisation:
     """[step - 1]: its standard deviation."""
 
     def __post_init__(self) -> None:
-        values = np.array([*self.low, *self.high, self.mu, self.sigma], float)
-        if values.ndim != 2 or not 1 <= values.shape[1] <= STEPS or not np.isfinite(values).all():
+        rows = (*self.low, *self.high, self.mu, self.sigma)
+        values = [value for row in rows for value in row]
+        # A comparison takes integers of any length; NaN fails it.
+        numbers = all(
+            type(value) is not bool and isinstance(value, int | float) and abs(value) < 1e30 for value in values
+        )
+        if not numbers or {len(row) for row in rows} != {len(self.mu)} or not 1 <= len(self.mu) <= STEPS:
             raise InputError(
                 f"normalisation: expected 1 to {STEPS} finite values in each row of low, high, mu and sigma"
             )
-        if not (np.array(self.low) < np.array(self.high)).all():
+        if len(self.low) != len(self.high) or not self.low or not (np.array(self.low) < np.array(self.high)).all():
             raise InputError(f"normalisation: expected low below high, found {self.low} and {self.high}")
         if min(self.sigma) <= 0:
             raise InputError(f"normalisation: sigma is {self.sigma}, expected above 0: are the two nets the same?")
@@ -140,8 +145,8 @@ def load(path: Path) -> Normalisation:
         rows = {name: tuple(tuple(row) for row in stored[name]) for name in ("low", "high")}
         return Normalisation(**rows, mu=tuple(stored["mu"]), sigma=tuple(stored["sigma"]))
     except OSError as error:
-        raise InputError(f"{path}: not found; run the stage that writes it (dvc repro)") from error
+        raise system_error(error, path, expected="JSON; run the stage that writes it (dvc repro)") from error
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(f"{path}: expected JSON with low, high, mu and sigma, could not read it ({error})") from error

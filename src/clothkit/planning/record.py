@@ -9,14 +9,16 @@ import numpy as np
 import zarr
 from jaxtyping import Bool, Float, Float16, Int8, Int64
 
-from clothkit.cloth.grid import SIDE
-from clothkit.dataset.store import SPLITS, STATES, STEPS, Dataset
+from clothkit.dataset.store import LENGTHS, SPLITS, STEPS, Dataset
 from clothkit.dataset.tasks import Task
+from clothkit.dataset.zarr_store import Declared, open_store, written
+from clothkit.planning.record_checks import KEYS, check_counts, check_keys, check_values
 
 MESH = ("u", "v", "xyz")
 SEEN = ("seen_0", "seen_1", "seen_2")
 SURE = ("std_0", "std_1", "std_2")
-_VERTICES = dict(zip(MESH, (SIDE, SIDE, 3), strict=True))
+_LENGTHS = {**LENGTHS, "planned": STEPS, "term": 3}
+_HOLDS = "which a record of sessions holds"
 
 SHARD = 120
 """Tasks that are written together, and that share a file of each array: what bounds the memory, and the files."""
@@ -128,16 +130,16 @@ class Sizes(NamedTuple):
 
 def blank(tasks: Tasks, sizes: Sizes) -> Sessions:
     """Sessions that have not begun: state 0 is the start."""
-    lengths = {"task": len(tasks.task), "state": STATES, "step": STEPS, "planned": STEPS, "term": 3, **_VERTICES}
+    lengths = {"task": len(tasks.task), **_LENGTHS}
     lengths |= {name: getattr(sizes, name) for name in ("candidate", "net", "iteration", "strain", "restart")}
-    lengths |= {"xy": 2, "component": 6, **dict(zip(SEEN, sizes.state, strict=True))}
+    lengths |= dict(zip(SEEN, sizes.state, strict=True))
     # What voxels do not have is empty.
     lengths |= {name: length * sizes.probabilistic for name, length in zip(SURE, sizes.state, strict=True)}
     kinds = {"f4": np.nan, "f2": np.nan, "i1": -1, "?": False}
     empty: dict[str, np.ndarray] = {
-        name: np.full([lengths[d] for d in dimensions], kinds[dtype], dtype)
-        for name, (dtype, dimensions) in _FIELDS.items()
-        if dtype in kinds
+        name: np.full([lengths[d] for d in field.dimensions], kinds[field.dtype], field.dtype)
+        for name, field in _FIELDS.items()
+        if field.dtype in kinds
     }
     empty["split"] = np.array(tasks.split, dtype="U10")
     empty["sequence"] = np.array([task.sequence for task in tasks.task], np.int64)
@@ -149,32 +151,32 @@ def blank(tasks: Tasks, sizes: Sizes) -> Sessions:
     return Sessions(**empty)
 
 
-_FIELDS: dict[str, tuple[str, tuple[str, ...]]] = {
-    "split": ("U10", ("task",)),
-    "sequence": ("i8", ("task",)),
-    "start": ("i1", ("task",)),
-    "length": ("i1", ("task",)),
-    "goal": ("f4", ("task", *MESH)),
-    "state": ("f4", ("task", "state", *MESH)),
-    "centre": ("f4", ("task", "state", "xy")),
-    "estimate": ("f4", ("task", "step", *SEEN)),
-    "candidates": ("f4", ("task", "step", "candidate", "xy")),
-    "plan": ("f4", ("task", "step", "planned", "component")),
-    "loss": ("f4", ("task", "step")),
-    "terms": ("f4", ("task", "step", "term")),
-    "common": ("i1", ("task", "step")),
-    "relative": ("i1", ("task", "step")),
-    "null": ("?", ("task", "step")),
-    "cancelled": ("?", ("task", "step")),
-    "error_otherwise": ("f4", ("task", "step")),
-    "expected": ("f4", ("task", "step")),
-    "loss_recorded": ("f4", ("task",)),
-    "offered": ("?", ("task",)),
-    "prediction_mean": ("f2", ("task", "step", "planned", "net", *SEEN)),
-    "prediction_std": ("f2", ("task", "step", "planned", "net", *SURE)),
-    "refined": ("f2", ("task", "step", *SURE)),
-    "progress": ("f4", ("task", "step", "iteration")),
-    "restarts": ("f4", ("task", "step", "strain", "restart")),
+_FIELDS: dict[str, Declared] = {
+    "split": Declared("i1", ("task",), zeros=True),
+    "sequence": Declared("i8", ("task",), zeros=True),
+    "start": Declared("i1", ("task",), zeros=True),
+    "length": Declared("i1", ("task",)),
+    "goal": Declared("f4", ("task", *MESH)),
+    "state": Declared("f4", ("task", "state", *MESH)),
+    "centre": Declared("f4", ("task", "state", "xy"), zeros=True),
+    "estimate": Declared("f4", ("task", "step", *SEEN)),
+    "candidates": Declared("f4", ("task", "step", "candidate", "xy")),
+    "plan": Declared("f4", ("task", "step", "planned", "component")),
+    "loss": Declared("f4", ("task", "step")),
+    "terms": Declared("f4", ("task", "step", "term")),
+    "common": Declared("i1", ("task", "step"), zeros=True),
+    "relative": Declared("i1", ("task", "step"), zeros=True),
+    "null": Declared("?", ("task", "step"), zeros=True),
+    "cancelled": Declared("?", ("task", "step"), zeros=True),
+    "error_otherwise": Declared("f4", ("task", "step")),
+    "expected": Declared("f4", ("task", "step")),
+    "loss_recorded": Declared("f4", ("task",)),
+    "offered": Declared("?", ("task",), zeros=True),
+    "prediction_mean": Declared("f2", ("task", "step", "planned", "net", *SEEN)),
+    "prediction_std": Declared("f2", ("task", "step", "planned", "net", *SURE)),
+    "refined": Declared("f2", ("task", "step", *SURE)),
+    "progress": Declared("f4", ("task", "step", "iteration")),
+    "restarts": Declared("f4", ("task", "step", "strain", "restart")),
 }
 
 
@@ -215,7 +217,7 @@ def save(path: Path, parts: Iterable[Sessions], attributes: dict[str, Any]) -> N
     # Zarr has no stable type for strings: the names go to the attributes.
     group = zarr.open_group(path, mode="w", zarr_format=3, attributes={**attributes, "splits": list(SPLITS)})
     for block in _blocks(parts, SHARD):
-        for name, (_, dimensions) in _FIELDS.items():
+        for name, field in _FIELDS.items():
             values = getattr(block, name)
             if name == "split":
                 values = np.array([SPLITS.index(value) for value in values], np.int8)
@@ -224,7 +226,14 @@ def save(path: Path, parts: Iterable[Sessions], attributes: dict[str, Any]) -> N
                 continue
             chunk = tuple(max(1, length) for length in values.shape[1:])
             shards = (SHARD, *chunk)
-            group.create_array(name, data=values, chunks=(1, *chunk), shards=shards, dimension_names=dimensions)
+            group.create_array(
+                name,
+                data=values,
+                chunks=(1, *chunk),
+                shards=shards,
+                dimension_names=field.dimensions,
+                config=written(field),
+            )
 
 
 def _blocks(parts: Iterable[Sessions], size: int) -> Iterator[Sessions]:
@@ -244,9 +253,25 @@ def _cut(sessions: Sessions, chosen: slice) -> Sessions:
     return Sessions(**{name: getattr(sessions, name)[chosen].copy() for name in _FIELDS})
 
 
-def load(path: Path) -> Sessions:
-    """Read sessions back."""
-    group = zarr.open_group(path, mode="r")
-    arrays = {name: np.asarray(group[name][:]) for name in _FIELDS}  # type: ignore[index]
-    names = np.array(group.attrs["splits"], dtype="U10")
-    return Sessions(**{**arrays, "split": names[arrays["split"]]})
+def load(path: Path, chosen: slice = slice(None)) -> Sessions:
+    """Read sessions back, all or a stretch of them.
+
+    Raises InputError for a store that is missing, damaged or not as declared, and for sessions that can't be.
+    """
+    store = open_store(path, _FIELDS, lengths=_LENGTHS, holds=_HOLDS)
+    arrays = {name: store.read(name, chosen) for name in _FIELDS}
+    names = check_keys(path, arrays, store.attributes)
+    if chosen == slice(None):
+        check_counts(path, arrays, store.attributes)
+    check_values(path, arrays)
+    return Sessions(**{**arrays, "split": np.array(names, dtype="U10")[arrays["split"]]})
+
+
+def load_tasks(path: Path) -> list[tuple[str, int, int, int]]:
+    """Split, sequence, start and length of each recorded session. Raises InputError, as `load` does."""
+    store = open_store(path, {name: _FIELDS[name] for name in KEYS}, lengths=_LENGTHS, holds=_HOLDS)
+    arrays = {name: store.read(name) for name in KEYS}
+    names = check_keys(path, arrays, store.attributes)
+    check_counts(path, arrays, store.attributes)
+    splits = [names[code] for code in arrays["split"]]
+    return list(zip(splits, *(arrays[name].tolist() for name in KEYS[1:]), strict=True))

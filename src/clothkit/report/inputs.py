@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from clothkit.dataset import store
+from clothkit.dataset import store, tables
+from clothkit.dataset.raw import ATTEMPTS
 from clothkit.dataset.store import Dataset
 from clothkit.errors import InputError
 from clothkit.evaluation import arrays, tidy
@@ -18,8 +19,6 @@ from clothkit.report import rows
 from clothkit.report.settings import ReportConfig
 
 NETS = ("a", "b")
-
-PICTURES = ("sequence", "shown", "height", "voxels", "mesh")
 
 
 @dataclass(frozen=True)
@@ -82,28 +81,28 @@ def paths(data: Path, settings: ReportConfig) -> list[Path]:
 def read(data: Path, settings: ReportConfig) -> Inputs:
     """The report's inputs from the artifacts under `data`. Raises InputError for what is missing or malformed."""
     evaluation = data / "evaluation"
-    forward = {net: rows.read(data / f"nets/pemd_{net}/history.parquet", rows.HISTORY) for net in NETS}
+    forward = {net: tables.read(data / f"nets/pemd_{net}/history.parquet", tidy.HISTORY) for net in NETS}
     return Inputs(
         dataset=store.load(data / "meshes.zarr"),
-        attempts=rows.read(data / "raw/attempts.parquet", rows.ATTEMPTS),
-        histories={**forward, "vtm": rows.read(data / "nets/vtm/history.parquet", rows.HISTORY)},
+        attempts=tables.read(data / "raw/attempts.parquet", ATTEMPTS),
+        histories={**forward, "vtm": tables.read(data / "nets/vtm/history.parquet", tidy.HISTORY)},
         canonical=_canonical(data / "nets/pemd_a/net.json"),
         voxels_canonical=_canonical(data / "nets/emd_voxel_a/net.json"),
-        estimation=rows.read(evaluation / "estimation.parquet", rows.ESTIMATION),
-        prediction=rows.read(evaluation / "prediction.parquet", rows.PREDICTION),
-        calibration=rows.read(evaluation / "calibration.parquet", rows.CALIBRATION),
-        comparisons=rows.read(evaluation / "comparisons.parquet", rows.COMPARISONS),
+        estimation=tables.read(evaluation / "estimation.parquet", tidy.ESTIMATION),
+        prediction=tables.read(evaluation / "prediction.parquet", tidy.PREDICTION),
+        calibration=tables.read(evaluation / "calibration.parquet", tidy.CALIBRATION),
+        comparisons=tables.read(evaluation / "comparisons.parquet", tidy.COMPARISONS),
         planning=rows.read_planning(evaluation / "planning", settings.planners),
-        planning_comparisons=rows.read_comparisons(evaluation / "planning/comparisons.parquet"),
-        intervals=rows.read(evaluation / "planning/intervals.parquet", rows.INTERVALS),
-        failures=rows.read(evaluation / "planning/failures.parquet", rows.FAILURES),
-        estimates=arrays.load(evaluation / "estimates.zarr", ("sequence", "mean", "std", "mesh", "label")),
-        predictions=arrays.load(evaluation / "predictions.zarr", ("sequence", "start", "mean", "std", "shift")),
+        planning_comparisons=tables.read(evaluation / "planning/comparisons.parquet", tidy.ANY_COMPARISONS),
+        intervals=tables.read(evaluation / "planning/intervals.parquet", tidy.INTERVALS),
+        failures=tables.read(evaluation / "planning/failures.parquet", tidy.FAILURES),
+        estimates=arrays.load(evaluation / "estimates.zarr", arrays.ESTIMATES),
+        predictions=arrays.load(evaluation / "predictions.zarr", arrays.PREDICTIONS),
         sessions=record.load(evaluation / f"planning/sessions_{settings.planners[0]}.zarr"),
-        camera_estimation=tidy.read(evaluation / "camera/estimation.parquet", rows.CAMERA_ESTIMATION),
-        camera_planning=rows.read(evaluation / "camera/planning.parquet", rows.CAMERA_PLANNING),
-        camera_comparisons=rows.read_comparisons(evaluation / "camera/comparisons.parquet"),
-        pictures=arrays.load(evaluation / "camera/pictures.zarr", PICTURES),
+        camera_estimation=tables.read(evaluation / "camera/estimation.parquet", tidy.CAMERA_ESTIMATION),
+        camera_planning=tables.read(evaluation / "camera/planning.parquet", tidy.CAMERA_PLANNING),
+        camera_comparisons=tables.read(evaluation / "camera/comparisons.parquet", tidy.ANY_COMPARISONS),
+        pictures=arrays.load(evaluation / "camera/pictures.zarr", arrays.PICTURES),
     )
 
 

@@ -5,103 +5,17 @@ from pathlib import Path
 
 import pandas as pd
 
+from clothkit.dataset import tables
 from clothkit.errors import InputError
 from clothkit.evaluation import tidy
-
-ESTIMATION = ("split", "sequence", "state", "kind", "error", "error_no_action", "sigma_ratio")
-PREDICTION = (
-    "split",
-    "system",
-    "net",
-    "better",
-    "sequence",
-    "start",
-    "length",
-    "error",
-    "error_no_action",
-    "sigma_ratio",
-    "position_error",
-    "position_no_action",
-    "voxel_error",
-    "voxel_error_no_action",
-)
-CALIBRATION = ("split", "system", "length", "axis", "z", "expected", "coverage")
-PLANNING = (
-    "split",
-    "system",
-    "sequence",
-    "start",
-    "length",
-    "error",
-    "error_labelled",
-    "error_no_action",
-    "voxel_error",
-    "voxel_error_no_action",
-    "layers_reversed",
-    "estimate_error",
-    "estimate_layers_reversed",
-    "expected",
-    "loss",
-    "loss_recorded",
-    "grasp_offered",
-)
-COMPARISONS = ("split", "measure", "system", "against", "column", "sequences", "difference", "low", "high", "p")
-INTERVALS = ("split", "system", "measure", "column", "sequences", "mean", "low", "high")
-FAILURES = (
-    "split",
-    "system",
-    "length",
-    "tasks",
-    "search_failure",
-    "model_failure",
-    "layers_reversed",
-    "grasp_offered",
-    "nulls_fired",
-    "nulls_helped",
-    "expected",
-    "error",
-    "error_estimate_good",
-    "error_estimate_bad",
-)
-
-CAMERA_ESTIMATION = ("condition", "tilt", "noise", "seen", "voxel_error", "centre_error", "iou", "error")
-CAMERA_PLANNING = (
-    *("system", "length", "error", "error_no_action"),
-    *("condition", "tilt", "noise", "iou", "iou_no_action", "iou_seen"),
-)
-
-VOXEL_SYSTEMS = ("main_occluded", "a2")
-"""Systems whose predictions are voxels as a camera sees them: they have no error in cloth lengths."""
-
-_NUMBERS = ("error", "error_labelled", "error_no_action", "voxel_error", "voxel_error_no_action")
-
-HISTORY = ("iteration", "score")
-ATTEMPTS = ("accepted", "reason")
-
-
-def read(path: Path, columns: Sequence[str]) -> pd.DataFrame:
-    """The tidy rows of a parquet file.
-
-    Raises InputError if the file can't be read, is empty, lacks one of `columns`, or holds an error that is no number;
-    `error` may be missing in the rows of VOXEL_SYSTEMS alone.
-    """
-    rows = tidy.read(path, columns)
-    meshless = rows["system"].isin(VOXEL_SYSTEMS) if "system" in rows else pd.Series(False, rows.index)
-    for column in _NUMBERS:
-        expected = ~meshless if column == "error" else meshless | True
-        if column in columns and rows.loc[expected, column].isna().any():
-            raise InputError(f"{path}: column {column}: expected numbers only, found a missing value")
-    return rows
+from clothkit.evaluation.tidy import VOXEL_SYSTEMS as VOXEL_SYSTEMS
 
 
 def read_planning(folder: Path, systems: Sequence[str]) -> pd.DataFrame:
     """The planning rows of the given systems, `<folder>/<system>.parquet` each, one below the other."""
-    return pd.concat([read(folder / f"{system}.parquet", PLANNING) for system in systems], ignore_index=True)
-
-
-def read_comparisons(path: Path) -> pd.DataFrame:
-    """Paired comparisons; none where there was only one system to compare."""
-    return tidy.read(path, COMPARISONS, may_be_empty=True)
+    return pd.concat(
+        [tables.read(folder / f"{system}.parquet", tidy.PLANNING) for system in systems], ignore_index=True
+    )
 
 
 def require(rows: pd.DataFrame, systems: Sequence[str]) -> None:

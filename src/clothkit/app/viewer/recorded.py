@@ -1,16 +1,14 @@
 """Sessions that the pipeline has recorded (planning.record), read one by one."""
 
-import dataclasses
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import zarr
 
 from clothkit.app.viewer.session import Look, Session, ShownPlan, Step, matched
-from clothkit.errors import InputError
+from clothkit.dataset import tables
 from clothkit.evaluation import tidy
-from clothkit.planning.record import Sessions
+from clothkit.planning import record
 from clothkit.planning.systems import SYSTEMS
 
 _KEYS = ("sequence", "start", "length")
@@ -50,35 +48,24 @@ def _store(data: Path, system: str) -> Path:
 
 def entries(data: Path, system: str) -> list[Entry]:
     """The recorded sessions of a system, in the record's order. Raises InputError."""
-    path = _store(data, system)
-    group = _open(path)
-    split, sequence, start, length = (_array(path, group, name)[:] for name in ("split", *_KEYS))
-    names: Any = group.attrs.get("splits", [])
-    if len(split) and int(split.max()) >= len(names):
-        raise InputError(f"{path}: attribute splits: expected {int(split.max()) + 1} names, found {len(names)}")
     errors = _errors(data / f"evaluation/planning/{system}.parquet")
-    rows = zip([names[k] for k in split], sequence.tolist(), start.tolist(), length.tolist(), strict=True)
-    return [Entry(place, *row, errors.get(row)) for place, row in enumerate(rows)]
+    tasks = record.load_tasks(_store(data, system))
+    return [Entry(place, *task, errors.get(task)) for place, task in enumerate(tasks)]
 
 
 def _errors(path: Path) -> dict[tuple[str, int, int, int], float]:
     if not path.exists():
         return {}
     columns = ("split", *_KEYS, "error")
-    rows = tidy.read(path, columns)
+    rows = tables.read(path, tidy.PLANNING, columns)
     named = zip(*(rows[column].tolist() for column in columns), strict=True)
     return {(split, sequence, start, length): error for split, sequence, start, length, error in named}
 
 
 def session_of(data: Path, system: str, entry: Entry) -> Session:
     """A recorded session. Raises InputError."""
-    path = _store(data, system)
-    group = _open(path)
-    one = {
-        field.name: np.asarray(_array(path, group, field.name)[entry.place])
-        for field in dataclasses.fields(Sessions)
-        if field.name != "split"
-    }
+    chosen = record.load(_store(data, system), slice(entry.place, entry.place + 1))
+    one = {name: np.asarray(values[0]) for name, values in vars(chosen).items()}
     n = entry.length
     states = tuple(one["state"][: n + 1])
     steps = tuple(matched(_step(one, i, n), states[i]) for i in range(n))
@@ -112,17 +99,3 @@ def _note(one: dict[str, np.ndarray], i: int) -> str:
         return "not executed: its first manipulation is too short"
     otherwise = float(one["error_otherwise"][i])
     return f"not executed: no improvement was expected (it would have come to {otherwise:.3f})"
-
-
-def _open(path: Path) -> zarr.Group:
-    try:
-        return zarr.open_group(path, mode="r")
-    except (OSError, ValueError, RuntimeError) as error:
-        raise InputError(f"{path}: can't be read as a zarr group of sessions") from error
-
-
-def _array(path: Path, group: zarr.Group, name: str) -> Any:
-    try:
-        return group[name]
-    except KeyError as error:
-        raise InputError(f"{path}: has no array {name}, which a record of sessions holds") from error

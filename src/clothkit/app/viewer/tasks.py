@@ -4,11 +4,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import zarr
 
-from clothkit.dataset.store import SPLITS
+from clothkit.dataset.store import SPLITS, load_splits
 from clothkit.dataset.tasks import tasks_of
-from clothkit.errors import InputError
 
 
 class Ask(NamedTuple):
@@ -29,11 +27,7 @@ def test_tasks(path: Path) -> dict[str, Ask]:
     """Tasks of test sequences of a store of meshes by name; none where there is no store. Raises InputError."""
     if not path.exists():
         return {}
-    try:
-        group = zarr.open_group(path, mode="r")
-        split, length = (np.asarray(group[name][:]) for name in ("split", "length"))  # type: ignore[index]
-    except (OSError, ValueError, RuntimeError, KeyError) as error:
-        raise InputError(f"{path}: can't be read as a store of meshes") from error
+    split, length = load_splits(path)
     sequences = np.flatnonzero(split == SPLITS.index("test"))[:MOST]
     return {
         f"sequence {s}, state {task.start} to {task.start + task.length}": Ask(

@@ -15,17 +15,19 @@ from jaxtyping import Float
 
 from clothkit.cloth.silhouette import centred
 from clothkit.dataset.raw import (
+    ATTEMPTS,
     MANIPULATION_COLUMNS,
+    MEASURED,
     STATE_COLUMNS,
     Topologies,
-    read_attributes,
+    read_manipulations,
     read_states,
-    read_table,
     state_files,
 )
 from clothkit.dataset.regularise import Mesher
+from clothkit.dataset.tables import read as read_table
+from clothkit.dataset.tables import read_attributes
 
-MEASURED = ("height", "strain_p99", "strain_worst", "intersections", "gap", "residual_speed")
 SHAPES = ("area", "folds")
 _ATTEMPTS = ("accepted", "reason", "states")
 
@@ -78,12 +80,10 @@ class Example:
 def read(raw: Path) -> Inputs:
     """The card's inputs from a folder of raw artifacts. Raises InputError for what is missing or malformed."""
     files = state_files(raw / "states")
-    found = [read_table(file, ("sequence", "state", "topology"), optional=MEASURED) for file in files]
-    states = pd.concat(found).sort_values(["sequence", "state"], kind="stable").reset_index(drop=True)
-    moves = read_table(raw / "manipulations.parquet", MANIPULATION_COLUMNS, optional=("attempt", "settle_time"))
-    moves = moves.sort_values(["sequence", "step"], kind="stable").reset_index(drop=True)
+    states = read_states(raw / "states", ("sequence", "state", "topology", *MEASURED))
+    moves = read_manipulations(raw, states, (*MANIPULATION_COLUMNS, "attempt", "settle_time"))
     lists = (*MEASURED, *SHAPES, "settle_time")
-    attempts = read_table(raw / "attempts.parquet", _ATTEMPTS, optional=("attempt", *lists))
+    attempts = read_table(raw / "attempts.parquet", ATTEMPTS, (*_ATTEMPTS, "attempt", *lists))
     if "attempt" not in attempts:
         attempts["attempt"] = np.arange(len(attempts))
     tried = _tried(attempts, [name for name in lists if name in attempts])

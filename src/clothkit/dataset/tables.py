@@ -1,0 +1,245 @@
+"""Parquet tables: what one holds is declared, and is checked against that wherever it is read.
+
+A table's declaration is what pyarrow's schemas have, the kinds of columns, and what these lack: ranges with their
+units, names that may stand in a column, keys, rules between columns, and which rows there have to be.
+"""
+
+import dataclasses
+import json
+from collections.abc import Callable, Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple, NoReturn
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from clothkit.errors import InputError, system_error
+
+_KINDS: dict[str, Callable[[pa.DataType], bool]] = {
+    "whole numbers": pa.types.is_integer,
+    "numbers": lambda kind: pa.types.is_floating(kind) or pa.types.is_integer(kind),
+    "true or false": pa.types.is_boolean,
+    "text": lambda kind: pa.types.is_string(kind) or pa.types.is_large_string(kind),
+}
+_LIST = "lists of "
+
+
+@dataclasses.dataclass(frozen=True)
+class Column:
+    """What stands in a column."""
+
+    kind: str
+    """Of _KINDS, or a list of them."""
+    least: int | float = -np.inf
+    most: int | float = np.inf
+    among: tuple[str, ...] = ()
+    """The texts that may stand there; any if there are none."""
+    missing: bool = False
+    """Whether there may be nothing: null or NaN, in lists too."""
+    infinite: bool = False
+    """Whether numbers may be infinite."""
+    optional: bool = False
+    """Whether the whole column may be missing."""
+
+    @property
+    def item(self) -> str:
+        """The kind of one value, of a list or not."""
+        return self.kind.removeprefix(_LIST)
+
+    @property
+    def expected(self) -> str:
+        """In words."""
+        low, high = np.isfinite(self.least), np.isfinite(self.most)
+        limits = f" {self.least:g} to {self.most:g}" if low and high else f" from {self.least:g} on" if low else ""
+        names = f" ({', '.join(self.among)})" if self.among else ""
+        return f"{self.kind}{limits}{names}{' or nothing' if self.missing else ''}"
+
+
+class Rule(NamedTuple):
+    """What holds in each row."""
+
+    columns: tuple[str, ...]
+    holds: Callable[[pd.DataFrame], Any]
+    """Of these columns, in this order: a truth value per row."""
+    expected: str
+
+
+class Complete(NamedTuple):
+    """Which rows there are: of each group as many as `rows` gives for one of its rows, the largest of these."""
+
+    by: tuple[str, ...]
+    columns: tuple[str, ...]
+    rows: Callable[[pd.DataFrame], pd.Series]
+    expected: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Table:
+    """What a table holds."""
+
+    columns: Mapping[str, Column]
+    keys: tuple[str, ...] = ()
+    """No two rows have the same values in all of these."""
+    rules: tuple[Rule, ...] = ()
+    complete: tuple[Complete, ...] = ()
+    may_be_empty: bool = False
+
+
+def read(
+    path: Path, table: Table, columns: Sequence[str] = (), *, sequences: Collection[int] | None = None
+) -> pd.DataFrame:
+    """The rows of a parquet file, or those of some `sequences`, that are as the table is declared.
+
+    With `columns` these alone are read, of the optional ones those that are there; without, all that the file has,
+    undeclared ones unchecked. Raises InputError, naming the file, the column and what was expected.
+    """
+    try:
+        schema = pq.read_schema(path)
+        names = _present(path, table, columns, schema.names)
+        rows = None if sequences is None else [("sequence", "in", sorted(sequences))]
+        if not (table.may_be_empty and pq.read_metadata(path).num_rows == 0):
+            # Before they are read: a filter by sequence takes numbers alone.
+            for name in names:
+                _check_kind(path, name, table.columns[name], schema.field(name).type)
+        found = pq.read_table(path, columns=names if columns else None, filters=rows)
+        frame = found.to_pandas()
+    except InputError:
+        raise
+    except (pa.ArrowException, OSError, ValueError, MemoryError, OverflowError) as error:
+        raise _unreadable(path, error) from error
+    if not found.num_rows:
+        if table.may_be_empty or sequences is not None:
+            return frame
+        raise InputError(f"{path}: expected at least one row, found none")
+    for name in names:
+        _check_values(path, name, table, found[name], frame)
+    check(path, table, frame)
+    return frame
+
+
+def read_attributes(path: Path) -> dict[str, Any]:
+    """What a parquet file says of how it was made: stage, scale and params; empty when it says nothing."""
+    try:
+        found = json.loads((pq.read_schema(path).metadata or {}).get(b"clothkit", b"{}"))
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise _unreadable(path, error) from error
+    if not isinstance(found, dict):
+        raise InputError(f"{path}: metadata clothkit: expected an object, found {found!r:.50}")
+    return found
+
+
+def check(path: Path, table: Table, frame: pd.DataFrame) -> None:
+    """Raises InputError where keys stand twice, a rule is broken or a row is missing, as far as the columns are there.
+
+    For rows of several files together `path` is their folder.
+    """
+    if table.keys and set(table.keys) <= set(frame):
+        again = frame.duplicated(list(table.keys))
+        if again.any():
+            keys = ", ".join(table.keys)
+            raise InputError(f"{path}: expected one row for each {keys}, found two for {_where(frame, table, again)}")
+    for columns, holds, expected in table.rules:
+        if set(columns) <= set(frame):
+            broken = ~np.asarray(holds(frame[list(columns)]), bool)
+            if broken.any():
+                raise InputError(f"{path}: {', '.join(columns)} of {_where(frame, table, broken)}: expected {expected}")
+    for by, columns, rows, expected in table.complete:
+        if {*by, *columns} <= set(frame):
+            groups = rows(frame).groupby([frame[name] for name in by], sort=False)
+            short = groups.size() != groups.max()
+            if short.any():
+                place = short.index[short.to_numpy()][0]
+                named = zip(by, place if isinstance(place, tuple) else (place,), strict=True)
+                told = ", ".join(f"{name} {value}" for name, value in named)
+                raise InputError(f"{path}: {told}: expected {expected}")
+
+
+def _unreadable(path: Path, error: Exception) -> InputError:
+    if isinstance(error, OSError) and error.errno is not None:
+        return system_error(error, path, expected="a parquet file; run the stage that writes it (dvc repro)")
+    reason = (str(error).splitlines() or [type(error).__name__])[0]
+    return InputError(f"{path}: can't be read as parquet ({reason})")
+
+
+def _present(path: Path, table: Table, columns: Sequence[str], there: Sequence[str]) -> list[str]:
+    wanted = list(columns) or [name for name, column in table.columns.items() if not column.optional]
+    missing = [name for name in wanted if name not in there and not (columns and table.columns[name].optional)]
+    if missing:
+        raise InputError(f"{path}: has no column {missing[0]}, expected {', '.join(wanted)}")
+    chosen = columns or table.columns
+    return [name for name in chosen if name in there]
+
+
+def _check_kind(path: Path, name: str, column: Column, found: pa.DataType) -> None:
+    item = found.value_type if pa.types.is_dictionary(found) else found
+    if column.kind.startswith(_LIST) and (pa.types.is_list(found) or pa.types.is_large_list(found)):
+        right = _KINDS[column.item](found.value_type) or (column.missing and pa.types.is_null(found.value_type))
+    else:
+        right = not column.kind.startswith(_LIST) and _KINDS[column.kind](item)
+    if not right and not (column.missing and pa.types.is_null(found)):
+        raise InputError(f"{path}: column {name}: expected {column.expected}, found {found}")
+
+
+def _check_values(path: Path, name: str, table: Table, values: pa.ChunkedArray, frame: pd.DataFrame) -> None:
+    column = table.columns[name]
+    if pa.types.is_null(values.type):
+        return
+    nothing = frame[name].isna()
+    if nothing.any() and not column.missing:
+        _refuse(path, name, table, frame, nothing, "nothing")
+    if column.kind.startswith(_LIST):
+        _check_lists(path, name, table, values, frame)
+    elif column.among:
+        strange = ~frame[name].isin(column.among) & ~nothing
+        if strange.any():
+            _refuse(path, name, table, frame, strange, repr(frame.loc[strange, name].iloc[0])[:60])
+    elif column.kind.endswith("numbers"):
+        wrong = _wrong(column, frame[name].to_numpy(np.float64, na_value=np.nan))
+        if wrong.any():
+            _refuse(path, name, table, frame, wrong, f"{frame.loc[wrong, name].iloc[0]:g}")
+
+
+def _check_lists(path: Path, name: str, table: Table, values: pa.ChunkedArray, frame: pd.DataFrame) -> None:
+    if pa.types.is_null(values.type.value_type):
+        return
+    first = 0
+    for chunk in values.chunks:
+        # What is missing from a list becomes NaN.
+        items = chunk.flatten().to_numpy(zero_copy_only=False)
+        if not _surely_right(table.columns[name], items) and (wrong := _wrong(table.columns[name], items)).any():
+            item = int(np.argmax(wrong))
+            row = first + pc.list_parent_indices(chunk)[item].as_py()
+            _refuse(path, name, table, frame, np.arange(len(frame)) == row, f"{items[item]:g}")
+        first += len(chunk)
+
+
+def _surely_right(column: Column, values: np.ndarray) -> bool:
+    """Whether a look at the least and the largest suffices: for the millions of coordinates of states."""
+    if not len(values):
+        return True
+    low, high = values.min(), values.max()
+    return bool(np.isfinite(low) and np.isfinite(high) and column.least <= low and high <= column.most)
+
+
+def _wrong(column: Column, values: np.ndarray) -> np.ndarray:
+    """Which numbers are not those that are expected. NaN is not within limits."""
+    right = (values >= column.least) & (values <= column.most) & (column.infinite | np.isfinite(values))
+    return ~(right | np.isnan(values)) if column.missing else ~right
+
+
+def _refuse(
+    path: Path, name: str, table: Table, frame: pd.DataFrame, wrong: np.ndarray | pd.Series, found: str
+) -> NoReturn:
+    where, expected = _where(frame, table, wrong), table.columns[name].expected
+    raise InputError(f"{path}: column {name}: expected {expected}, found {found} ({where})")
+
+
+def _where(frame: pd.DataFrame, table: Table, wrong: np.ndarray | pd.Series) -> str:
+    """The first wrong row in words: its keys, or else its number."""
+    place = int(np.argmax(np.asarray(wrong)))
+    if table.keys and set(table.keys) <= set(frame):
+        return ", ".join(f"{key} {frame[key].iloc[place]}" for key in table.keys)
+    return f"row {place}"

@@ -1,0 +1,95 @@
+"""Whether the arrays of recorded sessions can be what sessions leave, and agree with one another.
+
+Of some arrays a lost part reads as zeros (`dataset.zarr_store`): what other arrays say of the same thing shows it.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool
+
+from clothkit.cloth.equivalents import COUNT
+from clothkit.dataset.store import SPLITS, STATES, STEPS
+from clothkit.errors import InputError
+
+KEYS = ("split", "sequence", "start", "length")
+
+
+def check_keys(path: Path, arrays: Mapping[str, np.ndarray], attributes: Mapping[str, Any]) -> list[str]:
+    """The names that `split` numbers, which the attribute `splits` says.
+
+    Raises InputError unless KEYS name a task in each row, no task twice.
+    """
+    splits = attributes.get("splits")
+    if not isinstance(splits, list) or not set(map(str, splits)) <= set(SPLITS):
+        raise InputError(f"{path}: attribute splits: expected names of {', '.join(SPLITS)}, found {splits}")
+    start, length = (arrays[name].astype(int) for name in ("start", "length"))
+    for name, least, most in (
+        ("split", 0, len(splits) - 1),
+        ("sequence", 0, np.iinfo(np.int64).max),
+        ("start", 0, STEPS - 1),
+        ("length", 1, STEPS),
+    ):
+        _refuse(path, name, (arrays[name] < least) | (arrays[name] > most), f"expected {least} to {most}")
+    _refuse(path, "length", start + length > STEPS, f"expected sessions that end at state {STEPS} or before")
+    keys = np.stack([arrays[name].astype(np.int64) for name in KEYS], axis=1)
+    if len(keys):
+        _, first = np.unique(keys, axis=0, return_index=True)
+        again = np.ones(len(keys), bool)
+        again[first] = False
+        _refuse(path, "sequence", again, "expected each task once, by split, sequence, start and length")
+    return splits
+
+
+def check_counts(path: Path, arrays: Mapping[str, np.ndarray], attributes: Mapping[str, Any]) -> None:
+    """Raises InputError unless as many sequences of each split were planned for as the plan stage's settings say."""
+    params = attributes.get("params")
+    if not str(attributes.get("stage")).startswith("plan@") or not isinstance(params, Mapping):
+        return
+    for code, split in enumerate(attributes["splits"]):
+        wanted, found = params.get(split, 0), len(np.unique(arrays["sequence"][arrays["split"] == code]))
+        if wanted != found:
+            raise InputError(
+                f"{path}: split: expected {wanted} sequences of {split}, as its attributes say, found {found}"
+            )
+
+
+def check_values(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """Raises InputError unless each session has what its length asks for, and nothing past its end."""
+    length = arrays["length"][:, None]
+    reached, acted = np.arange(STATES) <= length, np.arange(STEPS) < length
+    left = np.arange(STEPS) < (length - np.arange(STEPS))[..., None]
+    _refuse(path, "goal", ~_finite(arrays["goal"], 1), "expected finite values")
+    for name, present in (
+        *(("state", reached), ("centre", reached)),
+        *(("estimate", acted), ("loss", acted), ("plan", left & acted[..., None])),
+    ):
+        values = arrays[name]
+        wrong = np.where(present, ~_finite(values, present.ndim), ~_missing(values, present.ndim))
+        _refuse(path, name, wrong, "expected finite values up to the session's end, NaN past it")
+    for name in ("common", "relative"):
+        labels = arrays[name]
+        wrong = np.where(acted, (labels < -1) | (labels >= COUNT), labels != -1)
+        _refuse(path, name, wrong, f"expected labels 0 to {COUNT - 1} up to the session's end, -1 past it")
+    null, cancelled = arrays["null"], arrays["cancelled"]
+    _refuse(path, "null", null & ~acted, "expected none past the session's end")
+    _refuse(path, "null", cancelled & ~null, "expected every cancelled manipulation to be one that was not executed")
+    tried = np.isfinite(arrays["error_otherwise"])
+    _refuse(path, "cancelled", cancelled != tried, "expected those of which error_otherwise is known")
+
+
+def _finite(values: np.ndarray, dimensions: int) -> Bool[np.ndarray, "..."]:
+    return np.asarray(np.isfinite(values).reshape(*values.shape[:dimensions], -1).all(-1))
+
+
+def _missing(values: np.ndarray, dimensions: int) -> Bool[np.ndarray, "..."]:
+    return np.asarray(np.isnan(values).reshape(*values.shape[:dimensions], -1).all(-1))
+
+
+def _refuse(path: Path, name: str, wrong: np.ndarray, expected: str) -> None:
+    if wrong.any():
+        place, *rest = np.argwhere(wrong)[0].tolist()
+        step = f", step {rest[0]}" if rest else ""
+        raise InputError(f"{path}: {name} of session {place}{step}: {expected}")
