@@ -166,14 +166,11 @@ def test_an_experiment_in_a_copy_runs_the_copys_code(experiments: Repository) ->
     assert ran.is_relative_to(experiments.folder / ".dvc" / "tmp" / "exps")
     assert ran.parts[-3:] == ("src", "clothkit", "__init__.py")
     assert not (experiments.folder / "data" / "augmented.zarr").exists()
-    assert "scales.smoke.augment.variants" in experiments.run("dvc", "exp", "show", "--csv")
+    assert "Ran experiment" in output
 
 
-@pytest.mark.parametrize("place", ["another checkout", "a folder of the checkout"])
-def test_another_clothkit_than_the_checkouts_is_refused(experiments: Repository, place: str) -> None:
-    source = ROOT / "src"
-    if place != "another checkout":
-        source = shutil.copytree(experiments.folder / "src", experiments.folder / ".work" / "src")
+def test_a_clothkit_elsewhere_in_the_checkout_is_refused(experiments: Repository) -> None:
+    source = shutil.copytree(experiments.folder / "src", experiments.folder / ".work" / "src")
     ended = subprocess.run(
         [sys.executable, "stages/augment.py"],
         cwd=experiments.folder,
