@@ -2,7 +2,9 @@
 
 import errno
 import os
+import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -68,3 +70,23 @@ def test_an_error_that_nobody_told_is_told_by_the_file_that_it_names(error: OSEr
 )
 def test_faults_of_the_program_are_not_told(error: Exception) -> None:
     assert untold_error(error) is None
+
+
+@pytest.mark.parametrize(
+    ("refusal", "reason"),
+    [
+        (AssertionError(), "what JAX needs for it is not installed"),
+        (RuntimeError("Unable to initialize\nbackend"), "Unable to initialize backend"),
+    ],
+)
+def test_a_device_that_jax_lacks_is_told(monkeypatch: pytest.MonkeyPatch, refusal: Exception, reason: str) -> None:
+    def refuse() -> None:
+        raise refusal
+
+    fake = SimpleNamespace(config=SimpleNamespace(jax_platforms="cuda"), devices=refuse)
+    monkeypatch.setitem(sys.modules, "jax", fake)  # type: ignore[arg-type]
+    told = untold_error(refusal)
+    assert str(told) == f"JAX_PLATFORMS: JAX can't use cuda here; unset it, or set it to cpu ({reason})"
+    # A fault of the program on a device that is there is none of these.
+    monkeypatch.setattr(fake, "devices", list)
+    assert untold_error(refusal) is None
