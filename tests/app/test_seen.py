@@ -21,7 +21,7 @@ from clothkit.estimation.agreement import AgreementConfig
 from clothkit.estimation.estimate import Estimate
 from clothkit.observation.side import Stated
 from tests.app.conftest import run, succeed
-from tests.observation.scenes import SCALE, folded
+from tests.observation.scenes import SCALE, folded, turned
 from tests.observation.test_side import ABOVE, TOWEL
 
 APP = AppConfig()
@@ -87,9 +87,9 @@ def test_a_mesh_with_y_up_is_refused_and_turned_when_told(here: Path) -> None:
         assert wrong.exit_code == 1
         assert "stands upright" in wrong.stderr
         assert "--y-up" in wrong.stderr
-    turned = look(str(here / "y_up.obj"), seeing(APP, side=None, table=None, y_up=True))
+    told = look(str(here / "y_up.obj"), seeing(APP, side=None, table=None, y_up=True))
     plain = look(str(here / "z_up.obj"), seeing(APP, side=None, table=None))
-    np.testing.assert_array_equal(turned.observation.voxels, plain.observation.voxels)
+    np.testing.assert_array_equal(told.observation.voxels, plain.observation.voxels)
     surface = look(str(here / "y_up_surface.obj"), seeing(APP, side=None, table=None, y_up=True))
     assert (surface.observation.voxels != plain.observation.voxels).sum() < 0.05 * plain.observation.voxels.sum()
 
@@ -117,17 +117,17 @@ def test_estimate_tells_what_it_covers_and_whether_it_explains(here: Path, files
         return Estimate(ProbabilisticMesh(mean, np.full_like(mean, 0.01)), mean)
 
     np.save(here / "half.npy", np.asarray(voxels.observe(half)))
-    write_mesh(here / "flat.obj", flat().astype(float) * SCALE)
+    write_mesh(here / "across.obj", turned(half, np.pi / 2).astype(float) * SCALE)
     with mock.patch.object(estimate_command, "estimated", perfect):
         first, second = succeed("estimate", "half.npy", "--out", "mesh.obj").splitlines()
-        wrong = succeed("estimate", "flat.obj", "--out", "mesh.obj").splitlines()
+        wrong = succeed("estimate", "across.obj", "--out", "mesh.obj").splitlines()
     # Half of 40 x 40 cm, and a little for the bend and for pixels at the border; voxels are counted whole.
     estimate, observed = (float(part.split(" cm²")[0].split()[-1]) for part in first.split("covers")[1].split(","))
     assert estimate == pytest.approx(812, abs=30)
     assert estimate < observed < 1.25 * estimate
     assert second == "half.npy: the estimate explains what was seen (silhouette IoU 1.00, height IoU 1.00)"
-    assert "observed 16" in wrong[0]
-    assert wrong[1].startswith("warning: flat.obj: the estimate does not explain what was seen (silhouette IoU 0.5")
+    # Of two halves of a square that cross, a quarter of it is in both, and three quarters in either.
+    assert wrong[1].startswith("warning: across.obj: the estimate does not explain what was seen (silhouette IoU 0.3")
     assert "expected at least 0." in wrong[1]
 
 

@@ -119,6 +119,13 @@ def test_pcd_as_pcl_writes_it(tmp_path: Path, data: str) -> None:
     np.testing.assert_allclose(cloud.viewpoint, [0.1, 0.2, 0.9])
     assert cloud.colours is not None
     np.testing.assert_array_equal(cloud.colours[5], [10, 200, 30])
+    # PCL writes the origin when it knows no viewpoint, in whatever frame the points are.
+    content = (tmp_path / "cloud.pcd").read_bytes()
+    assert b"VIEWPOINT 0.1 0.2 0.9 " in content
+    (tmp_path / "unknown.pcd").write_bytes(content.replace(b"VIEWPOINT 0.1 0.2 0.9 ", b"VIEWPOINT 0 0 0 "))
+    unknown = read(tmp_path / "unknown.pcd")
+    assert isinstance(unknown, PointCloud)
+    assert unknown.viewpoint is None
 
 
 def test_pcd_with_doubles_and_nothing_else(tmp_path: Path) -> None:

@@ -75,14 +75,15 @@ def segment(
             )
         plane = find(others, settings.plane, name=name)
     # Every n-th, so that what a camera saw in rows and columns stays even.
-    cloth = cloth[:: -(-len(cloth) // settings.most)]
+    thinned = slice(None, None, -(-len(cloth) // settings.most))
     near = settings.plane.tolerance
-    heights = heights_of(plane, cloth, others, patch=cloth_side / _VOXELS_A_SIDE, flat=near)
+    heights = heights_of(plane, cloth[thinned], others, patch=cloth_side / _VOXELS_A_SIDE, flat=near)
     if abs(heights.middle) > settings.highest:
         raise _off_table(heights.middle, name)
     plane = oriented(plane, heights, stated=stated, viewpoint=cloud.viewpoint, told=told, near=near, name=name)
     rotation, origin = plane.frame()
     cloth, others = ((part - origin) @ rotation.T for part in (cloth, others))
+    cloth = cloth[thinned]
     check_lying(name, cloth, side=cloth_side, remedy="check the table's plane, or say which way is up (--up)")
     cloth = _above_table(cloth, settings, name)
     cloth = without_outliers(cloth, settings)
