@@ -86,9 +86,9 @@ def test_shifts_of_the_centre_add_up() -> None:
 
 def test_voxels_are_grasped_at_the_top_of_the_nearest_column() -> None:
     voxels = np.zeros((32, 32, 16), np.float32)
-    voxels[20, 9, :4], voxels[20, 9, 4:6], voxels[5, 25, 0], voxels[0, 0] = 0.5, 0.4, 0.9, 0.4
-    # Middles of the columns are (0.281, -0.406) and (-0.656, 0.594): halfway between them is (-0.188, 0.094).
-    xy = np.array([[0.281, -0.406], [-0.656, 0.594], [-0.16, 0.07], [-0.21, 0.11], [-1, 1]])
+    voxels[20, 9, :4], voxels[20, 9, 4:6], voxels[8, 11, 0], voxels[0, 0] = 0.5, 0.4, 0.9, 0.4
+    # Middles of the columns are (0.281, -0.406) and (-0.469, -0.281): halfway between them is (-0.094, -0.344).
+    xy = np.array([[0.281, -0.406], [-0.469, -0.281], [-0.075, -0.344], [-0.112, -0.344], [-1, 1]])
     voxel = 0.125 / 16
     np.testing.assert_allclose(heights(voxels, xy), np.array([3.5, 0.5, 3.5, 0.5, 0.5]) * voxel, atol=1e-9)
     np.testing.assert_array_equal(heights(np.full_like(voxels, 0.4), xy), np.zeros(5))

@@ -34,6 +34,15 @@ def test_concave_corners_are_left_out() -> None:
         assert _nearest(points, corner) < 0.08
 
 
+def test_a_corner_is_moved_to_a_vertex_near_it_and_to_no_other_however_far_out() -> None:
+    """An L with a long arm: along the diagonal the end of that is farther out than the corner of the short one."""
+    mesh = flat()
+    mesh[16:, 10:, 0] = mesh[15::-1, 10:, 0]
+    points = candidates(mesh)
+    for corner in [(-0.7, -0.7), (0.7, -0.7), (-0.7, 0.7), tuple(mesh[31, 9, :2]), (0, 0.7)]:
+        assert _nearest(points, corner) < 0.05
+
+
 def test_a_diagonal_fold_has_three_corners() -> None:
     mesh = flat()
     x, y = mesh[..., 0].copy(), mesh[..., 1].copy()

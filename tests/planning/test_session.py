@@ -13,6 +13,7 @@ import pytest
 import zarr
 
 from clothkit.cloth.equivalents import relabel
+from clothkit.cloth.grid import flat
 from clothkit.cloth.mesh import distance_aligned, error
 from clothkit.cloth.silhouette import centred
 from clothkit.dataset.store import SPLITS, Dataset
@@ -82,6 +83,9 @@ def finding(plan: np.ndarray) -> Any:
 def test_true_meshes_reach_the_goal_in_known_labels() -> None:
     sessions, _ = run_sessions(tasks(Task(0, 0, 1), Task(1, 1, 1)), toy.planner("b1"), toy.execute)
     tidy = rows(sessions, "b1")
+    # Eq. (13) with the planner's alpha.
+    a, b, u = sessions.terms[:, 0].T
+    np.testing.assert_allclose(sessions.loss[:, 0], a + b + 0.25 * u, rtol=1e-5)
     assert (tidy.error < 0.02).all()
     assert (tidy.error_labelled < 0.02).all()
     assert (tidy.error_no_action > 0.05).all()
@@ -238,8 +242,8 @@ def test_a_broken_simulation_is_told() -> None:
 
 
 def test_candidates_of_the_flat_cloth_are_its_corners() -> None:
-    points = mesh_candidates(dataset(1).vertices[0, 0], toy.planner("b1").grasping)
-    assert {tuple(np.sign(p)) for p in points} <= {(-1, -1), (-1, 1), (1, -1), (1, 1)}
+    points = mesh_candidates(flat(), toy.planner("b1").grasping)
+    assert sorted(points.tolist()) == [[-1, -1], [-1, 1], [1, -1], [1, 1]]
     disc = np.zeros((32, 32, 3), np.float32)
     angle, radius = np.linspace(0, 2 * np.pi, 32)[:, None], np.linspace(0, 0.6, 32)[None]
     disc[..., 0], disc[..., 1] = radius * np.cos(angle), radius * np.sin(angle)
