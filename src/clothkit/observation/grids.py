@@ -26,8 +26,12 @@ def is_grid(vertices: int, faces: Faces) -> bool:
         return False
     u, v = np.divmod(faces, SIDE)
     within = (np.ptp(u, axis=1) == 1) & (np.ptp(v, axis=1) == 1)
-    quads = np.bincount(u.min(1) * SIDE + v.min(1), minlength=SIDE**2)
-    return bool(within.all() and (quads <= 2).all() and quads.sum() == 2 * _QUADS)
+    if not within.all() or (np.diff(np.sort(faces, axis=1), axis=1) == 0).any():
+        return False
+    quad, corner = u.min(1) * SIDE + v.min(1), 2 * (u - u.min(1, keepdims=True)) + v - v.min(1, keepdims=True)
+    # Corners are 0 to 3: of a triangle one is missing, of the two of a quad those that face one another.
+    counts, missing = np.bincount(quad), np.bincount(quad, 6 - corner.sum(1))
+    return bool((counts <= 2).all() and (missing == 1.5 * counts).all() and (counts == 2).sum() == _QUADS)
 
 
 def grid_order(

@@ -17,6 +17,9 @@ from clothkit.observation.obj import load_obj
 from clothkit.observation.ply import load_ply
 from clothkit.observation.states import named
 
+_MOST_VERTICES = 20_000_000
+"""Of all objects of a scene, in which one mesh may stand many times."""
+
 
 class Loaded(NamedTuple):
     """What a file holds, in its own frame and unit."""
@@ -87,7 +90,13 @@ def _parts(path: Path, content: bytes) -> dict[str, trimesh.Trimesh | trimesh.Po
         return {} if found is None else {path.stem: found}
     scene = load_glb(path, content)
     parts = {}
-    for node in scene.graph.nodes_geometry:
+    place = {name: k for k, name in enumerate(scene.geometry)}
+    # trimesh gives them in any order, and a grid's is told by it.
+    nodes = sorted(scene.graph.nodes_geometry, key=lambda node: (place[scene.graph[node][1]], str(node)))
+    count = sum(len(getattr(scene.geometry[scene.graph[node][1]], "vertices", ())) for node in nodes)
+    if count > _MOST_VERTICES:
+        raise InputError(f"{path}: holds {len(nodes)} objects of {count} vertices in all, expected one cloth")
+    for node in nodes:
         transform, name = scene.graph[node]
         part = scene.geometry[name].copy()
         if isinstance(part, trimesh.Trimesh | trimesh.PointCloud):

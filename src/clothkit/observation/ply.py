@@ -80,9 +80,10 @@ def _elements(path: Path, header: str) -> list[Element]:
                 # A row of no properties still takes a line of text; in binary files it is refused below.
                 elements.append(Element(name, int(rows), int(text), ()))
             elif words[:1] == ["property"]:
-                size = 2 if text else _SIZES[words[2] if words[1] == "list" else words[1]]
-                last = elements[-1]
-                elements[-1] = last._replace(size=last.size + size, properties=(*last.properties, words[-1]))
+                size, last = _SIZES[words[2] if words[1] == "list" else words[1]], elements[-1]
+                elements[-1] = last._replace(
+                    size=last.size + (2 if text else size), properties=(*last.properties, words[-1])
+                )
         except (ValueError, IndexError, KeyError) as error:
             raise InputError(f"{path}: can't be read as PLY, its header has the line {line[:60]!r}") from error
     for element in elements:
