@@ -91,8 +91,9 @@ def _array(name: str, content: bytes) -> np.ndarray:
     bytes_said = dtype.itemsize
     for length in shape:
         bytes_said *= length
-    if bytes_said > len(content):
-        raise InputError(f"{name}: says that it is an array {list(shape)}, but has {len(content)} bytes")
+    left = len(content) - file.tell()
+    if bytes_said > left:
+        raise InputError(f"{name}: says that it is an array {list(shape)}, but has {left} bytes of data")
     file.seek(0)
     return np.lib.format.read_array(file, allow_pickle=False)
 
