@@ -73,6 +73,12 @@ def test_hands_start_at_the_grasp_points_in_the_plans_frame(
     plan = read_plan(here / "plan.json")
     assert plan.frame == frame
     assert "plan.json: 2 steps" in said
+    as_it_is = state == "bent.obj" and not options
+    assert (plan.state.taken, plan.goal.taken) == ("as it is" if as_it_is else "estimated", "as it is")
+    assert (
+        f"{files / state}: {'taken as it is' if as_it_is else 'its mesh is estimated from what is seen of it'}" in said
+    )
+    assert f"{files / 'goal.glb'}: taken as it is" in said
     assert not violations(json.loads((here / "plan.json").read_text()), schema())
     for number, step in enumerate(plan.steps):
         assert step.null == (len(step.hands) == 0)

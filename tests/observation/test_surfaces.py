@@ -155,9 +155,16 @@ def ply(
 
 MIXED: list[list[int]] = [*QUADS[:400].tolist(), *sheet(SIDE, SIDE, np.ones(961, bool))[800:].tolist()]
 
+# Of each second pair of quads a triangle and a pentagon: as many bytes as quads.
+EVEN: list[list[int]] = []
+for _one, _other in zip(QUADS[0::2].tolist(), QUADS[1::2].tolist(), strict=False):
+    (_a, _b, _c, _d), (_e, _f, _g, _h) = _one, _other
+    EVEN += [[_a, _b, _d], [_d, _b, _c, _g, _h]] if (_d, _c) == (_e, _f) else [_one, _other]
+EVEN.append(QUADS[-1].tolist())
+
 
 @pytest.mark.parametrize("order", ["<", ">", "t"])
-@pytest.mark.parametrize("polygons", [T, QUADS, MIXED], ids=["triangles", "quads", "mixed"])
+@pytest.mark.parametrize("polygons", [T, QUADS, MIXED, EVEN], ids=["triangles", "quads", "mixed", "even"])
 def test_ply(tmp_path: Path, polygons: Sequence[Sequence[int]], order: str) -> None:
     is_the_cloth(read_surface(ply(tmp_path / "cloth.ply", V, polygons, order=order), cloth_side=CLOTH))
     normals = dict.fromkeys(("nx", "ny", "nz"), ("f", V[:, 0] * 0))
@@ -227,6 +234,11 @@ def test_ply_colours(tmp_path: Path, names: Sequence[str], order: str) -> None:
     assert isinstance(cloud, PointCloud)
     np.testing.assert_array_equal(cloud.colours, colours)
     np.testing.assert_allclose(cloud.points, points, atol=1e-6)
+    dark = read_surface(
+        ply(tmp_path / "b.ply", points, more=coloured(colours % 2, names), order=order), cloth_side=CLOTH
+    )
+    assert isinstance(dark, PointCloud)
+    np.testing.assert_array_equal(dark.colours, colours % 2)
 
 
 def test_ply_with_lists_beside_points(tmp_path: Path) -> None:
@@ -351,13 +363,19 @@ def with_table(path: Path) -> Path:
             raw((HEADER % (b"ascii", 1)).replace(b"float x", b"real x")),
             "header has the line 'property real x'",
         ),
-        ("a.ply", raw((HEADER % (b"ascii", 2)) + b"1 2 3\n4 5 six\n"), "can't be read as PLY"),
+        ("a.ply", raw((HEADER % (b"ascii", 2)) + b"1 2 3\n4 5 six\n"), "point 1 is '4 5 six', expected 3 numbers"),
+        (
+            "a.ply",
+            raw((HEADER % (b"ascii", 3)) + b"1 2 3\n4 5 6  \n" + b" " * 20),
+            "ends after 2 points, its header says 3",
+        ),
         ("a.ply", lambda p: ply(p, V, [[0, 1, 2]], lists="tristrips"), "holds triangle strips, expected faces"),
         ("a.ply", lambda p: ply(p, V, [[0, 1, 2], [0, 1, 2, 5000]]), "can't be read as PLY|between vertices that it"),
         ("a.obj", raw(b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 0\n"), "line 4 is no face: 'f 1 2 0'"),
         ("a.obj", raw(b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 -4\n"), "line 4 is a face of vertices that are not there"),
         ("a.obj", raw(b"v 0 0 0\nv 1 0 0\nf 1 2\n"), "line 3 is no face: 'f 1 2'"),
         ("a.obj", raw(b"v 0 0 0\nv 1 0 0\n"), "holds no triangles; if its vertices are what a camera measured, give"),
+        ("a.obj", raw(b"v 0 0 1e300\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"), "not finite, or farther away than any cloth's"),
         ("a.obj", raw(b"# nothing\n"), "holds no vertices; if a camera took it, its view is empty"),
     ],
 )

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from clothkit.app import plan_file
 from clothkit.app.given import Seen
 from clothkit.app.plan_file import Plan, rounded
-from clothkit.app.planner import Believed, Planned, disagreement
+from clothkit.app.planner import Believed, Planned, disagreement, taken
 from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.cloth.mesh import ProbabilisticMesh, distance, error
 from clothkit.cloth.silhouette import centred, iou, silhouette
@@ -93,8 +93,8 @@ def describe(planner: Planner, planned: Planned, paths: list[HandPaths], given: 
         "system": planner.system.name,
         "seed": given.seed,
         "frame": given.frame,
-        "state": {"file": given.state.file, "kind": given.state.kind},
-        "goal": {"file": given.goal.file, "kind": given.goal.kind},
+        "state": _source(planner, given.state),
+        "goal": _source(planner, given.goal, goal=True),
         "turned": None if given.matrix is None else rounded(given.matrix, 9),
         "side_m": given.side,
         "metres_per_normalised": pose.scale,
@@ -146,6 +146,10 @@ def covered(state: Believed) -> np.ndarray:
     if state.shape == RESOLUTION:
         return np.asarray((state >= _SURELY).any(-1))
     return silhouette(centred(state.astype(np.float32))[0])
+
+
+def _source(planner: Planner, seen: Seen, *, goal: bool = False) -> dict[str, Any]:
+    return {"file": seen.file, "kind": seen.kind, "taken": taken(planner.system, seen, goal=goal)}
 
 
 def _step(

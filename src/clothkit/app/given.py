@@ -33,6 +33,7 @@ COMPILED_BYTES = 2**30
 _WEIGHTS = Weights(alpha=0.01, beta=5.0, gamma=1.25)
 
 Kind = Literal["mesh", "voxels", "points"]
+Taken = Literal["as it is", "estimated"]
 
 
 class Settings(NamedTuple):
@@ -70,6 +71,8 @@ class Seeing(NamedTuple):
     """Of the flat cloth [m]."""
     cloud: CloudConfig
     table: Plane | None
+    as_points: bool = False
+    """Whether a mesh that is no grid of ours holds what a camera measured."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,7 +98,9 @@ class Seen:
 
 def look(file: str, seeing: Seeing, *, mask: str | None = None) -> Seen:
     """What a file shows. `mask` names a file that tells a cloud's points of the cloth. Raises InputError."""
-    state = read(file, cloth_side=seeing.side)
+    state = read(file, cloth_side=seeing.side, as_points=seeing.as_points)
+    for notice in state.notices:
+        click.echo(f"notice: {notice}", err=True)
     if mask is not None:
         if not isinstance(state, PointCloud):
             raise InputError(f"{mask}: is a mask for points, but {file} holds none")
@@ -135,6 +140,12 @@ def looking(command: Callable[..., Any]) -> Callable[..., Any]:
                 "--mask", metavar="FILE", help="NPY [n] of 0 and 1: which points of the state's cloud are the cloth's."
             ),
             click.option(
+                "--as-points",
+                is_flag=True,
+                help="The vertices of a mesh that is no grid of 32 x 32 are what a camera measured; its faces are left "
+                "out.",
+            ),
+            click.option(
                 "--table",
                 type=float,
                 nargs=4,
@@ -169,6 +180,7 @@ def seeing(
     table: tuple[float, ...] | None,
     table_colour: tuple[int, ...] | None,
     box: tuple[float, ...] | None,
+    as_points: bool = False,
 ) -> Seeing:
     """How files are looked at: as options say, else as settings do. Raises InputError."""
     cloud = app.cloud
@@ -181,7 +193,7 @@ def seeing(
         corners = _corners("--box", box)
         cloud = dataclasses.replace(cloud, box=corners)
     plane = table or app.table
-    return Seeing(app.side if side is None else side, cloud, plane_of(plane) if plane else None)
+    return Seeing(app.side if side is None else side, cloud, plane_of(plane) if plane else None, as_points)
 
 
 def reach_of(app: AppConfig, box: tuple[float, ...] | None) -> ReachConfig | None:

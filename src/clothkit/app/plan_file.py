@@ -11,7 +11,7 @@ import numpy as np
 import pydantic
 from annotated_types import Ge, Gt, Le, Len
 
-from clothkit.app.given import Kind
+from clothkit.app.given import Kind, Taken
 from clothkit.app.output import unfinished
 from clothkit.cloth.grid import SIDE
 from clothkit.cloth.voxels import RESOLUTION
@@ -44,6 +44,8 @@ class Source(Part):
     file: str
     kind: Kind
     """mesh: [32, 32, 3]; voxels: [32, 32, 16]; points: a cloud, or a surface seen from above."""
+    taken: Taken | None = None
+    """Whether the plan starts from (or leads to) what the file holds, or an estimate of it; null: an older version."""
 
 
 class Table(Part):

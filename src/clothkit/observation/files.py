@@ -35,8 +35,8 @@ State = MeshState | VoxelState | PointCloud
 def read(source: str | Path, *, cloth_side: float = DEFAULT_SIDE, as_points: bool = False) -> State:
     """The state in a file, by its ending. Lengths are metres unless an array is normalised.
 
-    `cloth_side` [m] is that of the flat cloth; `as_points` takes a mesh file's vertices for what a camera measured.
-    Raises InputError, one sentence, that names the file, what was expected and what was found.
+    `cloth_side` [m] is that of the flat cloth; `as_points` takes the vertices of a mesh that is no grid for what a
+    camera measured. Raises InputError, one sentence, that names the file, what was expected and what was found.
     """
     if not (np.isfinite(cloth_side) and cloth_side > 0):
         raise InputError(f"{source}: cloth side {cloth_side:g}, expected metres above 0")

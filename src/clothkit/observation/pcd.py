@@ -1,6 +1,5 @@
 """Point clouds in PCD files (Point Cloud Library, versions .5 to .7): ASCII, binary and compressed by LZF."""
 
-import io
 import re
 import struct
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 from clothkit.errors import InputError, system_error
 from clothkit.observation.colours import colours_of
 from clothkit.observation.states import PointCloud
+from clothkit.observation.text import numbers, short
 
 _KINDS = {"F": "f", "U": "u", "I": "i"}
 _SIZES = ("1", "2", "4", "8")
@@ -86,7 +86,7 @@ def _header(path: Path, content: bytes) -> tuple[dict[str, list[str]], int]:
 
 def _points(path: Path, header: dict[str, list[str]]) -> int:
     """How many there are: POINTS, or WIDTH times HEIGHT, which agree."""
-    numbers = {}
+    said = {}
     for name in ("POINTS", "WIDTH", "HEIGHT"):
         words = header.get(name)
         if words is None:
@@ -94,9 +94,9 @@ def _points(path: Path, header: dict[str, list[str]]) -> int:
         word = " ".join(words)
         if not re.fullmatch(r"\d{1,18}", word):
             raise InputError(f"{path}: {name} is {word!r} in its header, expected a whole number")
-        numbers[name] = int(word)
-    area = numbers["WIDTH"] * numbers.get("HEIGHT", 1) if "WIDTH" in numbers else None
-    points = numbers.get("POINTS", area)
+        said[name] = int(word)
+    area = said["WIDTH"] * said.get("HEIGHT", 1) if "WIDTH" in said else None
+    points = said.get("POINTS", area)
     if points is None:
         raise InputError(f"{path}: is no PCD file, its header has neither POINTS nor WIDTH")
     if area not in (None, points):
@@ -119,27 +119,19 @@ def _fields(path: Path, header: dict[str, list[str]]) -> list[Field]:
             raise InputError(f"{path}: has field {name} {names.count(name)} times, expected it once")
         try:
             one = np.dtype(f"<{_KINDS[kind]}{size}")
-            numbers = int(count) if re.fullmatch(r"\d{1,18}", count) else 0
-            if size not in _SIZES or numbers < 1 or (name in _USED and numbers > 1):
+            each = int(count) if re.fullmatch(r"\d{1,18}", count) else 0
+            if size not in _SIZES or each < 1 or (name in _USED and each > 1):
                 raise ValueError
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"{path}: field {name} has type {kind}, size {size}, count {count}: unknown") from error
-        fields.append(Field(name, one, numbers))
+        fields.append(Field(name, one, each))
     return fields
 
 
 def _ascii(path: Path, data: bytes, fields: list[Field], points: int) -> dict[str, np.ndarray]:
-    if not data.strip():
-        raise _short(path, 0, points)
-    width = sum(field.numbers for field in fields)
-    try:
-        table = np.loadtxt(io.TextIOWrapper(io.BytesIO(data), "latin-1"), comments=None, ndmin=2)
-    except ValueError as error:
-        raise _no_row(path, data, width, error) from error
-    if table.shape[1] != width:
-        raise _no_row(path, data, width, None)
+    table = numbers(path, data, width=sum(field.numbers for field in fields))
     if len(table) < points:
-        raise _short(path, len(table), points)
+        raise short(path, len(table), points)
     if len(table) > points:
         raise InputError(f"{path}: goes on after the {points} points that its header says")
     columns, first = {}, 0
@@ -151,30 +143,10 @@ def _ascii(path: Path, data: bytes, fields: list[Field], points: int) -> dict[st
     return columns
 
 
-def _no_row(path: Path, data: bytes, width: int, error: ValueError | None) -> InputError:
-    """The row that can't be read, as NumPy's words tell which it is."""
-    number = re.search(r"at row (\d+)", str(error))
-    row = int(number[1]) if number else 0
-    lines = (line for line in data.decode("latin-1").splitlines() if line.strip())
-    for index, line in enumerate(lines):
-        # NumPy counts from 0 or 1, as the case may be.
-        words = line.split()
-        if index >= row - 1 and not _numbers(words, width):
-            return InputError(f"{path}: point {index} is {' '.join(words)[:60]!r}, expected {width} numbers")
-    return InputError(f"{path}: can't be read as ASCII, expected {width} numbers in each line")
-
-
-def _numbers(words: list[str], width: int) -> bool:
-    try:
-        return len([float(word) for word in words]) == width
-    except ValueError:
-        return False
-
-
 def _binary(path: Path, data: bytes, fields: list[Field], points: int) -> dict[str, np.ndarray]:
     size = sum(field.size for field in fields)
     if len(data) < points * size:
-        raise _short(path, len(data) // size, points)
+        raise short(path, len(data) // size, points)
     columns, first = {}, 0
     for field in fields:
         if field.name in _USED:
@@ -187,7 +159,7 @@ def _compressed(path: Path, data: bytes, fields: list[Field], points: int) -> di
     """Field after field, each of all points, compressed as one."""
     expected = points * sum(field.size for field in fields)
     if len(data) < 8:
-        raise _short(path, 0, points)
+        raise short(path, 0, points)
     compressed, size = struct.unpack_from("<II", data)
     if size != expected:
         raise InputError(f"{path}: its data unpack to {size} bytes, but {points} points take {expected}")
@@ -205,10 +177,6 @@ def _compressed(path: Path, data: bytes, fields: list[Field], points: int) -> di
             columns[field.name] = np.frombuffer(unpacked, field.type, count=points, offset=first)
         first += field.size * points
     return columns
-
-
-def _short(path: Path, found: int, points: int) -> InputError:
-    return InputError(f"{path}: ends after {found} points, its header says {points}")
 
 
 def _viewpoint(path: Path, header: dict[str, list[str]]) -> np.ndarray:

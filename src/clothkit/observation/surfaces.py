@@ -7,6 +7,7 @@ becomes what a camera straight above would see: a dense point cloud, layers belo
 A file may also hold what a camera measured: points without faces, or, where its program has meshed them, with faces.
 """
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,8 @@ _NARROWEST, _WIDEST = 0.8, 1.2
 """How wide a grid may be along its edges, in cloth sides: cloths stretch, and files may round."""
 _MOST_SPAN = 1.6
 """What a cloth may span along one axis, in cloth sides: its diagonal, and some slack."""
+_FARTHEST = 1e7
+"""In cloth sides: a mesh in micrometres is told that its unit is wrong, one beyond is none."""
 _SAME_PLACE = 1e-5
 """How near vertices are that count as one, as a share of the cloth's side."""
 _MESHED = "holds a mesh with colours that does not lie on z = 0: taken for points that a camera measured, without faces"
@@ -38,8 +41,8 @@ _MESHED = "holds a mesh with colours that does not lie on z = 0: taken for point
 def read_surface(path: Path, *, cloth_side: float, as_points: bool = False) -> MeshState | PointCloud:
     """The state in a mesh file; a PLY without faces is the point cloud that it holds.
 
-    `as_points` takes the vertices for what a camera measured, wherever they lie, and leaves faces out. So is, without
-    being asked for, a PLY whose vertices have colours and that is neither a grid nor on the table.
+    `as_points` takes the vertices of what is no grid for what a camera measured, wherever they lie, and leaves faces
+    out. So is, without being asked for, a PLY whose vertices have colours and that is neither a grid nor on the table.
 
     Raises InputError when the file can't be read, or does not hold a cloth of `cloth_side` [m] on the table.
     """
@@ -52,17 +55,22 @@ def read_surface(path: Path, *, cloth_side: float, as_points: bool = False) -> M
     vertices, faces, tolerance = loaded.vertices, loaded.faces, _SAME_PLACE * cloth_side
     if path.suffix.lower() == ".glb":
         vertices = np.stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]], axis=-1)
-    if as_points or (ply and not len(faces)):
-        return PointCloud(vertices, colours=loaded.colours)
+    points = PointCloud(vertices, colours=loaded.colours)
     if not len(faces):
+        if as_points or ply:
+            return points
         raise InputError(f"{path}: holds no triangles; if its vertices are what a camera measured, give --as-points")
     used, faces = np.unique(faces, return_inverse=True)
     vertices, faces = vertices[used], faces.reshape(-1, 3)
-    if not np.isfinite(vertices).all():
-        raise InputError(f"{path}: has vertices that are not finite")
-    order = grid_order(vertices, faces, tolerance=tolerance)
-    if order is None and ply and loaded.colours is not None and not _on_table(vertices, cloth_side):
-        return PointCloud(loaded.vertices, colours=loaded.colours, notices=(f"{path}: {_MESHED}",))
+    # So written, what is not a number counts as far away, too.
+    finite = bool((np.abs(vertices) < _FARTHEST * cloth_side).all())
+    order = grid_order(vertices, faces, tolerance=tolerance) if finite else None
+    if order is None and as_points:
+        return points
+    if not finite:
+        raise InputError(f"{path}: has vertices that are not finite, or farther away than any cloth's")
+    if order is None and ply and points.colours is not None and not _on_table(vertices, cloth_side):
+        return dataclasses.replace(points, notices=(f"{path}: {_MESHED}",))
     return _surface(path, loaded._replace(vertices=vertices, faces=faces), order, cloth_side, tolerance)
 
 
