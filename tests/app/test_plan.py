@@ -85,6 +85,12 @@ def test_hands_start_at_the_grasp_points_in_the_plans_frame(
     assert (plan.state.agreement is None) == (plan.system == "b1")
     assert ("the state's estimate" in said) == (plan.system != "b1")
     assert plan.goal.agreement is None
+    as_it_is = state == "bent.obj" and not options
+    assert (plan.state.taken, plan.goal.taken) == ("as it is" if as_it_is else "estimated", "as it is")
+    assert (
+        f"{files / state}: {'taken as it is' if as_it_is else 'its mesh is estimated from what is seen of it'}" in said
+    )
+    assert f"{files / 'goal.glb'}: taken as it is" in said
     assert not violations(json.loads((here / "plan.json").read_text()), schema())
     assert [len(step.hands) for step in plan.steps] == [2, 1]
     for number, step in enumerate(plan.steps):

@@ -26,6 +26,20 @@ def folded(*, along: float = 0.3, angle: float = 0.0) -> np.ndarray:
     return centred(turned(mesh, angle))[0]
 
 
+def cornered(side: int = SIDE) -> np.ndarray:
+    """A cloth in metres, `side` vertices a side, of which a corner is folded over an oblique line.
+
+    No mirror image of it looks the same. The flat cloth's middle is at (0.1, -0.05).
+    """
+    axis = (np.arange(side) / (side - 1) - 0.5) * CLOTH
+    mesh = np.stack([*np.meshgrid(axis, axis, indexing="ij"), np.full((side, side), 0.001)], axis=-1)
+    normal = np.array([0.9, 0.436]) / np.linalg.norm([0.9, 0.436])
+    past = np.maximum(mesh[..., :2] @ normal - 0.1, 0)
+    mesh[..., :2] -= 2 * past[..., None] * normal
+    mesh[..., 2] += 0.005 * (past > 0)
+    return mesh + np.array([0.1, -0.05, 0])
+
+
 def turned(mesh: np.ndarray, angle: float) -> np.ndarray:
     """The mesh turned about z."""
     c, s = np.cos(angle), np.sin(angle)

@@ -1,11 +1,13 @@
 """What a camera sees becomes the voxels that it was rendered from, in any frame, and bad clouds get one sentence."""
 
 import dataclasses
+import resource
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import ndimage
 
 from clothkit.cloth import voxels
 from clothkit.cloth.grid import flat
@@ -16,7 +18,7 @@ from clothkit.observation.cloud import closed, observe_cloud, smoothed, voxels_o
 from clothkit.observation.coverage import centre, covered, goal_iou, spacing
 from clothkit.observation.noise import NoiseConfig, noisy
 from clothkit.observation.plane import LEVEL, plane_of
-from clothkit.observation.segment import without_outliers
+from clothkit.observation.segment import segment, without_outliers
 from clothkit.observation.settings import CloudConfig
 from clothkit.observation.states import PointCloud
 from tests.observation.scenes import CLOTH, SCALE, folded, image_of, motion
@@ -100,6 +102,46 @@ def test_invalid_points_strays_and_distant_things_change_little() -> None:
     mask = np.concatenate([CLOUD.cloth, np.ones(1000, bool), np.ones(60, bool), np.zeros(200, bool)])
     seen = observe_cloud(PointCloud(points, cloth=mask), cloth_side=CLOTH)
     assert difference(seen.voxels, TRUTH) < 0.07
+
+
+@settings(max_examples=4, deadline=None)
+@given(st.integers(0, 10_000), st.sampled_from([3e3, 5e4, 1e38]))
+def test_strays_however_far_change_nothing(seed: int, away: float) -> None:
+    """A raster over fifteen strays 3 km away would take 26 GiB."""
+    random = np.random.default_rng(seed)
+    place = random.normal(size=2)
+    place *= away / np.linalg.norm(place)
+    strays = np.column_stack([place + random.normal(0, 1e-3, (15, 2)), np.full(15, 0.8)])
+    points = np.concatenate([CLOUD.points, strays])
+    mask = np.append(CLOUD.cloth, np.ones(15, bool))
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    seen = observe_cloud(PointCloud(points, cloth=mask), cloth_side=CLOTH)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 500_000
+    np.testing.assert_array_equal(seen.voxels, observe_cloud(CLOUD, cloth_side=CLOTH).voxels)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10_000), st.integers(1, 6))
+def test_pieces_are_those_of_a_raster(seed: int, count: int) -> None:
+    """What is kept of scattered blobs is the piece of most cells of their picture, told here by labelling an image."""
+    random = np.random.default_rng(seed)
+    sizes = np.r_[0.1, np.full(count, 0.012)]
+    middles = np.concatenate([np.zeros((1, 2)), random.uniform(-0.25, 0.25, (count, 2))])
+    blobs = [
+        random.uniform(-size, size, (60_000 if size > 0.05 else 60, 2)) + xy
+        for size, xy in zip(sizes, middles, strict=True)
+    ]
+    xy = np.concatenate(blobs)
+    cloth = np.column_stack([xy, np.zeros(len(xy))])
+    plain = CloudConfig(neighbours=0, most=100_000)
+    kept = segment(PointCloud(cloth, table=LEVEL), cloth_side=CLOTH, settings=plain).cloth
+    cell = CLOTH / (0.7 * 32)
+    index = np.floor((xy - xy.min(0)) / cell).astype(int)
+    image = np.zeros(index.max(0) + 1, bool)
+    image[tuple(index.T)] = True
+    labels, _ = ndimage.label(image, structure=np.ones((3, 3)))
+    largest = np.bincount(labels[image]).argmax()
+    np.testing.assert_array_equal(kept, cloth[labels[tuple(index.T)] == largest])
 
 
 def test_half_of_the_points_give_nearly_the_same() -> None:
@@ -190,7 +232,8 @@ def two() -> PointCloud:
     ("cloud", "sentence"),
     [
         (PointCloud(np.zeros((0, 3))), "is empty, expected points"),
-        (PointCloud(np.full((50, 3), np.nan)), "none of its 50 points is finite"),
+        (PointCloud(np.full((50, 3), np.nan)), "is an empty view, none of its 50 points is finite"),
+        (PointCloud(np.full((50, 3), 3.4e38)), "is an empty view, none of its 50 points"),
         (PointCloud(np.zeros((50, 3))), "other than \\(0, 0, 0\\)"),
         (PointCloud(np.ones((50, 3))), "50 points are the cloth's, expected at least 100"),
         (dataclasses.replace(CLOUD, cloth=np.zeros(len(CLOUD.points), bool)), "0 points are the cloth's"),

@@ -9,7 +9,7 @@ from clothkit.app import plan_file
 from clothkit.app.explained import Explained
 from clothkit.app.given import Seen
 from clothkit.app.plan_file import Plan, plan_of, rounded
-from clothkit.app.planner import Believed, Planned, disagreement
+from clothkit.app.planner import Believed, Planned, disagreement, taken
 from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.cloth.mesh import ProbabilisticMesh, distance, error
 from clothkit.cloth.silhouette import centred, iou, silhouette
@@ -99,8 +99,8 @@ def describe(planner: Planner, planned: Planned, paths: list[HandPaths], given: 
         "system": planner.system.name,
         "seed": given.seed,
         "frame": given.frame,
-        "state": _source(given.state, given.explained[0]),
-        "goal": _source(given.goal, given.explained[1]),
+        "state": _source(planner, given.state, given.explained[0]),
+        "goal": _source(planner, given.goal, given.explained[1], goal=True),
         "turned": None if given.matrix is None else rounded(given.matrix, 9),
         "side_m": given.side,
         "metres_per_normalised": pose.scale,
@@ -163,7 +163,7 @@ def covered(state: Believed) -> np.ndarray:
     return silhouette(centred(state.astype(np.float32))[0])
 
 
-def _source(seen: Seen, found: Explained | None) -> dict[str, Any]:
+def _source(planner: Planner, seen: Seen, found: Explained | None, *, goal: bool = False) -> dict[str, Any]:
     agreement = None
     if found is not None:
         agreement = {
@@ -171,7 +171,8 @@ def _source(seen: Seen, found: Explained | None) -> dict[str, Any]:
             "height_iou": round(found.height_iou, 4),
             "explains": found.explains,
         }
-    return {"file": seen.file, "kind": seen.kind, "agreement": agreement}
+    how = taken(planner.system, seen, goal=goal)
+    return {"file": seen.file, "kind": seen.kind, "taken": how, "agreement": agreement}
 
 
 def _step(

@@ -35,6 +35,7 @@ COMPILED_BYTES = 2**30
 _WEIGHTS = Weights(alpha=0.01, beta=5.0, gamma=1.25)
 
 Kind = Literal["mesh", "voxels", "points"]
+Taken = Literal["as it is", "estimated"]
 
 
 class Settings(NamedTuple):
@@ -78,6 +79,8 @@ class Seeing(NamedTuple):
     """What is known of up, in the clouds' frame."""
     y_up: bool = False
     """Whether OBJ and PLY meshes have y up."""
+    as_points: bool = False
+    """Whether a mesh that is no grid of ours holds what a camera measured."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,7 +114,9 @@ def look(file: str, seeing: Seeing, *, mask: str | None = None) -> Seen:
 
     What of it is not observed is said on stderr.
     """
-    state = read(file, cloth_side=seeing.side, y_up=seeing.y_up)
+    state = read(file, cloth_side=seeing.side, y_up=seeing.y_up, as_points=seeing.as_points)
+    for notice in state.notices:
+        click.echo(f"notice: {notice}", err=True)
     if mask is not None:
         if not isinstance(state, PointCloud):
             raise InputError(f"{mask}: is a mask for points, but {file} holds none")
@@ -151,6 +156,12 @@ def looking(command: Callable[..., Any]) -> Callable[..., Any]:
             ),
             click.option(
                 "--mask", metavar="FILE", help="NPY [n] of 0 and 1: which points of the state's cloud are the cloth's."
+            ),
+            click.option(
+                "--as-points",
+                is_flag=True,
+                help="The vertices of a mesh that is no grid of 32 x 32 are what a camera measured; its faces are left "
+                "out.",
             ),
             click.option(
                 "--table",
@@ -212,6 +223,7 @@ def seeing(
     up: Triple | None = None,
     viewpoint: Triple | None = None,
     y_up: bool | None = None,
+    as_points: bool = False,
 ) -> Seeing:
     """How files are looked at: as options say, else as settings do. Raises InputError."""
     cloud = app.cloud
@@ -239,6 +251,7 @@ def seeing(
         plane_of(plane) if plane else None,
         Stated(up, seen_from),
         turned,
+        as_points,
     )
 
 

@@ -10,7 +10,7 @@ from clothkit.app.describe import Frame, Given, describe, frame_of, paths_of
 from clothkit.app.explained import of_goal, of_state, warn
 from clothkit.app.given import Seen, keep_compiled_programs, look, looking, reach_of, seeing, settings
 from clothkit.app.output import check_target, part
-from clothkit.app.plan_file import Plan, read_plan, write_plan
+from clothkit.app.plan_file import Plan, Source, read_plan, write_plan
 from clothkit.app.planner import Planned, believed, find_plan, goal_of, planner_of, turned_goal, turned_plan
 from clothkit.app.recall import check_nets, past_of, side_of
 from clothkit.errors import InputError
@@ -187,6 +187,7 @@ def summary(plan: Plan, path: Path) -> str:
             continue
         moves = [f"{_point(hand.grasp_m)} -> {_point(hand.release_m)}" for hand in step.hands]
         said.append(f"  step {number}: {', '.join(moves)} m in {step.hands[0].waypoints[-1].time_s:.1f} s")
+    said += [f"{source.file}: {_taken(source)}" for source in (plan.state, plan.goal)]
     for what, source in (("state", plan.state), ("goal", plan.goal)):
         if source.agreement is not None:
             said.append(
@@ -216,6 +217,13 @@ def summary(plan: Plan, path: Path) -> str:
     if plan.warning:
         said.append(plan.warning)
     return "\n".join(said)
+
+
+def _taken(source: Source) -> str:
+    """How a plan takes what a file holds, in words."""
+    if source.taken == "estimated":
+        return f"its mesh is estimated from {'its voxels' if source.kind == 'voxels' else 'what is seen of it'}"
+    return "taken as it is"
 
 
 def _point(point: tuple[float, ...]) -> str:

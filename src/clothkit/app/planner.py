@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray, Shaped
 
-from clothkit.app.given import Seen, Settings
+from clothkit.app.given import Seen, Settings, Taken
 from clothkit.cloth.equivalents import compose, inverse, relabel, relabel_manipulation
 from clothkit.cloth.mesh import best_label, distance
 from clothkit.errors import InputError
@@ -120,6 +120,12 @@ def goal_of(system: System, seen: Seen, data: Path, settings: Settings) -> Belie
         return seen.observation.voxels
     mesh = mesh_of(seen)
     return np.asarray(estimated(vtm_of(data, settings), seen, settings).mesh[0]) if mesh is None else mesh
+
+
+def taken(system: System, seen: Seen, *, goal: bool = False) -> Taken:
+    """Whether a system plans from (or for) what a file holds, as it is, or from what is estimated of it."""
+    as_it_is = system.voxels or (mesh_of(seen) is not None and (goal or system.true_meshes))
+    return "as it is" if as_it_is else "estimated"
 
 
 def mesh_of(seen: Seen) -> Float[np.ndarray, "u v 3"] | None:

@@ -106,6 +106,8 @@ def command(
     write_mesh(out, states[-1].astype(float) * pose.scale)
     done = sum(not step.null for step in plan.steps[:steps])
     click.echo(f"{out}: the cloth after {done} manipulation{'' if done == 1 else 's'}")
+    if seen:
+        click.echo(f"{seen.file}: {'taken as it is' if mesh_of(seen) is not None else 'its mesh is estimated'}")
     if wanted is not None:
         matrix = None if plan.turned is None else np.array(plan.turned)
         before, after = (scored(state, wanted, matrix) for state in (states[0], states[-1]))

@@ -38,8 +38,8 @@ def covered(xy: Float[np.ndarray, "points 2"], *, resolution: int, extent: float
 
     Pixels are indexed as those of `cloth.silhouette.silhouette`.
     """
-    pixel = np.floor((xy + extent) * (resolution / (2 * extent))).astype(int)
-    pixel = pixel[((pixel >= 0) & (pixel < resolution)).all(1)]
+    pixel = np.floor((xy + extent) * (resolution / (2 * extent)))
+    pixel = pixel[((pixel >= 0) & (pixel < resolution)).all(1)].astype(int)
     image = np.zeros((resolution + 2, resolution + 2), bool)
     image[pixel[:, 0] + 1, pixel[:, 1] + 1] = True
     return ndimage.binary_closing(image, structure=np.ones((3, 3)))[1:-1, 1:-1]

@@ -1,54 +1,83 @@
-"""Point clouds in PCD files (Point Cloud Library, version .7), ASCII and binary, as arrays by field."""
+"""Point clouds in PCD files (Point Cloud Library, versions .5 to .7): ASCII, binary and compressed by LZF."""
 
+import re
+import struct
 from pathlib import Path
+from typing import NamedTuple
 
+import lzf
 import numpy as np
 
-from clothkit.errors import InputError
+from clothkit.errors import InputError, system_error
+from clothkit.observation.colours import colours_of
 from clothkit.observation.states import PointCloud
+from clothkit.observation.text import numbers, short
 
 _KINDS = {"F": "f", "U": "u", "I": "i"}
-_NEEDED = ("FIELDS", "SIZE", "TYPE", "POINTS", "DATA")
+_SIZES = ("1", "2", "4", "8")
+_NEEDED = ("FIELDS", "SIZE", "TYPE", "DATA")
+_MOST_LINES = 200  # of a header, comments included
+_USED = ("x", "y", "z", "rgb", "rgba", "r", "g", "b")
+_LZF_RATIO = 128
+"""LZF makes at most 264 bytes of 3."""
+
+
+class Field(NamedTuple):
+    """A field of a point: `numbers` of one type."""
+
+    name: str
+    type: np.dtype
+    numbers: int
+
+    @property
+    def size(self) -> int:
+        """Bytes."""
+        return self.type.itemsize * self.numbers
 
 
 def read_pcd(path: Path) -> PointCloud:
-    """The cloud in a PCD file, with its viewpoint and, where it has `rgb` or `rgba`, its colours.
+    """The cloud in a PCD file, with its viewpoint and, where it has `rgb`, `rgba`, or `r`, `g`, `b`, its colours.
 
     A viewpoint at the origin is not taken for one: writers put it there, in whatever frame, when they know none.
-    Raises InputError when the header is not one of a PCD file, the data are compressed or end too early, or x, y and z
-    are not among the fields.
+    Raises InputError when the header is not one of a PCD file or disagrees with itself or with what follows, or x, y
+    and z are not among the fields. What a header promises is held against the file's size before memory is asked for.
     """
-    content = path.read_bytes()
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise system_error(error, path, expected="a point cloud") from error
     header, begin = _header(path, content)
-    dtype = _dtype(path, header)
-    points = _number(path, header, "POINTS")
+    fields = _fields(path, header)
+    points = _points(path, header)
+    if not points:
+        raise InputError(f"{path}: holds no points, its view is empty")
     encoding = header["DATA"][0].lower()
-    if encoding == "ascii":
-        table = _ascii(path, content[begin:], dtype, points)
-    elif encoding == "binary":
-        found = (len(content) - begin) // dtype.itemsize
-        if found < points:
-            raise InputError(f"{path}: ends after {found} points, its header says {points}")
-        table = np.frombuffer(content, dtype, count=points, offset=begin)
-    else:
-        raise InputError(f"{path}: DATA is {encoding}, expected ascii or binary; save it uncompressed")
+    least = 2 * sum(field.numbers for field in fields) if encoding == "ascii" else sum(field.size for field in fields)
+    if least > len(content):
+        raise InputError(f"{path}: by its header a point takes {least} bytes, the file has {len(content)}")
+    readers = {"ascii": _ascii, "binary": _binary, "binary_compressed": _compressed}
+    if encoding not in readers:
+        raise InputError(f"{path}: DATA is {encoding}, expected {', '.join(readers)}")
     # Cameras write all kinds of NaN.
     with np.errstate(invalid="ignore"):
-        xyz = np.stack([table[axis].astype(float) for axis in "xyz"], axis=-1)
-    return PointCloud(xyz, colours=_colours(table), viewpoint=_viewpoint(path, header))
+        columns = readers[encoding](path, content[begin:], fields, points)
+        xyz = np.stack([columns[axis].astype(float) for axis in "xyz"], axis=-1)
+        return PointCloud(xyz, colours=colours_of(columns), viewpoint=_viewpoint(path, header))
 
 
 def _header(path: Path, content: bytes) -> tuple[dict[str, list[str]], int]:
     """The header's entries, and where the data begin."""
     header: dict[str, list[str]] = {}
-    position = 0
+    position, lines = 0, 0
     while "DATA" not in header:
         end = content.find(b"\n", position)
         line = content[position:end].decode("ascii", "replace").split() if end >= 0 else None
-        if line is None or len(header) > 20:
+        lines += 1
+        if line is None or lines > _MOST_LINES:
             raise InputError(f"{path}: is no PCD file, its header has no line DATA")
         if line and not line[0].startswith("#"):
-            header[line[0].upper()] = line[1:]
+            name = line[0].upper()
+            header["FIELDS" if name == "COLUMNS" else name] = line[1:]
         position = end + 1
     missing = [name for name in _NEEDED if not header.get(name)]
     if missing:
@@ -56,66 +85,99 @@ def _header(path: Path, content: bytes) -> tuple[dict[str, list[str]], int]:
     return header, position
 
 
-def _number(path: Path, header: dict[str, list[str]], name: str) -> int:
-    try:
-        number = int(header[name][0])
-        if number < 0:
-            raise ValueError
-        return number
-    except ValueError as error:
-        raise InputError(f"{path}: {name} is {header[name][0]!r} in its header, expected a whole number") from error
+def _points(path: Path, header: dict[str, list[str]]) -> int:
+    """How many there are: POINTS, or WIDTH times HEIGHT, which agree."""
+    said = {}
+    for name in ("POINTS", "WIDTH", "HEIGHT"):
+        words = header.get(name)
+        if words is None:
+            continue
+        word = " ".join(words)
+        if not re.fullmatch(r"\d{1,18}", word):
+            raise InputError(f"{path}: {name} is {word!r} in its header, expected a whole number")
+        said[name] = int(word)
+    area = said["WIDTH"] * said.get("HEIGHT", 1) if "WIDTH" in said else None
+    points = said.get("POINTS", area)
+    if points is None:
+        raise InputError(f"{path}: is no PCD file, its header has neither POINTS nor WIDTH")
+    if area not in (None, points):
+        raise InputError(f"{path}: POINTS is {points} in its header, but WIDTH times HEIGHT is {area}")
+    return points
 
 
-def _dtype(path: Path, header: dict[str, list[str]]) -> np.dtype:
-    """How a point is laid out. Fields called _ are padding, of which there may be several."""
-    fields, sizes, kinds = header["FIELDS"], header["SIZE"], header["TYPE"]
-    counts = header.get("COUNT", ["1"] * len(fields))
-    if not len(fields) == len(sizes) == len(kinds) == len(counts):
+def _fields(path: Path, header: dict[str, list[str]]) -> list[Field]:
+    """How a point is laid out."""
+    names, sizes, kinds = header["FIELDS"], header["SIZE"], header["TYPE"]
+    counts = header.get("COUNT", ["1"] * len(names))
+    if not len(names) == len(sizes) == len(kinds) == len(counts):
         raise InputError(f"{path}: FIELDS, SIZE, TYPE and COUNT of its header differ in length")
-    missing = [axis for axis in "xyz" if fields.count(axis) != 1]
-    if missing:
-        raise InputError(f"{path}: has no field {missing[0]}, its fields are {' '.join(fields)}")
-    layout = []
-    for k, (field, size, kind, count) in enumerate(zip(fields, sizes, kinds, counts, strict=True)):
+    for axis in "xyz":
+        if axis not in names:
+            raise InputError(f"{path}: has no field {axis}, its fields are {' '.join(names)}")
+    fields = []
+    for name, size, kind, count in zip(names, sizes, kinds, counts, strict=True):
+        if name in _USED and names.count(name) > 1:
+            raise InputError(f"{path}: has field {name} {names.count(name)} times, expected it once")
         try:
             one = np.dtype(f"<{_KINDS[kind]}{size}")
-            if field in ("x", "y", "z") and count != "1":
+            each = int(count) if re.fullmatch(r"\d{1,18}", count) else 0
+            if size not in _SIZES or each < 1 or (name in _USED and each > 1):
                 raise ValueError
-            layout.append((f"_{k}" if field == "_" else field, one, *([(int(count),)] if count != "1" else [])))
         except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"{path}: field {field} has type {kind}, size {size}, count {count}: unknown") from error
-    return np.dtype(layout)
+            raise InputError(f"{path}: field {name} has type {kind}, size {size}, count {count}: unknown") from error
+        fields.append(Field(name, one, each))
+    return fields
 
 
-def _ascii(path: Path, text: bytes, dtype: np.dtype, points: int) -> np.ndarray:
-    lines = [line.split() for line in text.decode("ascii", "replace").splitlines() if line.strip()]
-    if len(lines) < points:
-        raise InputError(f"{path}: ends after {len(lines)} points, its header says {points}")
-    table = np.zeros(points, dtype)
-    assert dtype.names is not None
-    width = sum(int(np.prod(dtype[name].shape)) for name in dtype.names)
-    for row, line in enumerate(lines[:points]):
-        try:
-            if len(line) != width:
-                raise ValueError
-            position = 0
-            for name in dtype.names:
-                count = int(np.prod(dtype[name].shape))
-                values = np.array(line[position : position + count], float)
-                table[name][row] = values if dtype[name].shape else values[0]
-                position += count
-        except (ValueError, OverflowError) as error:
-            raise InputError(f"{path}: point {row} is {' '.join(line)[:60]!r}, expected {width} numbers") from error
-    return table
+def _ascii(path: Path, data: bytes, fields: list[Field], points: int) -> dict[str, np.ndarray]:
+    table = numbers(path, data, width=sum(field.numbers for field in fields))
+    if len(table) < points:
+        raise short(path, len(table), points)
+    if len(table) > points:
+        raise InputError(f"{path}: goes on after the {points} points that its header says")
+    columns, first = {}, 0
+    for field in fields:
+        if field.name in _USED:
+            column = table[:, first]
+            columns[field.name] = column if field.type.kind == "f" else column.astype(np.int64)
+        first += field.numbers
+    return columns
 
 
-def _colours(table: np.ndarray) -> np.ndarray | None:
-    """Red, green and blue, which PCL packs into the bytes of a float or of a whole number."""
-    name = next((name for name in ("rgb", "rgba") if name in (table.dtype.names or ())), None)
-    if name is None or table.dtype[name].itemsize != 4:
-        return None
-    packed = np.ascontiguousarray(table[name]).view(np.uint32)
-    return np.stack([packed >> 16 & 255, packed >> 8 & 255, packed & 255], axis=-1).astype(np.uint8)
+def _binary(path: Path, data: bytes, fields: list[Field], points: int) -> dict[str, np.ndarray]:
+    size = sum(field.size for field in fields)
+    if len(data) < points * size:
+        raise short(path, len(data) // size, points)
+    columns, first = {}, 0
+    for field in fields:
+        if field.name in _USED:
+            columns[field.name] = np.ndarray(points, field.type, data, offset=first, strides=(size,))
+        first += field.size
+    return columns
+
+
+def _compressed(path: Path, data: bytes, fields: list[Field], points: int) -> dict[str, np.ndarray]:
+    """Field after field, each of all points, compressed as one."""
+    expected = points * sum(field.size for field in fields)
+    if len(data) < 8:
+        raise short(path, 0, points)
+    compressed, size = struct.unpack_from("<II", data)
+    if size != expected:
+        raise InputError(f"{path}: its data unpack to {size} bytes, but {points} points take {expected}")
+    if compressed > len(data) - 8 or size > _LZF_RATIO * compressed:
+        raise InputError(f"{path}: ends too early, or is broken: {len(data) - 8} bytes of compressed data")
+    try:
+        unpacked = lzf.decompress(data[8 : 8 + compressed], size)
+    except Exception as error:  # a C extension's own
+        raise InputError(f"{path}: its compressed data are broken") from error
+    if unpacked is None or len(unpacked) != size:
+        raise InputError(f"{path}: its compressed data are broken")
+    columns, first = {}, 0
+    for field in fields:
+        if field.name in _USED:
+            columns[field.name] = np.frombuffer(unpacked, field.type, count=points, offset=first)
+        first += field.size * points
+    return columns
 
 
 def _viewpoint(path: Path, header: dict[str, list[str]]) -> np.ndarray | None:

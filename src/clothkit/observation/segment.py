@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy import ndimage
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from clothkit.cloth.grid import CLOTH_SIDE
@@ -19,7 +20,7 @@ from clothkit.observation.heights import check_lying
 from clothkit.observation.plane import Plane, find
 from clothkit.observation.settings import CloudConfig
 from clothkit.observation.side import Stated, heights_of, oriented
-from clothkit.observation.states import PointCloud
+from clothkit.observation.states import PointCloud, named
 
 _LEAST_POINTS = 100
 _UNITS = {"millimetres": 1000.0, "centimetres": 100.0, "inches": 39.37}
@@ -29,6 +30,11 @@ _NARROWEST, _WIDEST = 0.15, 1.6
 _MOST_COVERED = 1.25
 # Times the usual distance: at the corner of an even grid it is one and a half.
 _LEAST_OUTLYING = 2.0
+# Metres. What is said to be further away is how some cameras mark what they did not measure.
+_FARTHEST = 1e5
+# Cloth sides from the middle of the cloth's points from which points are strays, if they are few.
+_ASTRAY = 20.0
+_BESIDE = 1.5  # cells: from one to the eight around it
 _VOXELS_A_SIDE = CLOTH_SIDE / 2 * RESOLUTION[0]  # that the flat cloth has
 
 
@@ -71,7 +77,7 @@ def segment(
         if not len(others):
             raise InputError(
                 f"{name}: table not found, nothing tells cloth and table apart; give a mask, the table's colour, or "
-                "the table's plane with a cloud of the cloth alone"
+                f"the table's plane with a cloud of the cloth alone{_besides(cloud)}"
             )
         plane = find(others, settings.plane, name=name)
     # Every n-th, so that what a camera saw in rows and columns stays even.
@@ -86,6 +92,7 @@ def segment(
     cloth = cloth[thinned]
     check_lying(name, cloth, side=cloth_side, remedy="check the table's plane, or say which way is up (--up)")
     cloth = _above_table(cloth, settings, name)
+    cloth = _without_strays(cloth, cloth_side, settings)
     cloth = without_outliers(cloth, settings)
     cloth = _one_piece(cloth, cloth_side, settings, name)
     flat = others[np.abs(others[:, 2]) < settings.plane.tolerance]
@@ -95,14 +102,15 @@ def segment(
 def _measured(cloud: PointCloud, settings: CloudConfig, name: str) -> Bool[np.ndarray, " points"]:
     """The points that the camera measured and that lie in the box."""
     if not len(cloud.points):
-        raise InputError(f"{name}: is empty, expected points x y z in metres")
+        raise InputError(f"{name}: is empty, expected points x y z in metres; the camera's view may be")
     for field in ("cloth", "colours"):
         values = getattr(cloud, field)
         if values is not None and len(values) != len(cloud.points):
             raise InputError(f"{name}: {field} has {len(values)} rows for {len(cloud.points)} points")
-    kept = np.isfinite(cloud.points).all(1) & (cloud.points != 0).any(1)
+    with np.errstate(invalid="ignore"):
+        kept = (np.abs(cloud.points) < _FARTHEST).all(1) & (cloud.points != 0).any(1)
     if not kept.any():
-        raise InputError(f"{name}: none of its {len(kept)} points is finite and other than (0, 0, 0)")
+        raise InputError(f"{name}: is an empty view, none of its {len(kept)} points is finite and other than (0, 0, 0)")
     if settings.box is not None:
         low, high = settings.box
         with np.errstate(invalid="ignore"):
@@ -119,7 +127,7 @@ def _mask(cloud: PointCloud, settings: CloudConfig, name: str) -> Bool[np.ndarra
     if settings.table_colour is None:
         return np.ones(len(cloud.points), bool)
     if cloud.colours is None:
-        raise InputError(f"{name}: has no colours, but table_colour is to tell the table by them")
+        raise InputError(f"{name}: has no colours, but table_colour is to tell the table by them{_besides(cloud)}")
     low, high = settings.table_colour
     return np.any((cloud.colours < np.array(low)) | (cloud.colours > np.array(high)), axis=1)
 
@@ -158,6 +166,15 @@ def _off_table(middle: float, name: str) -> InputError:
     )
 
 
+def _without_strays(cloth: np.ndarray, cloth_side: float, settings: CloudConfig) -> np.ndarray:
+    """The points less those that are far from all cloth, if these are too few for another object.
+
+    However far they are, they would spoil what is usual among distances.
+    """
+    astray = (np.abs(cloth - np.median(cloth, axis=0)) > _ASTRAY * cloth_side).any(1)
+    return cloth[~astray] if 0 < astray.mean() < settings.second else cloth
+
+
 def without_outliers(points: Float[np.ndarray, "points 3"], settings: CloudConfig) -> Float[np.ndarray, "kept 3"]:
     """The points whose mean distance to their nearest neighbours is not far above what is usual in the cloud."""
     if not settings.neighbours or len(points) <= settings.neighbours:
@@ -170,19 +187,21 @@ def without_outliers(points: Float[np.ndarray, "points 3"], settings: CloudConfi
 def _one_piece(cloth: np.ndarray, cloth_side: float, settings: CloudConfig, name: str) -> np.ndarray:
     """The largest connected piece, if the others are strays."""
     cell = cloth_side / _VOXELS_A_SIDE
-    index = np.floor((cloth[:, :2] - cloth[:, :2].min(0)) / cell).astype(int)
-    cells = np.zeros(index.max(0) + 1, bool)
-    cells[tuple(index.T)] = True
-    pieces, count = ndimage.label(cells, structure=np.ones((3, 3)))
-    sizes = np.bincount(pieces[cells], minlength=count + 1)
+    index = np.floor((cloth[:, :2] - cloth[:, :2].min(0)) / cell)
+    # Only cells that hold points are looked at: a raster would be as large as the points are far apart.
+    cells, inverse = np.unique(index[:, 0] + 1j * index[:, 1], return_inverse=True)
+    pairs = cKDTree(np.stack([cells.real, cells.imag], axis=-1)).query_pairs(_BESIDE, output_type="ndarray")
+    graph = coo_matrix((np.ones(len(pairs), bool), pairs.T), shape=(len(cells), len(cells)))
+    pieces = connected_components(graph, directed=False)[1]
+    sizes = np.bincount(pieces)
     largest = int(sizes.argmax())
-    second = float(np.sort(sizes)[-2] / sizes[largest])
+    second = float(np.sort(sizes)[-2] / sizes[largest]) if len(sizes) > 1 else 0.0
     if second >= settings.second:
         raise InputError(
             f"{name}: two objects where one cloth was expected, the smaller covers {second:.0%} of what the larger "
             "does; crop with box or mask the other"
         )
-    cloth = cloth[pieces[tuple(index.T)] == largest]
+    cloth = cloth[pieces[inverse] == largest]
     span, area = float(np.ptp(cloth[:, :2], axis=0).max()), sizes[largest] * cell**2
     # Cells at the border are only partly covered.
     most = _MOST_COVERED * (cloth_side + 2 * cell) ** 2
@@ -192,3 +211,8 @@ def _one_piece(cloth: np.ndarray, cloth_side: float, settings: CloudConfig, name
             f"{cloth_side:g} m can; check its side, and which points are the cloth's"
         )
     return cloth
+
+
+def _besides(cloud: PointCloud) -> str:
+    """What a cloud's file has under names that are not known, for the end of a sentence on what it lacks."""
+    return f"; its file has {named(cloud.unread)}, expected colours, cloth" if cloud.unread else ""

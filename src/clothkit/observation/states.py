@@ -1,12 +1,20 @@
 """What an observed cloth can be: a mesh, voxels, or a point cloud."""
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from clothkit.observation.plane import Plane
 from clothkit.observation.pose import Pose
+
+_TOLD = 8
+
+
+def named(names: Sequence[str]) -> str:
+    """Names as a message has them: the first few of many."""
+    return ", ".join(names[:_TOLD]) + (", .." if len(names) > _TOLD else "")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -19,6 +27,8 @@ class MeshState:
     """Where its centre was [normalised], in the file's own frame."""
     scale: float
     """Metres per normalised unit."""
+    notices: tuple[str, ...] = ()
+    """What should be said of how its file was read, in sentences."""
 
     @property
     def pose(self) -> Pose:
@@ -31,6 +41,8 @@ class VoxelState:
     """A cloth of which only the occupied voxels are known; taken as centred."""
 
     voxels: Bool[np.ndarray, "32 32 16"]
+    notices: tuple[str, ...] = ()
+    """What should be said of how its file was read, in sentences."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,3 +59,9 @@ class PointCloud:
     """Where the camera was [m], in the frame of the points; it tells which side of the table is up."""
     table: Plane | None = None
     """The table, where it is known."""
+    surface: bool = False
+    """Whether these are points of a mesh, as they are seen from above, and not of a camera."""
+    unread: tuple[str, ...] = ()
+    """What else its file holds under names that say nothing here."""
+    notices: tuple[str, ...] = ()
+    """What should be said of how its file was read, in sentences."""

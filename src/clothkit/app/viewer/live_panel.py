@@ -13,7 +13,7 @@ from clothkit.app.viewer.player import Player, assign, by_hand
 from clothkit.app.viewer.session import unlikely
 from clothkit.app.viewer.tasks import Ask
 from clothkit.app.viewer.watched import Progress
-from clothkit.errors import InputError
+from clothkit.errors import InputError, system_error
 from clothkit.planning.systems import SYSTEMS, system
 
 OWN = "own files"
@@ -56,8 +56,8 @@ class LivePanel:
         self._execute = gui.add_button("execute", color="green", disabled=True)
         self._bar = gui.add_progress_bar(0.0, visible=False)
         self._said = gui.add_markdown("Pick a task or your own files and *load* them.")
-        upload_state.on_upload(lambda event: self._uploaded(self._state, event.target.value))
-        upload_goal.on_upload(lambda event: self._uploaded(self._goal, event.target.value))
+        upload_state.on_upload(lambda event: self._uploaded("state", self._state, event.target.value))
+        upload_goal.on_upload(lambda event: self._uploaded("goal", self._goal, event.target.value))
         self._load.on_click(lambda _: self._work("looking at the cloth", self._begin))
         self._plan.on_click(lambda _: self._work("searching", self._search))
         self._execute.on_click(lambda _: self._work("simulating", self._perform))
@@ -73,9 +73,12 @@ class LivePanel:
         if self._task.value != OWN or self._state.value:
             self.begin()
 
-    def _uploaded(self, field: viser.GuiInputHandle[str], file: viser.UploadedFile) -> None:
-        path = self._uploads / Path(file.name).name
-        path.write_bytes(file.content)
+    def _uploaded(self, what: str, field: viser.GuiInputHandle[str], file: viser.UploadedFile) -> None:
+        try:
+            path = keep_upload(self._uploads, what, file.name, file.content)
+        except InputError as error:
+            self._said.content = f"⚠ {error}"
+            return
         assign(field, str(path))
         assign(self._task, OWN)
         self._mask = None
@@ -156,6 +159,18 @@ class LivePanel:
         if not self._live.left:
             return "executed; the session is over."
         return f"executed; {_count(self._live.left)} left: plan again from what is seen now."
+
+
+def keep_upload(folder: Path, what: str, name: str, content: bytes) -> Path:
+    """Where an uploaded file lies: of one name for state and goal there may be two. Raises InputError."""
+    # A browser may send a path of its machine, or anything.
+    path = folder / what / (Path(name.replace("\\", "/").replace("\0", "")).name or what)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    except OSError as error:
+        raise system_error(error, path, action="written") from error
+    return path
 
 
 def _count(left: int) -> str:

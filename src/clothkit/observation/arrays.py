@@ -1,0 +1,193 @@
+"""Cloths and clouds in NumPy's files: one array in NPY, several under names in NPZ, told by their shapes.
+
+Nothing is unpickled, and of an NPZ nothing is read but what is known by its name.
+"""
+
+import io
+import zipfile
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool
+
+from clothkit.cloth.grid import CLOTH_SIDE, SIDE
+from clothkit.cloth.silhouette import centred
+from clothkit.cloth.voxels import RESOLUTION
+from clothkit.errors import InputError, system_error
+from clothkit.observation.colours import as_bytes, colours_of
+from clothkit.observation.states import MeshState, PointCloud, VoxelState, named
+from clothkit.observation.surfaces import check_grid
+
+SHAPES = "[32, 32, 3] (mesh), [32, 32, 16] (voxels) or [n, 3] (points)"
+_STATES = {
+    "mesh": ("mesh", "vertices", "verts"),
+    "voxels": ("voxels", "occupancy"),
+    "points": ("points", "point_cloud", "pointcloud", "cloud", "pcd", "xyz", "pts", "positions"),
+}
+_EXTRAS = {
+    "cloth": ("cloth", "mask", "cloth_mask", "segmentation", "seg"),
+    "colours": ("colours", "colors", "rgb", "colour", "color"),
+    "viewpoint": ("viewpoint", "view_point", "camera_position"),
+}
+_LEAST_IMAGE = 60
+"""Rows and columns from which [rows, columns, 3] is a camera's image and not a mesh of another grid."""
+
+
+def read_numpy(path: Path, *, cloth_side: float) -> MeshState | VoxelState | PointCloud:
+    """The state in an NPY or NPZ file. Raises InputError that names what the file has and what was expected."""
+    try:
+        if path.suffix.lower() == ".npy":
+            return from_array(_array(str(path), path.read_bytes()), name=str(path), cloth_side=cloth_side)
+        with zipfile.ZipFile(path) as archive:
+            members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
+            names = _chosen(path, members)
+            arrays = {role: _array(f"{path}: {name}", archive.read(members[name])) for role, name in names.items()}
+    except InputError:
+        raise
+    except Exception as error:  # of zipfile, zlib, struct, header parsing, the system
+        if isinstance(error, OSError) and error.errno:
+            raise system_error(error, path, expected="a cloth") from error
+        raise InputError(f"{path}: can't be read as {path.suffix[1:].upper()}, it is none or is broken") from error
+    unread = tuple(name for name in members if name not in names.values())
+    state = next(role for role in names if role not in _EXTRAS)
+    extras = {role: array for role, array in arrays.items() if role in _EXTRAS}
+    return from_array(arrays[state], name=str(path), cloth_side=cloth_side, unread=unread, **extras)
+
+
+def _chosen(path: Path, names: Iterable[str]) -> dict[str, str]:
+    """Which of the arrays is what: their names by role. A state of any other name is told by being alone."""
+    names = list(names)
+    found: dict[str, str] = {}
+    for role, known in {**_STATES, **_EXTRAS}.items():
+        several = [name for name in names if name.lower() in known]
+        if len(several) > 1:
+            raise InputError(f"{path}: holds {' and '.join(several)}, of which only one can be the {role}")
+        if several:
+            found[role] = several[0]
+    states = [role for role in found if role in _STATES]
+    others = [name for name in names if name not in found.values()]
+    if not states and len(others) == 1:
+        found["array"] = others[0]
+    elif len(states) != 1:
+        if not names:
+            raise InputError(f"{path}: holds no array {SHAPES}")
+        raise InputError(
+            f"{path}: has {named(names)}; expected one of mesh, voxels, points, and beside points cloth, colours "
+            "and viewpoint"
+        )
+    return found
+
+
+def _array(name: str, content: bytes) -> np.ndarray:
+    """The array in an NPY file's bytes, which its header is held against before memory is asked for."""
+    file = io.BytesIO(content)
+    version = np.lib.format.read_magic(file)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, dtype = read(file)
+    if dtype.hasobject:
+        raise InputError(f"{name}: holds Python objects, expected numbers")
+    # Python's whole numbers, which do not overflow.
+    bytes_said = dtype.itemsize
+    for length in shape:
+        bytes_said *= length
+    left = len(content) - file.tell()
+    if bytes_said > left:
+        raise InputError(f"{name}: says that it is an array {list(shape)}, but has {left} bytes of data")
+    file.seek(0)
+    return np.lib.format.read_array(file, allow_pickle=False)
+
+
+def from_array(
+    array: np.ndarray,
+    *,
+    name: str,
+    cloth_side: float,
+    cloth: np.ndarray | None = None,
+    colours: np.ndarray | None = None,
+    viewpoint: np.ndarray | None = None,
+    unread: tuple[str, ...] = (),
+) -> MeshState | VoxelState | PointCloud:
+    """The state that an array is, by its shape: a normalised mesh, voxels, or points [m] with what is known of them.
+
+    Points may stand in rows and columns, as cameras give them, or in a table with columns x, y, z and colours. `name`
+    is what messages call it, `unread` what else there is. Raises InputError when shape or values are none of these.
+    """
+    told = _notices(name, unread)
+    if array.dtype.names:
+        return _table(name, array, unread, told)
+    if array.dtype.kind not in "fiub":
+        raise InputError(f"{name}: holds {array.dtype}, expected numbers")
+    if array.shape == (SIDE, SIDE, 3):
+        return _mesh(name, array.astype(np.float32), cloth_side, told)
+    if array.shape == RESOLUTION:
+        voxels = _binary(array)
+        if voxels is None:
+            raise InputError(f"{name}: has voxels other than 0 and 1, expected occupancy")
+        if not voxels.any():
+            raise InputError(f"{name}: has no occupied voxel")
+        return VoxelState(voxels, told)
+    image = array.ndim == 3 and array.shape[2] == 3 and min(array.shape[:2]) >= _LEAST_IMAGE
+    if not image and (array.ndim != 2 or array.shape[1] != 3):
+        raise InputError(f"{name}: has shape {list(array.shape)}, expected {SHAPES}{_remedy(array.shape)}")
+    shape = array.shape[:-1]
+    count = int(np.prod(shape))
+    fields = (("cloth", cloth, ()), ("colours", colours, (3,)))
+    for field, value, each in fields:
+        if value is not None and value.shape not in ((*shape, *each), (count, *each)):
+            raise InputError(f"{name}: {field} has shape {list(value.shape)}, expected {[*shape, *each]}")
+    if viewpoint is not None and viewpoint.shape != (3,):
+        raise InputError(f"{name}: viewpoint has shape {list(viewpoint.shape)}, expected [3]")
+    mask = None if cloth is None else _binary(cloth.reshape(count))
+    if cloth is not None and mask is None:
+        raise InputError(f"{name}: cloth has values other than 0 and 1 (or 255), expected a mask")
+    rgb = None if colours is None else as_bytes(colours.reshape(count, 3))
+    if colours is not None and rgb is None:
+        raise InputError(f"{name}: colours are neither whole numbers 0 to 255 nor shares 0 to 1")
+    with np.errstate(invalid="ignore"):
+        points = array.astype(float).reshape(count, 3)
+    seen_from = None if viewpoint is None else viewpoint.astype(float)
+    return PointCloud(points, cloth=mask, colours=rgb, viewpoint=seen_from, unread=unread, notices=told)
+
+
+def _binary(array: np.ndarray) -> Bool[np.ndarray, "*shape"] | None:
+    """Whether values are not 0, if they are all 0 and 1, or 0 and 255 as images have it."""
+    for one in (1, 255):
+        if np.isin(array, (0, one)).all():
+            return array == one
+    return None
+
+
+def _table(name: str, table: np.ndarray, unread: tuple[str, ...], notices: tuple[str, ...]) -> PointCloud:
+    """A cloud as a structured array, which ROS makes of its messages."""
+    columns = {column: table[column].ravel() for column in table.dtype.names or () if table[column].dtype.kind in "fiu"}
+    if not all(axis in columns and len(columns[axis]) == table.size for axis in "xyz"):
+        raise InputError(f"{name}: is a table of {', '.join(table.dtype.names or ())}, expected numbers x, y, z")
+    with np.errstate(invalid="ignore"):
+        points = np.stack([columns[axis].astype(float) for axis in "xyz"], axis=-1)
+        return PointCloud(points, colours=colours_of(columns), unread=unread, notices=notices)
+
+
+def _mesh(name: str, vertices: np.ndarray, cloth_side: float, notices: tuple[str, ...]) -> MeshState:
+    if not np.isfinite(vertices).all():
+        raise InputError(f"{name}: has vertices that are not finite")
+    check_grid(name, vertices, side=CLOTH_SIDE, unit="normalised")
+    return MeshState(*centred(vertices), cloth_side / CLOTH_SIDE, notices)
+
+
+def _notices(name: str, unread: tuple[str, ...]) -> tuple[str, ...]:
+    if not unread:
+        return ()
+    return (
+        f"{name}: {named(unread)} {'is' if len(unread) == 1 else 'are'} not read; of names beside the points, cloth, "
+        "colours and viewpoint are known",
+    )
+
+
+def _remedy(shape: tuple[int, ...]) -> str:
+    """What to do with an array that is nearly one of points."""
+    if len(shape) == 2 and shape[0] == 3:
+        return "; transpose it"
+    if len(shape) == 2 and shape[1] in (4, 6, 7):
+        return "; save the columns x, y, z alone, and what else is known of them beside them in an NPZ"
+    return ""

@@ -1,0 +1,46 @@
+"""What GLB files say that their reader doesn't mind: compressed geometry, and counts that the file can't hold."""
+
+import io
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+import trimesh
+
+from clothkit.errors import InputError
+
+_COMPRESSED = {"KHR_draco_mesh_compression": "Draco", "EXT_meshopt_compression": "meshopt"}
+_JSON = 0x4E4F534A
+
+
+def load_glb(path: Path, content: bytes) -> trimesh.Scene:
+    """The scene in a GLB file, by trimesh.
+
+    Raises InputError when its meshes are compressed, or it promises more numbers than it has bytes; else what trimesh
+    raises.
+    """
+    description = _description(content)
+    required = description.get("extensionsRequired", [])
+    for extension, name in _COMPRESSED.items():
+        if extension in required:
+            raise InputError(
+                f"{path}: its mesh is compressed by {name} ({extension}), expected plain triangles; export it without "
+                "compression"
+            )
+    for accessor in description.get("accessors", []):
+        # Compressed and sparse accessors need not lie in the file; none of a cloth is so large all the same.
+        if accessor.get("count", 0) > len(content):
+            raise InputError(f"{path}: an array of {accessor['count']} numbers is more than the file's bytes hold")
+    return trimesh.load_scene(io.BytesIO(content), file_type="glb", process=False, skip_materials=True)
+
+
+def _description(content: bytes) -> dict[str, Any]:
+    """The JSON that tells what is where; empty if there is none, which trimesh tells of."""
+    if len(content) < 20:
+        return {}
+    size, kind = struct.unpack_from("<II", content, 12)
+    if kind != _JSON:
+        return {}
+    description = json.loads(content[20 : 20 + size])
+    return description if isinstance(description, dict) else {}
