@@ -28,9 +28,9 @@ def test_the_p_value_is_scipys() -> None:
 
 def test_p_is_never_zero_and_one_for_no_difference() -> None:
     assert sign_flip(np.ones(40)) == pytest.approx(1 / 10_001)
-    assert sign_flip(np.zeros(5)) == 1
-    # With three sequences a quarter of all signs are as far from zero.
-    assert sign_flip(np.ones(3)) == pytest.approx(0.25, abs=0.02)
+    assert sign_flip(np.zeros(10)) == 1
+    # Two sequences outweigh all others: half of all signs are as far from zero.
+    assert sign_flip(np.array([1.0, 1.0, *np.zeros(8)])) == pytest.approx(0.5, abs=0.02)
 
 
 def test_p_is_uniform_without_a_difference() -> None:
@@ -40,12 +40,22 @@ def test_p_is_uniform_without_a_difference() -> None:
 
 
 def test_an_interval_over_sequences_weighs_them_by_their_tasks() -> None:
-    total, count = np.array([3.0, 1.0]), np.array([3, 1])
-    assert interval(total, count) == (1, 1)
+    rng = np.random.default_rng(4)
+    count = np.array([1, 6] * 10)
+    total = count * rng.normal(size=20)
+    means = [total[chosen].sum() / count[chosen].sum() for chosen in rng.integers(20, size=(20_000, 20))]
+    assert interval(total, count) == pytest.approx(tuple(np.quantile(means, [0.025, 0.975])), abs=0.02)
 
 
-def test_too_few_sequences_have_no_interval() -> None:
-    assert np.isnan(interval(np.array([0.3]), np.ones(1, int))).all()
+def test_fewer_than_ten_sequences_have_neither_interval_nor_p() -> None:
+    nine, ten = np.linspace(0.1, 0.9, 9), np.linspace(0.1, 1, 10)
+    assert np.isnan([*interval(nine, np.ones(9, int)), sign_flip(nine)]).all()
+    assert np.isfinite([*interval(ten, np.ones(10, int)), sign_flip(ten)]).all()
+    tidy = rows(9)
+    found = compare(tidy[tidy["better"]], "voxel_error", "main_occluded", "a2")
+    assert found[["low", "high", "p"]].isna().all(axis=None)
+    assert np.isfinite(found["difference"]).all()
+    assert set(found["sequences"]) == {9}
 
 
 def rows(sequences: int = 12) -> pd.DataFrame:
