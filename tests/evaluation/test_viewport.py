@@ -1,5 +1,6 @@
 """Voxels of the viewport that is twice as high, against NumPy's histogram and by hand."""
 
+import jax.numpy as jnp
 import numpy as np
 
 from clothkit.cloth import grid
@@ -38,6 +39,6 @@ def test_outcomes_in_the_high_viewport() -> None:
 
 def test_pooled_columns_by_hand() -> None:
     column = np.array([1, 0.9, 0.6, 0.6, 0.3, 0.5, *np.zeros(10)])
-    found = np.asarray(pooled(np.broadcast_to(column, (2, 1, 1, 16))))
+    found = np.asarray(pooled(jnp.broadcast_to(column, (2, 1, 1, 16))))
     assert found.shape == (2, 1, 1, 16)
     np.testing.assert_allclose(found[1, 0, 0], [1, 0.6, 0.5, *np.zeros(13)], rtol=1e-6)

@@ -1,6 +1,5 @@
 """Everything that the report is made from, read and checked at once."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +9,6 @@ import pandas as pd
 
 from clothkit.dataset import store
 from clothkit.dataset.store import Dataset
-from clothkit.errors import InputError
 from clothkit.evaluation import arrays, tidy
 from clothkit.planning import record
 from clothkit.planning.record import Sessions
@@ -30,10 +28,6 @@ class Inputs:
     attempts: pd.DataFrame
     histories: Mapping[str, pd.DataFrame]
     """Of the nets a, b and vtm."""
-    canonical: bool
-    """Whether net a sees cloths in canonical descriptions."""
-    voxels_canonical: bool
-    """Whether net a of the voxel baseline does."""
     estimation: pd.DataFrame
     prediction: pd.DataFrame
     calibration: pd.DataFrame
@@ -62,8 +56,6 @@ def paths(data: Path, settings: ReportConfig) -> list[Path]:
         data / "meshes.zarr",
         data / "raw/attempts.parquet",
         *(data / f"nets/pemd_{net}/history.parquet" for net in NETS),
-        data / "nets/pemd_a/net.json",
-        data / "nets/emd_voxel_a/net.json",
         data / "nets/vtm/history.parquet",
         evaluation / "estimation.parquet",
         evaluation / "estimates.zarr",
@@ -72,7 +64,7 @@ def paths(data: Path, settings: ReportConfig) -> list[Path]:
         evaluation / "comparisons.parquet",
         evaluation / "predictions.zarr",
         *(evaluation / f"planning/{system}.parquet" for system in settings.planners),
-        *(evaluation / f"planning/{name}.parquet" for name in ("comparisons", "intervals", "failures")),
+        *(evaluation / f"planning/{name}.parquet" for name in ("comparisons", "intervals", "failures", "voxels_025")),
         evaluation / f"planning/sessions_{settings.planners[0]}.zarr",
         *(evaluation / f"camera/{name}.parquet" for name in ("estimation", "planning", "comparisons")),
         evaluation / "camera/pictures.zarr",
@@ -87,8 +79,6 @@ def read(data: Path, settings: ReportConfig) -> Inputs:
         dataset=store.load(data / "meshes.zarr"),
         attempts=rows.read(data / "raw/attempts.parquet", rows.ATTEMPTS),
         histories={**forward, "vtm": rows.read(data / "nets/vtm/history.parquet", rows.HISTORY)},
-        canonical=_canonical(data / "nets/pemd_a/net.json"),
-        voxels_canonical=_canonical(data / "nets/emd_voxel_a/net.json"),
         estimation=rows.read(evaluation / "estimation.parquet", rows.ESTIMATION),
         prediction=rows.read(evaluation / "prediction.parquet", rows.PREDICTION),
         calibration=rows.read(evaluation / "calibration.parquet", rows.CALIBRATION),
@@ -105,11 +95,3 @@ def read(data: Path, settings: ReportConfig) -> Inputs:
         camera_comparisons=rows.read_comparisons(evaluation / "camera/comparisons.parquet"),
         pictures=arrays.load(evaluation / "camera/pictures.zarr", PICTURES),
     )
-
-
-def _canonical(path: Path) -> bool:
-    """What a net's description says of it; nets of before it could be told are not."""
-    try:
-        return bool(json.loads(path.read_text())["net"].get("canonical", False))
-    except (OSError, ValueError, KeyError, AttributeError) as error:
-        raise InputError(f"{path}: expected a net's description, could not read one") from error

@@ -22,8 +22,8 @@ PREDICTION = (
     "sigma_ratio",
     "position_error",
     "position_no_action",
-    "voxel_error",
-    "voxel_error_no_action",
+    *("voxel_error", "voxel_error_no_action"),
+    *("voxel_error_025", "voxel_error_025_no_action"),
 )
 CALIBRATION = ("split", "system", "length", "axis", "z", "expected", "coverage")
 PLANNING = (
@@ -45,6 +45,7 @@ PLANNING = (
     "loss_recorded",
     "grasp_offered",
 )
+VOXELS_025 = ("split", "system", "sequence", "start", "length", "voxel_error_025", "voxel_error_025_no_action")
 COMPARISONS = ("split", "measure", "system", "against", "column", "sequences", "difference", "low", "high", "p")
 INTERVALS = ("split", "system", "measure", "column", "sequences", "mean", "low", "high")
 FAILURES = (
@@ -73,7 +74,10 @@ CAMERA_PLANNING = (
 VOXEL_SYSTEMS = ("main_occluded", "a2")
 """Systems whose predictions are voxels as a camera sees them: they have no error in cloth lengths."""
 
-_NUMBERS = ("error", "error_labelled", "error_no_action", "voxel_error", "voxel_error_no_action")
+_NUMBERS = (
+    *("error", "error_labelled", "error_no_action", "voxel_error", "voxel_error_no_action"),
+    *("voxel_error_025", "voxel_error_025_no_action"),
+)
 
 HISTORY = ("iteration", "score")
 ATTEMPTS = ("accepted", "reason")
@@ -95,8 +99,18 @@ def read(path: Path, columns: Sequence[str]) -> pd.DataFrame:
 
 
 def read_planning(folder: Path, systems: Sequence[str]) -> pd.DataFrame:
-    """The planning rows of the given systems, `<folder>/<system>.parquet` each, one below the other."""
-    return pd.concat([read(folder / f"{system}.parquet", PLANNING) for system in systems], ignore_index=True)
+    """The planning rows of the given systems, `<folder>/<system>.parquet` each, one below the other, and beside them
+    those of `<folder>/voxels_025.parquet`.
+
+    Raises InputError, as `read` does, and where a task has no row or two in the latter.
+    """
+    rows = pd.concat([read(folder / f"{system}.parquet", PLANNING) for system in systems], ignore_index=True)
+    path = folder / "voxels_025.parquet"
+    tall = read(path, VOXELS_025)
+    tasks = list(VOXELS_025[:5])
+    if len(rows.merge(tall, on=tasks)) != len(rows):
+        raise InputError(f"{path}: expected one row for each task of the planning rows, found none or two for some")
+    return rows.merge(tall, on=tasks)
 
 
 def read_comparisons(path: Path) -> pd.DataFrame:
