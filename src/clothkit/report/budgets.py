@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from functools import cache
 
 import jax
 import numpy as np
@@ -60,7 +61,7 @@ def _row(
         "source": source,
         "system": system,
         "nets": nets,
-        "parameters": sum(int(np.prod(leaf.shape)) for leaf in jax.tree.leaves(shapes(learned.net))),
+        "parameters": _parameters(learned.net),
         "training_iterations": learned.training.iterations,
         "batch": learned.training.batch,
         "training_cpu_minutes": minutes,
@@ -68,6 +69,11 @@ def _row(
         **{f"iterations_{length}": count for length, count in iterations.items()},
         **{f"evaluations_{length}": strains * count for length, count in iterations.items()},
     }
+
+
+@cache
+def _parameters(net: Net) -> int:
+    return sum(int(np.prod(leaf.shape)) for leaf in jax.tree.leaves(shapes(net)))
 
 
 def _minutes(timings: pd.DataFrame | None, stage: str) -> float:
@@ -83,7 +89,7 @@ def differ(table: pd.DataFrame, system: str, against: str) -> bool:
     one, other = (_of(table, name) for name in (system, against))
     if one is None or other is None:
         return False
-    return any(_apart(one[name], other[name]) for name in (*EVALUATIONS, "training_cpu_minutes"))
+    return any(_apart(float(one[name]), float(other[name])) for name in (*EVALUATIONS, "training_cpu_minutes"))
 
 
 def told(table: pd.DataFrame) -> str:

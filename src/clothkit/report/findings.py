@@ -31,7 +31,7 @@ RULE = (
 def findings(comparisons: pd.DataFrame) -> list[str]:
     """Paragraphs in Markdown, from the table of planners' comparisons; none where there is nothing to compare."""
     errors = comparisons[(comparisons["split"] == "test") & (comparisons["measure"] == "error")]
-    pairs = {other: errors[(errors["system"] == "main") & (errors["against"] == other)] for other in errors["against"]}
+    pairs = dict(iter(errors[errors["system"] == "main"].groupby("against")))
     said = []
     if "b3" in pairs:
         said.append(_term(pairs["b3"]))
@@ -50,14 +50,12 @@ def _term(rows: pd.DataFrame) -> str:
         return f"Too few test sequences were planned for ({count}) to tell what the uncertainty term is worth.\n"
     better, worse = _found(rows, better=True), _found(rows, better=False)
     if better and worse:
-        return (
-            f"With the uncertainty term plans were better than without it {which} in {better}, and worse in {worse}.\n"
-        )
+        return f"With {TERM} plans were better than without it {which} in {better}, and worse in {worse}.\n"
     if better:
-        return f"Plans were better with the uncertainty term than without it {which}: in {better}.\n"
+        return f"Plans were better with {TERM} than without it {which}: {better}.\n"
     if worse:
-        return f"Plans were no better with the uncertainty term than without it {which}, and worse in {worse}.\n"
-    return f"Plans were no better with the uncertainty term than without it {which}: no difference was found.\n"
+        return f"Plans were no better with {TERM} than without it {which}, and worse in {worse}.\n"
+    return f"Plans were no better with {TERM} than without it {which}: no difference was found.\n"
 
 
 def _lead(rivals: dict[str, pd.DataFrame]) -> str:
