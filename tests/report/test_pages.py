@@ -74,6 +74,16 @@ def test_a_study_of_the_memory_trace_is_linked_where_there_is_one(tmp_path: Path
     assert "[A study](studies/memory.csv)" in page.page("laptop", parts_of(contents.read(tmp_path / "report")))
 
 
+def test_whole_figures_stay_figures_and_counts_stay_counts(tmp_path: Path) -> None:
+    made = tables_of(SYSTEMS)
+    compared = made["planning_comparisons"].assign(difference=2.0)
+    shown = contents.read(write_report(tmp_path / "report", {**made, "planning_comparisons": compared}))
+    line = next(
+        line for line in page.page("laptop", parts_of(shown)).splitlines() if line.startswith("| error | main |")
+    )
+    assert "| 1/all | 12 | 2.00 |" in line
+
+
 def test_bad_tables_are_named(tmp_path: Path) -> None:
     folder = write_report(tmp_path / "report", tables_of(("main",)))
     path = folder / "tables/table_5.csv"

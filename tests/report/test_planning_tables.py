@@ -208,3 +208,24 @@ def test_rows_without_what_failures_are_told_by_are_refused(tmp_path: Path) -> N
     own.assign(voxel_error=np.nan).to_parquet(path)
     with pytest.raises(InputError, match=r"main\.parquet: column voxel_error: expected numbers only"):
         rows.read_planning(tmp_path, ("main",))
+
+
+def test_rows_of_the_high_viewport_stand_beside_the_others(tmp_path: Path) -> None:
+    tall = ["voxel_error_025", "voxel_error_025_no_action"]
+    own = TIDY[TIDY["system"] == "main"].reset_index(drop=True)
+    own.drop(columns=tall).to_parquet(tmp_path / "main.parquet")
+    shuffled = TIDY.sample(frac=1, random_state=0)[["split", "system", "sequence", "start", "length", *tall]]
+    shuffled.to_parquet(tmp_path / "voxels_025.parquet")
+    found = rows.read_planning(tmp_path, ("main",))
+    pd.testing.assert_frame_equal(found[own.columns.tolist()], own)
+    shuffled[shuffled["sequence"] > 0].to_parquet(tmp_path / "voxels_025.parquet")
+    with pytest.raises(InputError, match=r"voxels_025\.parquet: expected one row for each task"):
+        rows.read_planning(tmp_path, ("main",))
+    high = planning_tables.planning_voxels(TIDY, INTERVALS, SYSTEMS, measure="voxel_error_025")
+    keys = {"source": "clothkit", "split": "test", "system": "b1"}
+    own = TIDY.query("split == 'test' and system == 'b1' and length == 2 and start == 1")
+    assert cell(high, "2/1", **keys, statistic="median") == pytest.approx(own["voxel_error_025"].median())
+    assert cell(high, "3/all", **(keys | {"system": "no action"}), statistic="mean") == pytest.approx(0.05)
+    low = INTERVALS.query("split == 'test' and system == 'b1' and measure == 'voxel_error_025' and column == '2/1'")
+    assert cell(high, "2/1", **keys, statistic="mean 95 % low") == low["low"].iloc[0]
+    assert set(high.loc[high["source"] == "paper", "system"]) == {"main", "b4", "b5"}

@@ -45,6 +45,13 @@ COSTS: Mapping[str, tuple[str, ...]] = {
 """Tables beside that folder."""
 
 
+COUNTS = (
+    *("sequence", "start", "length", "sequences", "manipulations", "attempts", "states", "tasks"),
+    "peak_memory_mib",
+)
+"""Columns of whole numbers; other numbers are figures, whole or not."""
+
+
 @dataclass(frozen=True)
 class Contents:
     """What the pages show."""
@@ -114,4 +121,5 @@ def _table(path: Path, columns: tuple[str, ...]) -> pd.DataFrame:
     missing = [column for column in columns if column not in table]
     if missing:
         raise InputError(f"{path}: expected the columns {', '.join(columns)}; {', '.join(missing)} not found")
-    return table
+    figures = table.select_dtypes("int64").columns.difference(COUNTS)
+    return table.astype(dict.fromkeys(figures, float))
