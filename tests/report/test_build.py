@@ -150,7 +150,7 @@ def test_a_report_is_complete(inputs: Inputs, tmp_path: Path) -> None:
     found = set(contents(report))
     assert made.keys() == TABLES.keys()
     pictures = {f"figures/{name}.png" for name in CAPTIONS}
-    assert found == {"metrics.json"} | {f"tables/{name}.csv" for name in TABLES} | pictures
+    assert found == {"metrics.json", "figures/captions.json"} | {f"tables/{name}.csv" for name in TABLES} | pictures
     assert len((report / "tables/largest.csv").read_text().splitlines()) == 1 + SETTINGS.largest
     # Its pages show all of it.
     shutil.copy(LAPTOP / "params.yaml", report)

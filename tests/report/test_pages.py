@@ -7,6 +7,7 @@ import pytest
 
 from clothkit.errors import InputError
 from clothkit.report import contents, page, pages
+from clothkit.report.captions import CAPTIONS
 from tests.evaluation.planning_rows import SYSTEMS
 from tests.report.contents import contents_of, parts_of, tables_of, write_report
 
@@ -82,6 +83,19 @@ def test_whole_figures_stay_figures_and_counts_stay_counts(tmp_path: Path) -> No
         line for line in page.page("laptop", parts_of(shown)).splitlines() if line.startswith("| error | main |")
     )
     assert "| 1/all | 12 | 2.00 |" in line
+
+
+def test_pictures_keep_the_captions_that_they_were_drawn_with(tmp_path: Path) -> None:
+    folder = write_report(tmp_path / "report", tables_of(SYSTEMS), ["curves"])
+    assert contents.read(folder).figures == {"curves": CAPTIONS["curves"]}
+    (folder / "figures/captions.json").write_text('{"curves": "As of *then*.", "scatter": "Not there."}')
+    shown = contents.read(folder)
+    assert "*As of *then*.*" in page.page("laptop", parts_of(shown))
+    assert shown.figures == {"curves": "As of *then*."}
+    for text in ("{", "[]", "{}"):
+        (folder / "figures/captions.json").write_text(text)
+        with pytest.raises(InputError, match=r"captions\.json: expected a JSON object with a caption"):
+            contents.read(folder)
 
 
 def test_bad_tables_are_named(tmp_path: Path) -> None:

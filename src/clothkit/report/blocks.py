@@ -18,9 +18,11 @@ class Text:
 
 @dataclass(frozen=True)
 class Figure:
-    """A picture that was drawn, with its caption."""
+    """A picture that was drawn."""
 
     name: str
+    caption: str
+    """In Markdown."""
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from clothkit.cloth.equivalents import relabel
 from clothkit.dataset.tasks import Task, tasks_of
 from clothkit.evaluation.occupancy import TALL_MEASURE
 from clothkit.report import camera_tables, metrics, planning_tables, tables
+from clothkit.report.captions import CAPTIONS, CAPTIONS_FILE
 from clothkit.report.figures.calibration import calibration
 from clothkit.report.figures.camera import camera
 from clothkit.report.figures.curves import curves
@@ -64,7 +65,10 @@ def build(folder: Path, inputs: Inputs, settings: ReportConfig) -> dict[str, pd.
         "splits": tables.splits(inputs.dataset),
         "attempts": tables.attempts(inputs.attempts),
     }
-    draw_figures(folder / "figures", inputs, made["largest"], settings)
+    drawn = draw_figures(folder / "figures", inputs, made["largest"], settings)
+    # Pictures can't be drawn again without their data: what is told of them stays with them.
+    told = {name: CAPTIONS[name] for name in sorted(drawn)}
+    (folder / "figures" / CAPTIONS_FILE).write_text(json.dumps(told, indent=1, ensure_ascii=False) + "\n")
     for name, table in made.items():
         table.to_csv(folder / "tables" / f"{name}.csv", index=False, float_format="%.5g", lineterminator="\n")
     headline = metrics.headline(

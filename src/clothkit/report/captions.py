@@ -166,6 +166,9 @@ SYSTEMS = {
 }
 """What the names of systems, and of kinds of estimates, stand for."""
 
+CAPTIONS_FILE = "captions.json"
+"""Beside a report's figures: the captions of those that were drawn, as they were then."""
+
 CAPTIONS = {
     "sequences": "Simulated test sequences: states from above, manipulations dotted (red and green: the two hands); "
     "blue and orange are the cloth's two sides.",

@@ -1,5 +1,6 @@
 """What a report's folder holds, read back from its CSVs: all that its pages are made from."""
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,6 +9,7 @@ import pandas as pd
 
 from clothkit.errors import InputError, system_error
 from clothkit.report import made_with
+from clothkit.report.captions import CAPTIONS, CAPTIONS_FILE
 from clothkit.report.layout import BY_LENGTH, HIGH, LENGTHS, LOW, STATES, TASKS
 from clothkit.report.made_with import MadeWith
 from clothkit.report.printed import LEAST
@@ -59,8 +61,8 @@ class Contents:
     made_with: MadeWith
     tables: Mapping[str, pd.DataFrame]
     """Those of TABLES and COSTS that are there, without intervals and p of fewer than `LEAST` sequences."""
-    figures: frozenset[str]
-    """Names of the pictures that were drawn."""
+    figures: Mapping[str, str]
+    """The captions of the pictures that were drawn, by name."""
     planned: Mapping[str, int]
     """Sequences that were planned for, by split."""
     studied: bool
@@ -79,7 +81,7 @@ def read(folder: Path) -> Contents:
     return Contents(
         made_with=settings,
         tables={name: enough(table, planned) for name, table in tables.items()},
-        figures=frozenset(path.stem for path in (folder / "figures").glob("*.png")),
+        figures=_figures(folder / "figures"),
         planned=planned,
         studied=(folder / "studies/memory.csv").is_file(),
     )
@@ -98,6 +100,18 @@ def enough(table: pd.DataFrame, planned: Mapping[str, int]) -> pd.DataFrame:
         figures = table.columns.difference(["source", "split", "system", "kind", "statistic"])
         return table.assign(**{name: table[name].mask(few) for name in figures})
     return table
+
+
+def _figures(folder: Path) -> dict[str, str]:
+    """Captions of the pictures that are there: as they were told when these were drawn, or as they are told today."""
+    path = folder / CAPTIONS_FILE
+    try:
+        told = json.loads(path.read_text()) if path.exists() else CAPTIONS
+        return {name: str(told[name]) for name in CAPTIONS if (folder / f"{name}.png").exists()}
+    except OSError as error:
+        raise system_error(error, path) from error
+    except (ValueError, TypeError, KeyError) as error:
+        raise InputError(f"{path}: expected a JSON object with a caption for every picture; {error!r}") from error
 
 
 def _planned(tables: Mapping[str, pd.DataFrame], settings: MadeWith) -> dict[str, int]:
@@ -121,5 +135,5 @@ def _table(path: Path, columns: tuple[str, ...]) -> pd.DataFrame:
     missing = [column for column in columns if column not in table]
     if missing:
         raise InputError(f"{path}: expected the columns {', '.join(columns)}; {', '.join(missing)} not found")
-    figures = table.select_dtypes("int64").columns.difference(COUNTS)
+    figures = table.select_dtypes("int64").columns.difference(list(COUNTS))
     return table.astype(dict.fromkeys(figures, float))

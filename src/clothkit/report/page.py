@@ -31,7 +31,7 @@ def _(block: Text) -> str:
 
 @render.register
 def _(block: Figure) -> str:
-    return f"![{block.name}](figures/{block.name}.png)\n\n*{captions.CAPTIONS[block.name]}*\n"
+    return f"![{block.name}](figures/{block.name}.png)\n\n*{block.caption}*\n"
 
 
 @render.register

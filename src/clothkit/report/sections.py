@@ -52,7 +52,8 @@ class _Page:
 
     def figures(self, *names: str) -> Iterator[Figure]:
         """Those that were drawn."""
-        return (Figure(name) for name in names if name in self.contents.figures)
+        drawn = self.contents.figures
+        return (Figure(name, drawn[name]) for name in names if name in drawn)
 
     def data(self, name: str) -> pd.DataFrame:
         """A table; empty if there is none."""

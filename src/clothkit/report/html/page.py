@@ -50,7 +50,7 @@ class _Writer:
 
     @render.register
     def _(self, block: Figure) -> Html:
-        return picture(block.name, self.figures / f"{block.name}.png")
+        return picture(block.name, block.caption, self.figures / f"{block.name}.png")
 
     @render.register
     def _(self, block: Table) -> Html:
