@@ -32,7 +32,7 @@ COMPILED_BYTES = 2**30
 
 
 class Stage:
-    """One run of a stage. `params` is the stage's section of params.yaml, `shared` the whole of it."""
+    """One run of a stage. `params` is the stage's section of params.yaml, None if it has none; `shared` the whole."""
 
     def __init__(self, name: str, variant: str | None) -> None:
         self.name = f"{name}@{variant}" if variant else name
@@ -42,7 +42,7 @@ class Stage:
                 for target in leftovers(PLACES):
                     recover(target)
         self.shared: Params = load_params(Path("params.yaml"))
-        self.params: Any = getattr(self.shared.stages, name)
+        self.params: Any = getattr(self.shared.stages, name, None)
         self._work: list[tuple[Path, Any]] = []
         self.costs: dict[str, Any] = {}
         """What else the note of the run's cost says, JSON types only."""
@@ -50,7 +50,10 @@ class Stage:
     @property
     def attributes(self) -> dict[str, Any]:
         """What an artifact says of how it was made: stage, scale and params, JSON types only."""
-        return {"stage": self.name, "scale": self.shared.scale, "params": self.shared.section(self.name.split("@")[0])}
+        return {"stage": self.name, "scale": self.shared.scale, "params": self._section()}
+
+    def _section(self) -> dict[str, Any]:
+        return {} if self.params is None else self.shared.section(self.name.split("@")[0])
 
     def work(self, *, inputs: list[Path]) -> Path:
         """A directory for resumable pieces, `.work/<stage>/<hash of params, inputs and code>/`, locked for this run.

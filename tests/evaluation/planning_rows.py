@@ -50,4 +50,6 @@ def planning_rows(
         layers_reversed=layers.uniform(0, 0.5, count),
         estimate_layers_reversed=np.where(voxels, np.nan, layers.uniform(0, 0.5, count)),
         nulls_last=fired,
+        voxel_error_025=layers.uniform(0.001, 0.02, count),
+        voxel_error_025_no_action=0.02 + 0.01 * tidy["length"],
     )

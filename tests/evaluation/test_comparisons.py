@@ -30,9 +30,9 @@ def test_the_p_value_is_scipys() -> None:
 
 def test_p_is_never_zero_and_one_for_no_difference() -> None:
     assert sign_flip(np.ones(40)) == pytest.approx(1 / 10_001)
-    assert sign_flip(np.zeros(5)) == 1
-    # With three sequences a quarter of all signs are as far from zero.
-    assert sign_flip(np.ones(3)) == pytest.approx(0.25, abs=0.02)
+    assert sign_flip(np.zeros(10)) == 1
+    # Two sequences outweigh all others: half of all signs are as far from zero.
+    assert sign_flip(np.array([1.0, 1.0, *np.zeros(8)])) == pytest.approx(0.5, abs=0.02)
 
 
 def test_p_is_uniform_without_a_difference() -> None:
@@ -62,8 +62,15 @@ def test_an_interval_over_sequences_weighs_them_by_their_tasks() -> None:
     assert found[0] > means.mean() + 0.1
 
 
-def test_too_few_sequences_have_no_interval() -> None:
-    assert np.isnan(interval(np.array([0.3]), np.ones(1, int))).all()
+def test_fewer_than_ten_sequences_have_neither_interval_nor_p() -> None:
+    nine, ten = np.linspace(0.1, 0.9, 9), np.linspace(0.1, 1, 10)
+    assert np.isnan([*interval(nine, np.ones(9, int)), sign_flip(nine)]).all()
+    assert np.isfinite([*interval(ten, np.ones(10, int)), sign_flip(ten)]).all()
+    tidy = rows(9)
+    found = compare(tidy[tidy["better"]], "voxel_error", "main_occluded", "a2")
+    assert found[["low", "high", "p"]].isna().all(axis=None)
+    assert np.isfinite(found["difference"]).all()
+    assert set(found["sequences"]) == {9}
 
 
 def rows(sequences: int = 12) -> pd.DataFrame:

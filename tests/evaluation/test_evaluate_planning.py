@@ -42,7 +42,7 @@ def test_one_planner_is_compared_with_none(tmp_path: Path) -> None:
 def test_intervals_are_scipys() -> None:
     tidy = planning_rows(("main", "b4"), sequences=40)
     found = planning.intervals(tidy).set_index(["split", "system", "measure", "column"])
-    assert len(found) == 2 * 2 * 2 * 8
+    assert len(found) == 2 * 2 * 3 * 8
     values = tidy.query("split == 'test' and system == 'b4' and length == 1 and start == 2")["voxel_error"].to_numpy()
     theirs = stats.bootstrap((values,), np.mean, method="percentile", n_resamples=10_000, rng=np.random.default_rng(1))
     row = found.loc[("test", "b4", "voxel_error", "1/2")]
@@ -56,6 +56,11 @@ def test_intervals_are_scipys() -> None:
     row = found.loc[("train", "main", "error", "1/all")]
     assert (row["low"], row["high"]) == pytest.approx(tuple(theirs.confidence_interval), abs=6e-4)
     assert row["sequences"] == 40
+
+
+def test_intervals_of_what_was_not_measured_are_left_out() -> None:
+    tidy = planning_rows(("main",)).drop(columns=["voxel_error_025", "voxel_error_025_no_action"])
+    assert set(planning.intervals(tidy)["measure"]) == {"error", "voxel_error"}
 
 
 def cases() -> pd.DataFrame:

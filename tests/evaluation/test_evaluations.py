@@ -104,6 +104,12 @@ def test_prediction_rows(dataset: Dataset, forward: dict[str, Net], estimates: e
         ProbabilisticMesh(*(np.asarray(part)[1] for part in made)), draws=256, key=jax.random.key(9)
     )
     assert row["voxel_error"] == pytest.approx(np.abs(np.asarray(expected)[0] - views[1]).mean(), rel=0.05)
+    tall = [np.asarray(voxels.observe(dataset.vertices[2, i], height=0.25)) for i in (1, 3)]
+    assert row["voxel_error_025_no_action"] == pytest.approx(np.mean(tall[0] != tall[1]), rel=1e-4)
+    expected = seen_occupancy(
+        ProbabilisticMesh(*(np.asarray(part)[1] for part in made)), draws=32, height=0.25, key=jax.random.key(9)
+    )
+    assert row["voxel_error_025"] == pytest.approx(np.abs(np.asarray(expected)[0] - tall[1]).mean(), rel=0.05)
     assert (tidy.loc[tidy["sequence"] == 3, ["start", "length"]].sum(axis=1) <= 2).all()
     assert set(tidy.loc[tidy["better"], "net"]) == {"b"}
     assert set(zip(tidy["start"], tidy["length"], strict=True)) == set(TASKS)
@@ -122,6 +128,10 @@ def test_prediction_rows(dataset: Dataset, forward: dict[str, Net], estimates: e
     assert row["voxel_error"] == pytest.approx(expected, rel=1e-4)
     start = np.asarray(voxels.of_mesh(dataset.vertices[2, 1]))
     assert row["voxel_error_no_action"] == pytest.approx(np.mean(start != truth), rel=1e-4)
+    truth, start = (np.asarray(voxels.of_mesh(dataset.vertices[2, i], height=0.25)) for i in (3, 1))
+    expected = np.abs(np.asarray(occupancy(last, height=0.25))[0] - truth).mean()
+    assert row["voxel_error_025"] == pytest.approx(expected, rel=1e-4)
+    assert row["voxel_error_025_no_action"] == pytest.approx(np.mean(start != truth), rel=1e-4)
 
 
 def test_starts_carry_the_labels_of_the_truth(dataset: Dataset, estimates: estimation.Estimates) -> None:

@@ -45,5 +45,12 @@ def test_rows_of_the_voxel_baseline(dataset: Dataset) -> None:
     row = tidy.query("net == 'a' and sequence == 1 and start == 1 and length == 2").iloc[0]
     assert row["voxel_error"] == pytest.approx(np.abs(np.asarray(predicted[-1]) - truth).mean(), rel=1e-4)
     assert row["voxel_error_no_action"] == pytest.approx(np.mean(np.asarray(seen) != truth), rel=1e-4)
+    # In the viewport that is twice as high two voxels are one, the larger of them; above there is nothing.
+    tall = np.zeros((32, 32, 16))
+    for z in range(8):
+        tall[..., z] = np.asarray(predicted[-1])[..., 2 * z : 2 * z + 2].max(-1)
+    views = [np.asarray(voxels.observe(dataset.vertices[1, state], height=0.25)) for state in (1, 3)]
+    assert row["voxel_error_025"] == pytest.approx(np.abs(tall - views[1]).mean(), rel=1e-4)
+    assert row["voxel_error_025_no_action"] == pytest.approx(np.mean(views[0] != views[1]), rel=1e-4)
     moved = dataset.centre[1, 3] - dataset.centre[1, 1]
     assert row["position_error"] == pytest.approx(np.linalg.norm(np.asarray(shift).sum(0) - moved) / 1.4, rel=1e-4)

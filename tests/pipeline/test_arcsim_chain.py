@@ -18,6 +18,7 @@ from clothkit.evaluation import (
     estimation,
     planning,
     prediction,
+    viewport,
     voxel_prediction,
 )
 from clothkit.evaluation.camera_settings import Condition, EvaluateCameraConfig
@@ -144,13 +145,11 @@ def test_the_chain_runs_on_from_arcsims_runs(tmp_path: Path) -> None:
     of_meshes = prediction.rows(dataset, given, nets, "a", settings)
     of_voxels = voxel_prediction.rows(dataset, given.sequence, {"a": voxel_net}, "a", settings)
     predicted = pd.concat([of_meshes, of_voxels], ignore_index=True)
-    planned = rows(sessions, "main")
+    planned = rows(sessions, "main").merge(viewport.rows(sessions, "main"), validate="one_to_one")
     inputs = Inputs(
         dataset=dataset,
         attempts=pd.read_parquet(tmp_path / "raw/attempts.parquet"),
         histories=histories,
-        canonical=False,
-        voxels_canonical=False,
         estimation=estimation.rows(dataset, found),
         prediction=predicted,
         calibration=calibration.rows(dataset, given, nets["a"], estimates, settings),
@@ -178,7 +177,7 @@ def test_the_chain_runs_on_from_arcsims_runs(tmp_path: Path) -> None:
     tasks = inputs.planning.groupby("sequence").size()
     assert {s: int(n) for s, n in tasks.items()} == {s: 1 if dataset.length[s] == 1 else 3 for s in tasks.index}
     record.save(tmp_path / "sessions.zarr", pieces, {})
-    build(tmp_path / "report", inputs, REPORT, scale="smoke")
+    build(tmp_path / "report", inputs, REPORT)
     pictures = {path.stem for path in (tmp_path / "report/figures").iterdir()}
     assert {"sequences", "estimates", "predictions", "scatter", "sessions_1", "sessions_2"} <= pictures
     assert "sessions_3" not in pictures

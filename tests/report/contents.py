@@ -1,5 +1,11 @@
 """Made-up tidy rows of estimation and prediction, and what a page shows of them."""
 
+import functools
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
 import numpy as np
 import pandas as pd
 
@@ -7,10 +13,15 @@ from clothkit.dataset.store import Dataset
 from clothkit.dataset.tasks import TASKS
 from clothkit.evaluation import camera_planning, planning
 from clothkit.evaluation.comparisons import of_predictions
-from clothkit.report import camera_tables, page, planning_tables, tables
+from clothkit.report import camera_tables, contents, planning_tables, tables, timings
+from clothkit.report.blocks import Section
+from clothkit.report.budgets import budgets
 from clothkit.report.rows import VOXEL_SYSTEMS
+from clothkit.report.sections import sections
 from tests.evaluation import camera_rows
 from tests.evaluation.planning_rows import planning_rows
+
+LAPTOP = Path(__file__).parents[2] / "reports/laptop"
 
 
 def tidy_tasks(systems: tuple[str, ...], *, sequences: int = 4, seed: int = 0) -> pd.DataFrame:
@@ -33,6 +44,8 @@ def tidy_tasks(systems: tuple[str, ...], *, sequences: int = 4, seed: int = 0) -
                 "position_no_action": 0.1 * length,
                 "voxel_error": rng.uniform(0.01, 0.02) + 0.5 * (net == "b"),
                 "voxel_error_no_action": 0.05 + 0.01 * (system in VOXEL_SYSTEMS),
+                "voxel_error_025": rng.uniform(0.005, 0.01) + (net == "b"),
+                "voxel_error_025_no_action": 0.025,
             }
             for split in ("test", "train")
             for system in systems
@@ -75,29 +88,63 @@ def dataset() -> Dataset:
     )
 
 
-def contents_of(planners: tuple[str, ...], figures: list[str]) -> page.Contents:
-    """What a page shows of made-up rows."""
-    tidy, planned = tidy_tasks(("main", "a1")), planning_rows(planners)
+def tables_of(planners: tuple[str, ...], *, sequences: int = 12) -> dict[str, pd.DataFrame]:
+    """The tables of made-up rows, those of costs included."""
+    return dict(_tables_of(planners, sequences))
+
+
+@functools.cache
+def _tables_of(planners: tuple[str, ...], sequences: int) -> dict[str, pd.DataFrame]:
+    predictors = ("main", "a1", *VOXEL_SYSTEMS)
+    tidy, planned = tidy_tasks(predictors), planning_rows(planners, sequences=sequences)
     intervals = planning.intervals(planned)
-    return page.Contents(
-        scale="smoke",
-        table_2=tables.estimation(tidy_estimates()),
-        table_3=tables.prediction(tidy, ("main", "a1")),
-        table_5=tables.position(tidy, ("main", "a1")),
-        table_4=tables.prediction_voxels(tidy_tasks(("main", *VOXEL_SYSTEMS)), ("main", *VOXEL_SYSTEMS)),
-        comparisons=tables.comparisons(of_predictions(tidy_tasks(VOXEL_SYSTEMS))),
-        table_6=planning_tables.planning(planned, intervals, planners),
-        table_7=planning_tables.planning_voxels(planned, intervals, planners),
-        planning_comparisons=planning_tables.comparisons(planning.comparisons(planned), planners),
-        failures=planning_tables.failures(planning.failures(planned), planners),
-        camera_estimation=camera_tables.estimation(camera_rows.estimation()),
-        camera_planning=camera_tables.planning(camera_rows.planning()),
-        camera_comparisons=camera_tables.comparisons(camera_planning.comparisons(camera_rows.planning())),
-        largest=planning_tables.largest(planned, planners[0], 3),
-        sigma_ratio=tables.sigma_ratio(tidy_estimates(), tidy),
-        splits=tables.splits(dataset()),
-        attempts=tables.attempts(pd.DataFrame({"accepted": [True], "reason": [""]})),
-        tasks={"test": 4, "train": 4},
-        canonical="",
-        figures=figures,
-    )
+    costs = pd.DataFrame([["plan@main", 9.0, 18.0, 900, "8 x z80 CP/M"]], columns=timings.COLUMNS)
+    return {
+        "table_2": tables.estimation(tidy_estimates()),
+        "table_3": tables.prediction(tidy, ("main", "a1")),
+        "table_4": tables.prediction_voxels(tidy, predictors),
+        "table_4_025": tables.prediction_voxels(tidy, predictors, measure="voxel_error_025"),
+        "comparisons": tables.comparisons(of_predictions(tidy_tasks(VOXEL_SYSTEMS, sequences=sequences))),
+        "table_5": tables.position(tidy, ("main", "a1")),
+        "table_6": planning_tables.planning(planned, intervals, planners),
+        "table_7": planning_tables.planning_voxels(planned, intervals, planners),
+        "table_7_025": planning_tables.planning_voxels(planned, intervals, planners, measure="voxel_error_025"),
+        "planned": planning_tables.planned(planned),
+        "planning_comparisons": planning_tables.comparisons(planning.comparisons(planned), planners),
+        "failures": planning_tables.failures(planning.failures(planned), planners),
+        "largest": planning_tables.largest(planned, planners[0], 3),
+        "camera_estimation": camera_tables.estimation(camera_rows.estimation()),
+        "camera_planning": camera_tables.planning(camera_rows.planning()),
+        "camera_comparisons": camera_tables.comparisons(camera_planning.comparisons(camera_rows.planning())),
+        "sigma_ratio": tables.sigma_ratio(tidy_estimates(), tidy),
+        "splits": tables.splits(dataset()),
+        "attempts": tables.attempts(pd.DataFrame({"accepted": [True], "reason": [""]})),
+        "table_8": timings.table_8(Path("none"), planners),
+        "timings": costs,
+    }
+
+
+def write_report(folder: Path, made: dict[str, pd.DataFrame], figures: Sequence[str] = ()) -> Path:
+    """A report's folder of such tables, as the report stage leaves it: settings are laptop's, pictures are small."""
+    (folder / "tables").mkdir(parents=True)
+    (folder / "figures").mkdir()
+    for name, table in made.items():
+        path = folder / ("" if name in contents.COSTS else "tables") / f"{name}.csv"
+        table.to_csv(path, index=False, float_format="%.5g", lineterminator="\n")
+    for name in figures:
+        picture = np.full((300, 1700, 3), 255, np.uint8)
+        cv2.circle(picture, (850, 150), 120, (190, 120, 60), -1)
+        cv2.imwrite(str(folder / f"figures/{name}.png"), picture)
+    shutil.copy(LAPTOP / "params.yaml", folder)
+    return folder
+
+
+def contents_of(folder: Path, planners: tuple[str, ...], figures: Sequence[str] = ()) -> contents.Contents:
+    """What pages show of made-up rows."""
+    return contents.read(write_report(folder, tables_of(planners), figures))
+
+
+def parts_of(shown: contents.Contents) -> list[Section]:
+    """The sections of its pages."""
+    own = shown.tables["table_6"].query("source == 'clothkit'")["system"].drop_duplicates()
+    return sections(shown, budgets(shown.made_with, shown.tables.get("timings"), [s for s in own if s != "no action"]))

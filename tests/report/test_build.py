@@ -1,6 +1,6 @@
 """A whole report from made-up artifacts: its files, its figures, equal bytes when it is built again."""
 
-from dataclasses import replace
+import shutil
 from pathlib import Path
 
 import cv2
@@ -15,16 +15,18 @@ from clothkit.dataset.tasks import TASKS, Task
 from clothkit.evaluation import calibration, camera_planning, planning
 from clothkit.evaluation.comparisons import of_predictions
 from clothkit.planning.record import Sessions, Sizes, blank, tasks_of_dataset
-from clothkit.report import panels, timings
-from clothkit.report.build import TABLES, build, picked
+from clothkit.report import pages, panels, timings
+from clothkit.report.build import build, picked
+from clothkit.report.captions import CAPTIONS
+from clothkit.report.contents import TABLES
 from clothkit.report.figures.largest import Failure, largest
 from clothkit.report.figures.sessions import median, of_record, sessions
-from clothkit.report.html import page as html
 from clothkit.report.inputs import Inputs
 from clothkit.report.rows import VOXEL_SYSTEMS
 from clothkit.report.settings import ReportConfig
 from tests.evaluation import camera_rows
 from tests.evaluation.planning_rows import planning_rows
+from tests.report.contents import LAPTOP
 from tests.report.web import tree
 
 SETTINGS = ReportConfig(sequences=1, estimates=1, predictions=1, sessions=1, largest=3)
@@ -69,6 +71,7 @@ def inputs(dataset: Dataset) -> Inputs:
     common = {"split": "test", "error": 0.03, "error_no_action": 0.2, "sigma_ratio": 0.8}
     shift = {"position_error": 0.02, "position_no_action": 0.2}
     in_voxels = {"voxel_error": 0.01, "voxel_error_no_action": 0.05}
+    in_voxels |= {"voxel_error_025": 0.005, "voxel_error_025_no_action": 0.025}
     tasks = [{"sequence": q, "start": start, "length": length} for q in (0, 1) for start, length in TASKS]
     planned = planning_rows(SETTINGS.planners, sequences=2, splits=("test",))
     prediction = pd.DataFrame(
@@ -96,8 +99,6 @@ def inputs(dataset: Dataset) -> Inputs:
         dataset=dataset,
         attempts=pd.DataFrame({"accepted": [True, False], "reason": ["", "height"]}),
         histories={"a": by_task, "b": history, "vtm": by_state},
-        canonical=True,
-        voxels_canonical=False,
         estimation=estimation,
         calibration=pd.concat(
             [
@@ -145,41 +146,25 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def test_a_report_is_complete(inputs: Inputs, tmp_path: Path) -> None:
-    shown = build(tmp_path / "report", inputs, SETTINGS, scale="smoke")
-    found = contents(tmp_path / "report")
-    tables = {f"tables/{name}.{kind}" for name in TABLES for kind in ("csv", "md")}
-    pictures = {
-        f"figures/{name}.png"
-        for name in (
-            "sequences",
-            "estimates",
-            "predictions",
-            "calibration",
-            "camera",
-            "scatter",
-            "largest",
-            "curves",
-            "meshes",
-            "voxels",
-            "trajectories",
-            "equivalents",
-            *(f"sessions_{n}" for n in (1, 2, 3)),
-        )
-    }
+    report = tmp_path / "report"
+    made = build(report, inputs, SETTINGS)
+    found = set(contents(report))
+    assert made.keys() == TABLES.keys()
+    pictures = {f"figures/{name}.png" for name in CAPTIONS}
+    csv = {f"tables/{name}.csv" for name in TABLES}
     data = {f"plots/{name}.csv" for name in ("learning", "calibration", "prediction", "planning", "table_6")}
-    assert {"README.md", "metrics.json", "metrics.csv"} | tables | pictures | data <= found.keys()
-    page = found["README.md"].decode()
+    assert found == {"metrics.json", "metrics.csv", "figures/captions.json"} | csv | data | pictures
+    assert len((report / "tables/largest.csv").read_text().splitlines()) == 1 + SETTINGS.largest
+    # Its pages show all of it.
+    shutil.copy(LAPTOP / "params.yaml", report)
+    timings.timings(tmp_path).to_csv(report / "timings.csv", index=False)
+    timings.table_8(tmp_path, SETTINGS.planners).to_csv(report / "table_8.csv", index=False)
+    pages.write(report, report)
+    page, markup = ((report / name).read_text() for name in ("README.md", "index.html"))
     assert all(picture in page for picture in pictures)
-    assert all(f"(tables/{name}.csv)" in page for name in TABLES if name not in ("sigma_ratio", "splits", "attempts"))
-    assert len(found["tables/largest.csv"].splitlines()) == 1 + SETTINGS.largest
+    assert all(f"(tables/{name}.csv)" in page for name in TABLES if name != "planned")
     assert "every task of 2 test sequences" in page
-    assert "see voxels as they are, as the paper's do" in page
-    both = build(tmp_path / "both", replace(inputs, voxels_canonical=True), SETTINGS, scale="smoke")
-    assert "see voxels in one of eight" in both.canonical
-    plain = build(tmp_path / "plain", replace(inputs, canonical=False), SETTINGS, scale="smoke")
-    assert plain.canonical == ""
-    run = html.Run("scale: smoke\n", timings.timings(tmp_path), timings.table_8(tmp_path, SETTINGS.planners))
-    markup = html.page(shown, tmp_path / "report" / "figures", run)
+    assert "Too few test sequences were planned for (2)" in page
     assert len(tree(markup).all("img")) == len(pictures)
     assert "No stage has left a note." in markup
     assert len(markup) < 8e6

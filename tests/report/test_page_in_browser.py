@@ -47,7 +47,7 @@ FRAME = """<!doctype html><html><head><meta name="color-scheme" content="light d
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("browser")
-    (folder / "page.html").write_text(made_up_page(folder).replace("</body>", f"{PROBE}</body>"))
+    (folder / "page.html").write_text(made_up_page(folder / "report").replace("</body>", f"{PROBE}</body>"))
     return folder
 
 

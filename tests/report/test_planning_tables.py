@@ -9,10 +9,10 @@ import pytest
 
 from clothkit.errors import InputError
 from clothkit.evaluation import planning
-from clothkit.report import page, paper, planning_tables, rows, tables, timings
+from clothkit.report import layout, paper, planning_tables, rows, timings
 from tests.evaluation.planning_rows import SYSTEMS, planning_rows
 
-TIDY = planning_rows()
+TIDY = planning_rows(sequences=12)
 INTERVALS = planning.intervals(TIDY)
 
 
@@ -23,7 +23,7 @@ def cell(table: pd.DataFrame, column: str, **keys: str) -> float:
 
 
 @pytest.mark.parametrize("statistic", ["mean", "std", "median"])
-@pytest.mark.parametrize("column", tables.TASKS)
+@pytest.mark.parametrize("column", layout.TASKS)
 def test_planning_tables_against_numpy(column: str, statistic: str) -> None:
     length, start = column.split("/")
     for measure, build in (("error", planning_tables.planning), ("voxel_error", planning_tables.planning_voxels)):
@@ -41,7 +41,7 @@ def test_planning_tables_against_numpy(column: str, statistic: str) -> None:
 
 def test_layout_of_table_6() -> None:
     found = planning_tables.planning(TIDY, INTERVALS, ("main",))
-    assert list(found.columns) == ["source", "split", "system", "statistic", *tables.TASKS]
+    assert list(found.columns) == ["source", "split", "system", "statistic", *layout.TASKS]
     own = found[found["source"] == "clothkit"]
     assert list(own["split"].unique()) == ["test", "train"]
     statistics = (
@@ -79,7 +79,7 @@ def test_no_action_rows_and_ratio() -> None:
     found = planning_tables.planning(TIDY, INTERVALS, SYSTEMS)
     keys = {"source": "clothkit", "split": "train"}
     none = cell(found, "2/all", **keys, system="no action", statistic="mean")
-    assert none == pytest.approx(0.2 + 0.015 + 0.2)
+    assert none == pytest.approx(0.2 + 0.055 + 0.2)
     mean = cell(found, "2/all", **keys, system="b1", statistic="mean")
     assert cell(found, "2/all", **keys, system="b1", statistic="mean / no action") == pytest.approx(mean / none)
     voxels = planning_tables.planning_voxels(TIDY, INTERVALS, SYSTEMS)
@@ -98,7 +98,7 @@ def test_comparisons_and_failures_are_those_of_the_systems_in_their_order() -> N
     first = found[(found["split"] == "test") & (found["measure"] == "error")]
     pairs = list(zip(first["system"], first["against"], strict=True))
     assert pairs == [("main", "b5")] * 8 + [("main", "b4")] * 8 + [("b4", "b5")] * 8
-    assert list(first["column"])[:8] == list(tables.TASKS)
+    assert list(first["column"])[:8] == list(layout.TASKS)
     failures = planning_tables.failures(planning.failures(TIDY), systems)
     assert list(failures["system"][:12]) == ["main"] * 4 + ["b5"] * 4 + ["b4"] * 4
     assert list(failures["length"][:4]) == ["1", "2", "3", "all"]
@@ -177,22 +177,6 @@ def test_seconds_per_plan(tmp_path: Path) -> None:
         [2.65, 4.44, 6.49],
     ]
     assert published["machine"].iloc[-1] == "JAX / RTX 3090"
-    lines = page.table("table_8", found).splitlines()
-    assert lines[2] == "| clothkit | main | 8 x z80 CP/M | 2.50 | 4.50 | – | 0.200 |"
-    assert lines[5] == "| clothkit | b4 |  | – | – | – | – |"
-    assert lines[6] == "| paper | main | TensorFlow 1 / RTX 2080 Ti | 4.76 | 9.11 | 14.7 | – |"
-
-
-def test_a_comparison_with_less_training_is_marked() -> None:
-    nets = [f"{kind}@{net}" for kind in ("train_pemd", "train_emd_voxel") for net in "ab"]
-    notes = pd.DataFrame({"stage": nets, "cpu_seconds": [1200, 1260, 660, 720]})
-    told = timings.training(notes)
-    assert "were trained for 11 and 12 CPU minutes in their last runs, those that predict meshes for 20 and 21" in told
-    assert "*a comparison with less*" in told
-    as_long = timings.training(notes.assign(cpu_seconds=1200))
-    assert "as long or longer" in as_long
-    assert as_long in page.table_8(timings.table_8(Path("none"), ("main",)), as_long)
-    assert timings.training(notes[1:]) == ""
 
 
 def test_without_any_note_the_papers_rows_stand_alone(tmp_path: Path) -> None:
@@ -224,3 +208,24 @@ def test_rows_without_what_failures_are_told_by_are_refused(tmp_path: Path) -> N
     own.assign(voxel_error=np.nan).to_parquet(path)
     with pytest.raises(InputError, match=r"main\.parquet: column voxel_error: expected numbers 0 to 1, found nothing"):
         rows.read_planning(tmp_path, ("main",))
+
+
+def test_rows_of_the_high_viewport_stand_beside_the_others(tmp_path: Path) -> None:
+    tall = ["voxel_error_025", "voxel_error_025_no_action"]
+    own = TIDY[TIDY["system"] == "main"].reset_index(drop=True)
+    own.drop(columns=tall).to_parquet(tmp_path / "main.parquet")
+    shuffled = TIDY.sample(frac=1, random_state=0)[["split", "system", "sequence", "start", "length", *tall]]
+    shuffled.to_parquet(tmp_path / "voxels_025.parquet")
+    found = rows.read_planning(tmp_path, ("main",))
+    pd.testing.assert_frame_equal(found[own.columns.tolist()], own)
+    shuffled[shuffled["sequence"] > 0].to_parquet(tmp_path / "voxels_025.parquet")
+    with pytest.raises(InputError, match=r"voxels_025\.parquet: expected one row for each task"):
+        rows.read_planning(tmp_path, ("main",))
+    high = planning_tables.planning_voxels(TIDY, INTERVALS, SYSTEMS, measure="voxel_error_025")
+    keys = {"source": "clothkit", "split": "test", "system": "b1"}
+    own = TIDY.query("split == 'test' and system == 'b1' and length == 2 and start == 1")
+    assert cell(high, "2/1", **keys, statistic="median") == pytest.approx(own["voxel_error_025"].median())
+    assert cell(high, "3/all", **(keys | {"system": "no action"}), statistic="mean") == pytest.approx(0.05)
+    low = INTERVALS.query("split == 'test' and system == 'b1' and measure == 'voxel_error_025' and column == '2/1'")
+    assert cell(high, "2/1", **keys, statistic="mean 95 % low") == low["low"].iloc[0]
+    assert set(high.loc[high["source"] == "paper", "system"]) == {"main", "b4", "b5"}

@@ -12,8 +12,9 @@ from clothkit.errors import InputError
 from clothkit.evaluation import planning
 from clothkit.evaluation.tidy import PLANNING, PREDICTION
 from clothkit.report import markdown, page, paper, planning_tables, tables, timings
+from clothkit.report.layout import TASKS
 from tests.evaluation.planning_rows import SYSTEMS, planning_rows
-from tests.report.contents import contents_of, dataset, tidy_estimates, tidy_tasks
+from tests.report.contents import contents_of, dataset, parts_of, tidy_estimates, tidy_tasks
 
 
 def cell(table: pd.DataFrame, column: str, **keys: str) -> float:
@@ -27,14 +28,14 @@ def cell(table: pd.DataFrame, column: str, **keys: str) -> float:
 def test_prediction_table_takes_the_better_net() -> None:
     found = tables.prediction(tidy_tasks(("main", "a1")), ("main", "a1"))
     own = found[(found["source"] == "clothkit") & (found["statistic"] == "median") & (found["system"] != "no action")]
-    assert (own[list(tables.TASKS)] < 0.2).all(axis=None)
+    assert (own[list(TASKS)] < 0.2).all(axis=None)
 
 
 def test_voxel_table_has_the_better_net_and_no_action_of_either_truth() -> None:
     systems = ("main", "a1", "a2")
     tidy = tidy_tasks(systems)
     found = tables.prediction_voxels(tidy, systems)
-    assert list(found.columns) == ["source", "split", "system", "statistic", *tables.TASKS]
+    assert list(found.columns) == ["source", "split", "system", "statistic", *TASKS]
     keys = {"source": "clothkit", "split": "test"}
     chosen = tidy.query("split == 'test' and system == 'a2' and net == 'a' and length == 2")
     mean = cell(found, "2/all", system="a2", statistic="mean", **keys)
@@ -152,16 +153,29 @@ def test_sigma_ratios_are_medians() -> None:
     assert cell(found, "2", source="clothkit", split="train") == pytest.approx(0.715)
 
 
-def test_markdown_puts_the_papers_row_below_ours() -> None:
-    tidy = planning_rows(("main",))
+def test_markdown_puts_the_papers_row_below_ours_and_marks_the_better() -> None:
+    tidy = planning_rows(("main",), sequences=12)
     table = planning_tables.planning(tidy, planning.intervals(tidy), ("main",))
+    ours = table["source"] == "clothkit"
+    mean, median = (ours & (table["split"] == "test") & (table["statistic"] == name) for name in ("mean", "median"))
+    table.loc[mean & (table["system"] == "main"), list(TASKS)] = [0.02, 0.05, 0.0783, 0.06, 0.07, 0.1, 0.08, 0.2]
+    table.loc[median & (table["system"] == "main"), "1/0"] = 0.001
     lines = markdown.table(table, ["split", "system", "statistic"]).splitlines()
     assert lines[0] == "| split | system | statistic | source | 1/0 | 1/1 | 1/2 | 1/all | 2/0 | 2/1 | 2/all | 3/all |"
-    assert lines[2].startswith("| test | main | mean | clothkit | **")
-    assert (
-        lines[3]
-        == "| test | main | mean | paper | 0.0291 | 0.0411 | 0.0783 | 0.0495 | 0.0725 | 0.0913 | 0.0819 | 0.109 |"
-    )
+    assert lines[2].startswith("| test | main | mean | clothkit | **0.0200** | 0.0500 | 0.0783 | 0.0600 | **0.0700** |")
+    assert lines[2].endswith("| 0.100 | **0.0800** | 0.200 |")
+    assert lines[3].startswith("| test | main | mean | paper | 0.0291 | **0.0411** | 0.0783 | **0.0495** | 0.0725 |")
+    assert lines[3].endswith("| **0.0913** | 0.0819 | **0.109** |")
+    # Medians are judged too; spreads, intervals and what has no counterpart are not.
+    assert [line for line in lines if "| main | median | clothkit | **0.00100** |" in line]
+    assert not [line for line in lines if "**" in line and "| mean |" not in line and "| median |" not in line]
+
+
+def test_markdown_says_where_sequences_were_too_few() -> None:
+    tidy = planning_rows(("main",), sequences=9)
+    table = planning_tables.planning(tidy, planning.intervals(tidy), ("main",))
+    lines = markdown.table(table, ["split", "system", "statistic"]).splitlines()
+    assert "| test | main | mean 95 % low | clothkit |" + 8 * " too few |" in lines
 
 
 def test_attempts_are_counted_by_reason() -> None:
@@ -194,22 +208,32 @@ def test_timings(tmp_path: Path) -> None:
         timings.timings(tmp_path)
 
 
-def test_the_page_shows_tables_and_figures() -> None:
-    text = page.page(contents_of(SYSTEMS, ["sessions_2", "curves"]))
+def test_the_page_shows_tables_and_figures(tmp_path: Path) -> None:
+    shown = contents_of(tmp_path / "report", SYSTEMS, ["sessions_2", "curves"])
+    text = page.page("laptop", parts_of(shown))
     assert "figures/sessions_2.png" in text
     assert "figures/scatter.png" not in text
-    assert "| planning | main | paper | 0.0291 |" in text
-    assert "| planning | no action | clothkit | 0.315 |" in text
+    # The first thing that is read, below the title.
+    assert text.splitlines()[2].startswith("Plans were no better with the uncertainty term")
+    assert "| planning | main | paper | **0.0291** |" in text
+    assert "| planning | main, labelled | clothkit | 0.1" in text
+    assert "| planning | no action | clothkit | 0.355 |" in text
     assert "| test | a1 | mean | paper | 0.0269 | 0.0379 | 0.0506 |" in text
-    assert "| test | main | paper | 0.770 | 0.750 | 0.785 | 0.861 |" in text
-    assert "| test | b4 | mean | paper | 0.00768 | 0.0182 |" in text
-    assert "| error | main | b5 | 3/all | 4 |" in text
-    assert "| test | b4 | all | 24 |" in text
-    assert "](table_8.md)" in text
+    assert "| Test set | paper | 0.770 | **0.750** | **0.785** |" in text
+    assert "| test | b4 † | mean | paper | 0.00768 | 0.0182 |" in text
+    assert "| error | main | b5 † | 3/all | 12 |" in text
+    assert "| error | b4 | b5 | 3/all | 12 |" in text
+    assert "| test | b4 † | all | 72 |" not in text
+    assert "| b4 | all | 72 |" in text
+    assert "In bold: the better of our figure and the paper's. [CSV](tables/table_7_025.csv)" in text
+    assert "](table_8.csv)" in text
+    assert "Not measured in this report" not in text
 
 
-def test_a_page_of_one_planner_compares_nothing() -> None:
-    text = page.page(contents_of(("main",), []))
-    assert "planning_comparisons" not in text
+def test_a_page_of_one_planner_compares_nothing(tmp_path: Path) -> None:
+    text = page.page("laptop", parts_of(contents_of(tmp_path / "report", ("main",))))
+    assert "tables/planning_comparisons.csv" not in text
     assert "| test | main | mean 95 % low | clothkit |" in text
-    assert "| b4 |" not in text
+    assert "| b4 |" not in text.replace("| b4 | paper |", "")
+    assert "†" not in text
+    assert text.splitlines()[2].startswith("Planned and executed: every task of 12 test and 12 train sequences.")

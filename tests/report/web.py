@@ -4,15 +4,10 @@ from dataclasses import dataclass, field
 from html.parser import HTMLParser
 from pathlib import Path
 
-import cv2
-import numpy as np
-import pandas as pd
-
-from clothkit.report import timings
 from clothkit.report.captions import CAPTIONS
-from clothkit.report.html.page import Run, page
+from clothkit.report.html.page import page
 from tests.evaluation.planning_rows import SYSTEMS
-from tests.report.contents import contents_of
+from tests.report.contents import contents_of, parts_of
 
 VOID = ("img", "meta", "link", "br")
 
@@ -69,14 +64,7 @@ def tree(markup: str) -> Node:
     return parser.open[0]
 
 
-def made_up_page(folder: Path, *, seconds: float = 9.0) -> str:
+def made_up_page(folder: Path) -> str:
     """A page of every table and every figure, pictures as wide as the real ones."""
-    figures = folder / "figures"
-    figures.mkdir(parents=True, exist_ok=True)
-    for name in CAPTIONS:
-        picture = np.full((300, 1700, 3), 255, np.uint8)
-        cv2.circle(picture, (850, 150), 120, (190, 120, 60), -1)
-        cv2.imwrite(str(figures / f"{name}.png"), picture)
-    costs = pd.DataFrame([["plan@main", seconds, 2 * seconds, 900, "8 x z80 CP/M"]], columns=timings.COLUMNS)
-    run = Run("scale: smoke # <&>\n", costs, timings.table_8(folder / "none", SYSTEMS))
-    return page(contents_of(SYSTEMS, list(CAPTIONS)), figures, run)
+    shown = contents_of(folder, SYSTEMS, list(CAPTIONS))
+    return page(shown, parts_of(shown), folder / "figures")

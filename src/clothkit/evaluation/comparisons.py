@@ -16,8 +16,8 @@ DRAWS = 10_000
 
 CONFIDENCE = 0.95
 
-LEAST = 2
-"""Sequences without which there is no interval."""
+LEAST = 10
+"""Sequences without which there is neither an interval nor a p: fewer tell too little."""
 
 KEYS = ["sequence", "start", "length"]
 
@@ -30,8 +30,7 @@ def interval(
 ) -> tuple[float, float]:
     """The 95 % bootstrap interval (percentiles) of sum(total) / sum(count): a mean over tasks, drawn by sequences.
 
-    `total` and `count` are each sequence's sum and number of differences. NaN below `LEAST` sequences,
-    whose resamples tell too little.
+    `total` and `count` are each sequence's sum and number of differences. NaN below `LEAST` sequences.
     """
     if len(total) < LEAST:
         return float("nan"), float("nan")
@@ -45,8 +44,10 @@ def sign_flip(total: Float[np.ndarray, " n"], *, seed: int = 0, draws: int = DRA
     """Two-sided p of the paired permutation test: how often random signs give a sum as far from zero as the sum found.
 
     `total` is each sequence's sum of differences; under the null hypothesis its sign is as likely either way. Never
-    below 1 / (draws + 1).
+    below 1 / (draws + 1). NaN below `LEAST` sequences.
     """
+    if len(total) < LEAST:
+        return float("nan")
     signs = np.random.default_rng(seed).integers(2, size=(draws, len(total))) * 2.0 - 1
     found = abs(total.sum())
     # Sums that are equal but for rounding count as equal.
@@ -90,7 +91,7 @@ def compare(tidy: pd.DataFrame, measure: str, system: str, against: str, *, seed
 
     split, measure, system, against, column (length/start, `all` for every start), sequences, difference (mean of
     `measure` of `system` minus that of `against`, over the tasks that both have), low, high (95 % bootstrap interval),
-    p (two-sided sign-flip test).
+    p (two-sided sign-flip test). The last three are NaN below `LEAST` sequences.
     """
     one, other = (
         tidy.loc[tidy["system"] == name, ["split", *KEYS, measure]].set_index(["split", *KEYS])[measure]

@@ -8,6 +8,7 @@ import pandas as pd
 from clothkit.dataset.tables import read as read_table
 from clothkit.errors import InputError
 from clothkit.evaluation.comparisons import COLUMNS, compare, interval, totals
+from clothkit.evaluation.occupancy import TALL_MEASURE
 from clothkit.evaluation.settings import EvaluatePlanningConfig
 from clothkit.evaluation.tidy import PLANNING
 
@@ -33,6 +34,7 @@ ROWS = (
 """Columns of tidy rows of planning that are needed here."""
 
 MEASURES = ("error", "voxel_error")
+"""By which systems are compared."""
 
 PAIRS = (*(("main", other) for other in ("b1", "b2", "b3", "b4", "b5", "unrefined")), ("b4", "b5"))
 """Systems that the paper holds against one another (section 6.3)."""
@@ -71,12 +73,14 @@ def comparisons(tidy: pd.DataFrame) -> pd.DataFrame:
 def intervals(tidy: pd.DataFrame) -> pd.DataFrame:
     """Means over tasks, and their 95 % bootstrap intervals over sequences, by split, system and column of the tables.
 
-    split, system, measure (error [cloth length], voxel_error [mean voxel difference]), column (length/start, `all` for
-    every start), sequences, mean, low, high.
+    split, system, measure (error [cloth length], voxel_error [mean voxel difference]; voxel_error_025 if the rows
+    have it), column (length/start, `all` for every start), sequences, mean, low, high (NaN for fewer
+    sequences than `comparisons.LEAST`).
     """
     found = []
+    measures = [measure for measure in (*MEASURES, TALL_MEASURE) if measure in tidy]
     for system, rows in tidy.groupby("system", sort=False):
-        for measure in MEASURES:
+        for measure in measures:
             for part in totals(rows, measure):
                 low, high = interval(part.total, part.tasks)
                 found.append((part.split, system, measure, part.column, len(part.total), part.mean, low, high))

@@ -12,12 +12,13 @@ from tqdm import tqdm
 from clothkit.cloth import voxels
 from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.cloth.mesh import ProbabilisticMesh
+from clothkit.cloth.voxels import HEIGHT
 from clothkit.dataset.store import SPLITS, STATES, STEPS, Dataset
 from clothkit.dataset.tasks import TASKS
 from clothkit.errors import InputError
 from clothkit.evaluation.arrays import Named
 from clothkit.evaluation.errors import errors, relabelled, sigma_ratio
-from clothkit.evaluation.occupancy import differences, occupancy, seen_occupancy
+from clothkit.evaluation.occupancy import TALL, TALL_MEASURE, differences, occupancy, seen_occupancy
 from clothkit.evaluation.settings import EvaluatePredictionConfig
 from clothkit.networks.net import Net
 from clothkit.networks.pemd import rollout
@@ -59,8 +60,9 @@ def rows(
     """Tidy rows, one per system, net, sequence and task.
 
     split, system, net (a, b), better (whether the net has the better validation score), sequence, start, length, error,
-    error_no_action, position_error, position_no_action [cloth length], sigma_ratio, voxel_error, voxel_error_no_action
-    [mean voxel difference, 0..1]. Predictions are not aligned beyond the centring; no action is (design 2), but in
+    error_no_action, position_error, position_no_action [cloth length], sigma_ratio, voxel_error, voxel_error_no_action,
+    voxel_error_025, voxel_error_025_no_action [mean voxel difference, 0..1; the last two in the viewport that is
+    `TALL`]. Predictions are not aligned beyond the centring; no action is (design 2), but in
     voxels. position_error is that of the predicted centre shift, eq. (7); position_no_action that of no shift at all.
     Voxels of predictions are eq. (16)'s, those of states undoubled, free of noise and unoccluded (design 6.14). The
     rows of main's better net come again as system `OCCLUDED`, all voxels being what a camera would see
@@ -78,7 +80,6 @@ def rows(
         manipulations = dataset.manipulation[sequence, start:end]
         predicted, shift = predict(nets[net], given.meshes[system][long, start], manipulations, settings.batch)
         final = ProbabilisticMesh(predicted.mean[-1], predicted.std[-1])
-        occupied = np.asarray(voxels.of_mesh(truth))
         moved = dataset.centre[sequence, end] - dataset.centre[sequence, start]
         first = dataset.vertices[sequence, start]
         found = pd.DataFrame(
@@ -95,20 +96,14 @@ def rows(
                 "position_error": np.linalg.norm(shift.sum(0) - moved, axis=-1) / CLOTH_SIDE,
                 "position_no_action": np.linalg.norm(moved, axis=-1) / CLOTH_SIDE,
                 "sigma_ratio": np.asarray(sigma_ratio(final, truth)),
-                "voxel_error": _voxel_errors(final, occupied, settings.batch),
-                "voxel_error_no_action": np.asarray(differences(voxels.of_mesh(first), occupied)),
+                **_in_voxels(final, first, truth, settings.batch),
             }
         )
         tidy.append(found)
         if system == "main" and net == better:
-            seen = np.asarray(voxels.observe(truth))
-            measured = {
-                "voxel_error": _voxel_errors(final, seen, settings.batch, seen=True),
-                "voxel_error_no_action": np.asarray(differences(voxels.observe(first), seen)),
-            }
-            tidy.append(
-                found.assign(system=OCCLUDED, error=np.float32(np.nan), sigma_ratio=np.float32(np.nan), **measured)
-            )
+            unknown = {"error": np.float32(np.nan), "sigma_ratio": np.float32(np.nan)}
+            seen = _in_voxels(final, first, truth, settings.batch, seen=True)
+            tidy.append(found.assign(system=OCCLUDED, **unknown, **seen))
     return pd.concat(tidy, ignore_index=True)
 
 
@@ -150,15 +145,40 @@ def predict(
     return ProbabilisticMesh(mean, std), shift
 
 
+def _in_voxels(
+    predicted: ProbabilisticMesh,
+    first: Float[np.ndarray, "n u v 3"],
+    truth: Float[np.ndarray, "n u v 3"],
+    batch: int,
+    *,
+    seen: bool = False,
+) -> dict[str, np.ndarray]:
+    """Mean voxel differences [n] of predicted meshes, and of no action, to the truth, in both viewports.
+
+    `seen`: all three as a camera above sees them.
+    """
+    found = {}
+    for name, height in (("voxel_error", HEIGHT), (TALL_MEASURE, TALL)):
+        occupied, start = (
+            np.asarray((voxels.observe if seen else voxels.of_mesh)(m, height=height)) for m in (truth, first)
+        )
+        found[name] = _voxel_errors(predicted, occupied, batch, height=height, seen=seen)
+        found[f"{name}_no_action"] = np.asarray(differences(start, occupied))
+    return found
+
+
 def _voxel_errors(
-    mesh: ProbabilisticMesh, truth: Bool[np.ndarray, "n 32 32 16"], batch: int, *, seen: bool = False
+    mesh: ProbabilisticMesh, truth: Bool[np.ndarray, "n 32 32 16"], batch: int, *, height: float, seen: bool
 ) -> np.ndarray:
     """Mean voxel differences [n] of predicted meshes, in batches of one size, so that memory is bounded."""
     parts = []
     for first in range(0, len(truth), batch):
         chosen = np.minimum(np.arange(first, first + batch), len(truth) - 1)
         some = ProbabilisticMesh(mesh.mean[chosen], mesh.std[chosen])
-        predicted = seen_occupancy(some, key=jax.random.key(first)) if seen else occupancy(some)
+        if seen:
+            predicted = seen_occupancy(some, height=height, key=jax.random.key(first))
+        else:
+            predicted = occupancy(some, height=height)
         parts.append(np.asarray(differences(predicted, truth[chosen]))[: len(truth) - first])
     return np.concatenate(parts)
 

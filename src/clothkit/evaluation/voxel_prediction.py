@@ -13,12 +13,14 @@ from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.dataset.store import SPLITS, Dataset
 from clothkit.dataset.tasks import TASKS
 from clothkit.evaluation.errors import errors
-from clothkit.evaluation.occupancy import differences
+from clothkit.evaluation.occupancy import TALL, TALL_MEASURE, differences, pooled
 from clothkit.evaluation.settings import EvaluatePredictionConfig
 from clothkit.networks.emd_voxel import cartesian, rollout
 from clothkit.networks.net import Net
 
 SYSTEM = "a2"
+
+_MEASURES = ("voxel_error", "voxel_error_no_action", TALL_MEASURE, f"{TALL_MEASURE}_no_action")
 
 
 def rows(
@@ -31,8 +33,9 @@ def rows(
     """Tidy rows of system a2, one per net, sequence and task, with the columns of `prediction.rows`.
 
     Input and truth are voxels as a camera sees them, doubled and occluded, free of noise: the format that the nets
-    have learnt (design 6.14). Hence voxel_error_no_action differs from that of mesh nets. error and sigma_ratio are
-    NaN: voxels have no vertices.
+    have learnt (design 6.14). Hence voxel_error_no_action differs from that of mesh nets. In the viewport that is
+    `TALL`, predictions are `pooled`; truth and start are seen in it. error and sigma_ratio are NaN: voxels have no
+    vertices.
     """
     tidy = []
     jobs = [(net, task) for net in sorted(nets) for task in TASKS]
@@ -43,7 +46,7 @@ def rows(
             continue
         states = dataset.vertices[chosen, start : end + 1]
         manipulations = dataset.manipulation[chosen, start:end]
-        error, no_action, shift = _measured(nets[net], states, manipulations, settings.batch)
+        measured, shift = _measured(nets[net], states, manipulations, settings.batch)
         moved = dataset.centre[chosen, end] - dataset.centre[chosen, start]
         tidy.append(
             pd.DataFrame(
@@ -60,8 +63,7 @@ def rows(
                     "position_error": np.linalg.norm(shift.sum(0) - moved, axis=-1) / CLOTH_SIDE,
                     "position_no_action": np.linalg.norm(moved, axis=-1) / CLOTH_SIDE,
                     "sigma_ratio": np.float32(np.nan),
-                    "voxel_error": error,
-                    "voxel_error_no_action": no_action,
+                    **measured,
                 }
             )
         )
@@ -70,20 +72,30 @@ def rows(
 
 def _measured(
     net: Net, states: Float[np.ndarray, "n state u v 3"], manipulations: Float[np.ndarray, "n step 6"], batch: int
-) -> tuple[np.ndarray, np.ndarray, Float[np.ndarray, "step n 2"]]:
-    """Voxel differences of predictions and of no action, and centre shifts, in batches of one size."""
+) -> tuple[dict[str, np.ndarray], Float[np.ndarray, "step n 2"]]:
+    """Voxel differences of predictions and of no action by name, and centre shifts, in batches of one size."""
     parts = []
     for first in range(0, len(states), batch):
         chosen = np.minimum(np.arange(first, first + batch), len(states) - 1)
         kept = min(batch, len(states) - first)
-        error, no_action, shift = _differences(net, states[chosen], manipulations[chosen])
-        parts.append((np.asarray(error)[:kept], np.asarray(no_action)[:kept], np.asarray(shift)[:, :kept]))
-    error, no_action, shift = zip(*parts, strict=True)
-    return np.concatenate(error), np.concatenate(no_action), np.concatenate(shift, axis=1)
+        *measured, shift = _differences(net, states[chosen], manipulations[chosen])
+        parts.append((*(np.asarray(values)[:kept] for values in measured), np.asarray(shift)[:, :kept]))
+    *measured, shift = zip(*parts, strict=True)
+    found = {name: np.concatenate(values) for name, values in zip(_MEASURES, measured, strict=True)}
+    return found, np.concatenate(shift, axis=1)
 
 
 @jax.jit
-def _differences(net: Net, states: jax.Array, manipulations: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    seen, truth = voxels.observe(states[:, 0]), voxels.observe(states[:, -1])
+def _differences(net: Net, states: jax.Array, manipulations: jax.Array) -> tuple[jax.Array, ...]:
+    """_MEASURES, and centre shifts."""
+    start, end = states[:, 0], states[:, -1]
+    seen, truth = voxels.observe(start), voxels.observe(end)
+    tall_seen, tall_truth = voxels.observe(start, height=TALL), voxels.observe(end, height=TALL)
     predicted, _, shift = rollout(net, seen, cartesian(states[:, :-1], manipulations))
-    return differences(predicted[-1], truth), differences(seen, truth), shift
+    return (
+        differences(predicted[-1], truth),
+        differences(seen, truth),
+        differences(pooled(predicted[-1]), tall_truth),
+        differences(tall_seen, tall_truth),
+        shift,
+    )

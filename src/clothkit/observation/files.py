@@ -35,9 +35,7 @@ _ZARR = re.compile(r"(?P<store>.*\.zarr)(?::(?P<inside>.*))?")
 State = MeshState | VoxelState | PointCloud
 
 
-def read(
-    source: str | Path, *, cloth_side: float = DEFAULT_SIDE, y_up: bool = False, as_points: bool = False
-) -> State:
+def read(source: str | Path, *, cloth_side: float = DEFAULT_SIDE, y_up: bool = False, as_points: bool = False) -> State:
     """The state in a file, by its ending. Lengths are metres unless an array is normalised.
 
     `cloth_side` [m] is that of the flat cloth; `y_up` tells that OBJ and PLY meshes have y up; `as_points` takes the

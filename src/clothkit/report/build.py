@@ -1,4 +1,4 @@
-"""Writes the report: tables, figures, metrics and the page that shows them."""
+"""Writes what the report's pages show: tables, figures and metrics."""
 
 import json
 from pathlib import Path
@@ -8,7 +8,9 @@ import pandas as pd
 
 from clothkit.cloth.equivalents import relabel
 from clothkit.dataset.tasks import Task, tasks_of
-from clothkit.report import camera_tables, captions, metrics, page, planning_tables, tables
+from clothkit.evaluation.occupancy import TALL_MEASURE
+from clothkit.report import camera_tables, metrics, planning_tables, tables
+from clothkit.report.captions import CAPTIONS, CAPTIONS_FILE
 from clothkit.report.figures.calibration import calibration
 from clothkit.report.figures.camera import camera
 from clothkit.report.figures.curves import curves
@@ -29,80 +31,63 @@ from clothkit.report.settings import ReportConfig
 PREDICTOR_OF = {"main": "main", "b1": "a1"}
 """Which predictions start from what a planner starts from."""
 
-TABLES = (
-    "table_2",
-    "table_3",
-    "table_4",
-    "comparisons",
-    "table_5",
-    "table_6",
-    "table_7",
-    "planning_comparisons",
-    "failures",
-    "largest",
-    "camera_estimation",
-    "camera_planning",
-    "camera_comparisons",
-    "sigma_ratio",
-    "splits",
-    "attempts",
-)
-
 ABREAST = {1: 2, 2: 2, 3: 1}
 """Sessions side by side in a picture, by length."""
 
 
-def build(folder: Path, inputs: Inputs, settings: ReportConfig, *, scale: str) -> page.Contents:
-    """Write tables, figures, plots, metrics and the page (README.md) into a new folder; what they show.
+def build(folder: Path, inputs: Inputs, settings: ReportConfig) -> dict[str, pd.DataFrame]:
+    """Write tables, figures, plots and metrics into a new folder; the tables.
 
     Equal inputs give equal bytes.
     """
     (folder / "tables").mkdir(parents=True)
     (folder / "figures").mkdir()
-    errors = planning_tables.largest(inputs.planning, settings.planners[0], settings.largest)
-    contents = page.Contents(
-        scale=scale,
-        table_2=tables.estimation(inputs.estimation),
-        table_3=tables.prediction(inputs.prediction, settings.predictors),
-        table_4=tables.prediction_voxels(inputs.prediction, settings.voxel_predictors),
-        comparisons=tables.comparisons(inputs.comparisons),
-        table_5=tables.position(inputs.prediction, settings.predictors),
-        table_6=planning_tables.planning(inputs.planning, inputs.intervals, settings.planners),
-        table_7=planning_tables.planning_voxels(inputs.planning, inputs.intervals, settings.planners),
-        planning_comparisons=planning_tables.comparisons(inputs.planning_comparisons, settings.planners),
-        failures=planning_tables.failures(inputs.failures, settings.planners),
-        largest=errors,
-        camera_estimation=camera_tables.estimation(inputs.camera_estimation),
-        camera_planning=camera_tables.planning(inputs.camera_planning),
-        camera_comparisons=camera_tables.comparisons(inputs.camera_comparisons),
-        sigma_ratio=tables.sigma_ratio(inputs.estimation, inputs.prediction),
-        splits=tables.splits(inputs.dataset),
-        attempts=tables.attempts(inputs.attempts),
-        tasks={str(split): rows["sequence"].nunique() for split, rows in inputs.planning.groupby("split")},
-        canonical=captions.canonical(inputs.canonical, inputs.voxels_canonical),
-        figures=draw_figures(folder / "figures", inputs, errors, settings),
-    )
-    for name in TABLES:
-        table = getattr(contents, name)
+    planned, found = inputs.planning, inputs.prediction
+    made = {
+        "table_2": tables.estimation(inputs.estimation),
+        "table_3": tables.prediction(found, settings.predictors),
+        "table_4": tables.prediction_voxels(found, settings.voxel_predictors),
+        "table_4_025": tables.prediction_voxels(found, settings.voxel_predictors, measure=TALL_MEASURE),
+        "comparisons": tables.comparisons(inputs.comparisons),
+        "table_5": tables.position(found, settings.predictors),
+        "table_6": planning_tables.planning(planned, inputs.intervals, settings.planners),
+        "table_7": planning_tables.planning_voxels(planned, inputs.intervals, settings.planners),
+        "table_7_025": planning_tables.planning_voxels(
+            planned, inputs.intervals, settings.planners, measure=TALL_MEASURE
+        ),
+        "planned": planning_tables.planned(planned),
+        "planning_comparisons": planning_tables.comparisons(inputs.planning_comparisons, settings.planners),
+        "failures": planning_tables.failures(inputs.failures, settings.planners),
+        "largest": planning_tables.largest(planned, settings.planners[0], settings.largest),
+        "camera_estimation": camera_tables.estimation(inputs.camera_estimation),
+        "camera_planning": camera_tables.planning(inputs.camera_planning),
+        "camera_comparisons": camera_tables.comparisons(inputs.camera_comparisons),
+        "sigma_ratio": tables.sigma_ratio(inputs.estimation, found),
+        "splits": tables.splits(inputs.dataset),
+        "attempts": tables.attempts(inputs.attempts),
+    }
+    drawn = draw_figures(folder / "figures", inputs, made["largest"], settings)
+    # Pictures can't be drawn again without their data: what is told of them stays with them.
+    told = {name: CAPTIONS[name] for name in sorted(drawn)}
+    (folder / "figures" / CAPTIONS_FILE).write_text(json.dumps(told, indent=1, ensure_ascii=False) + "\n")
+    for name, table in made.items():
         table.to_csv(folder / "tables" / f"{name}.csv", index=False, float_format="%.5g", lineterminator="\n")
-        (folder / "tables" / f"{name}.md").write_text(page.table(name, table))
     means = metrics.means(
-        estimation=contents.table_2,
-        prediction=contents.table_3,
-        prediction_voxels=contents.table_4,
-        position=contents.table_5,
-        planning=contents.table_6,
-        planning_voxels=contents.table_7,
-        sigma_ratio=contents.sigma_ratio,
+        estimation=made["table_2"],
+        prediction=made["table_3"],
+        prediction_voxels=made["table_4"],
+        position=made["table_5"],
+        planning=made["table_6"],
+        planning_voxels=made["table_7"],
+        sigma_ratio=made["sigma_ratio"],
     )
     means.to_csv(folder / "metrics.csv", index=False, float_format="%.5g", lineterminator="\n")
     headline = metrics.headline(means, settings.planners)
     (folder / "metrics.json").write_text(json.dumps(headline, indent=1) + "\n")
     (folder / "plots").mkdir()
-    for name, rows in plots(inputs.histories, inputs.calibration, contents.table_3, contents.table_6).items():
+    for name, rows in plots(inputs.histories, inputs.calibration, made["table_3"], made["table_6"]).items():
         rows.to_csv(folder / "plots" / f"{name}.csv", index=False, float_format="%.5g", lineterminator="\n")
-    (folder / "README.md").write_text(page.page(contents))
-    return contents
+    return made
 
 
 def draw_figures(folder: Path, inputs: Inputs, errors: pd.DataFrame, settings: ReportConfig) -> list[str]:

@@ -3,12 +3,9 @@
 import numpy as np
 import pandas as pd
 
-from clothkit.report import tables
+from clothkit.report.layout import BY_LENGTH, NO_ACTION
 
 KEYS = ["condition", "tilt", "noise"]
-
-NOTHING = "no action"
-"""The row of what there is if nothing is done."""
 
 
 def estimation(tidy: pd.DataFrame) -> pd.DataFrame:
@@ -34,7 +31,7 @@ def planning(tidy: pd.DataFrame) -> pd.DataFrame:
         found[str(length)] = tidy[tidy["length"] == length].groupby(KEYS, sort=False)["error"].mean()
     found[["iou", "iou_seen"]] = groups[["iou", "iou_seen"]].mean()
     first = tidy[tidy["condition"] == tidy["condition"].iloc[0]]
-    nothing: dict[str, object] = {"condition": NOTHING, "tilt": np.nan, "noise": np.nan, "tasks": len(first)}
+    nothing: dict[str, object] = {"condition": NO_ACTION, "tilt": np.nan, "noise": np.nan, "tasks": len(first)}
     for length in lengths:
         nothing[str(length)] = first.loc[first["length"] == length, "error_no_action"].mean()
     nothing |= {"iou": first["iou_no_action"].mean(), "iou_seen": np.nan}
@@ -43,7 +40,7 @@ def planning(tidy: pd.DataFrame) -> pd.DataFrame:
 
 def comparisons(tidy: pd.DataFrame) -> pd.DataFrame:
     """Every condition against none, by length: condition, column, sequences, difference, low, high, p."""
-    chosen = tidy[tidy["column"].isin([f"{length}/all" for length in tables.LENGTHS])]
+    chosen = tidy[tidy["column"].isin(list(BY_LENGTH))]
     named = chosen.rename(columns={"system": "condition"})
     return named[["condition", "column", "sequences", "difference", "low", "high", "p"]].reset_index(drop=True)
 

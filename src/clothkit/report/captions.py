@@ -1,4 +1,7 @@
-"""What the report says above its tables and below its figures, in Markdown; the same words on both pages."""
+"""What the report says above its tables and below its figures, in Markdown; the same words on both pages.
+
+What depends on how a report was made, or on its figures, is in `said.py`.
+"""
 
 INTRO = (
     "Errors are mean distances between vertices in lengths of the cloth's side, the smallest over the cloth's "
@@ -9,10 +12,18 @@ INTRO = (
     "ones, but for the largest errors and the median cases.\n"
 )
 CANONICAL = (
-    "The nets that predict meshes see each cloth in one canonical description, whatever its direction and labels{}.\n"
+    "The nets that predict meshes see each cloth in one canonical description, whatever its direction and labels"
 )
-VOXELS_CANONICAL = "; those of the voxel baseline (*a2*, *b4*, *b5*) see voxels in one of eight, likewise"
-VOXELS_AS_THEY_ARE = "; those of the voxel baseline (*a2*, *b4*, *b5*) see voxels as they are, as the paper's do"
+VOXELS_CANONICAL = "those of the voxel baseline (*a2*, *b4*, *b5*) see voxels in one of eight, likewise"
+VOXELS_AS_THEY_ARE = "those of the voxel baseline (*a2*, *b4*, *b5*) see voxels as they are, as the paper's do"
+MEMORY = (
+    "Section 5.1 hands a memory trace on from each plan of a session to the next. A canonical net describes every "
+    "cloth that is observed in a new frame, in which the old trace means nothing: there it is dropped after each "
+    "observation, so that sessions of mesh systems do without this mechanism of the paper's. "
+)
+MEMORY_STUDY = "[A study](studies/memory.csv) tells what it is worth.\n"
+MEMORY_UNKNOWN = "What it is worth was not measured for this report.\n"
+MISSING = "Not measured in this report.\n"
 PAPER = (
     "The paper's figures are from another simulator, 3,493 training sequences, and 100 test and 100 training sequences "
     "in each table.\n"
@@ -33,40 +44,57 @@ VOXELS = (
     "which sees, and predicts, voxels. Meshes become voxels by eq. (16), and their truth is unoccluded, a vertex per "
     "grid point. *a2* predicts what a camera above sees, and its truth is that: occluded, at twice the mesh's "
     "resolution; so is its *no action*. *main_occluded* are *main*'s predictions in that format, as the share of "
-    "meshes drawn from them in which a camera sees a voxel occupied: those two can be held against each other. How "
-    "long either's nets were trained is told [with the times](table_8.md), where that is known.\n"
+    "meshes drawn from them in which a camera sees a voxel occupied: those two can be held against each other.\n"
 )
 COMPARISONS = (
     "The two on the same tasks: mean difference (system minus the one it is held against: below zero the first is "
-    "better), its 95 % bootstrap interval, and p of a two-sided paired sign-flip test, both over sequences. [CSV]"
-    "(tables/comparisons.csv)\n"
+    "better), its 95 % bootstrap interval, and p of a two-sided paired sign-flip test, both over sequences; neither "
+    "is told of fewer than ten.\n"
 )
 POSITION = (
     "The predicted shift of the cloth's centre, by the number of manipulations, from every start; *no action* "
     "predicts no shift.\n"
 )
-_INTERVALS = "the ends of a bootstrap interval of our mean, drawn by sequences, since tasks of one share its states.\n"
+_INTERVALS = (
+    "the ends of a bootstrap interval of our mean, drawn by sequences, since tasks of one share its states; none is "
+    "told of fewer than ten sequences.\n"
+)
 LABELLED = (
     "*mean, labelled* takes outcome and goal as the dataset labels them, and not the best of eight labellings; the "
     'paper\'s figures are distances "for each mesh vertex", and it names no choice of labelling.\n'
 )
-INTERVALS = f"*mean 95 % low* and *high* are {_INTERVALS}"
-INTERVALS_BELOW = f"*95 % of mean*: {_INTERVALS}"
+LABELLED_SHORT = (
+    "Errors are those of the best of eight labellings; *labelled* ones take outcome and goal as the dataset labels "
+    "them. The paper names no choice of labelling.\n"
+)
+INTERVALS = f"*mean 95 % low* and *high*, or *95 % of mean*, are {_INTERVALS}"
+TALL = (
+    "The table above for a viewport of height 0.25, in which voxels are four times finer in z than in x and y, as the "
+    "paper's text says; the paper's figures are the same.{}\n"
+)
+TALL_A2 = (
+    " *a2* predicts voxels of the usual viewport: the larger value of every two that lie one above the other is taken "
+    "for the voxel that holds them, and what lies above that viewport is taken for empty."
+)
+BUDGETS = (
+    "What plans were made with, and how long the nets learned: *nets* in a plan (two were trained, and systems of one "
+    "plan with the better); *parameters* of each; *training_cpu_minutes* of both, in the stages' last runs on this "
+    "machine (a training that was interrupted counts from where it went on); *evaluations* of the loss with its "
+    "gradient in the search for a plan of 1, 2 and 3 manipulations, which are strains times iterations; one of the "
+    "voxel nets costs many times as much as one of the mesh nets. The paper's: its settings, with the parameters that "
+    "they have here.\n"
+)
 PLANNING_VOXELS = (
     "The same outcomes and goals in voxels: mean absolute difference of voxel values, both sides free of noise and "
     "unoccluded, a vertex per grid point.\n"
 )
 PLANNING_COMPARISONS = (
     "Two planners on the same tasks: mean difference (system minus the one it is held against: below zero the first is "
-    "better), its 95 % bootstrap interval, and p of a two-sided paired sign-flip test, both over sequences; p is not "
-    "adjusted for the number of comparisons. Shown are those of the test set by length; the CSV has every start, and "
-    "the training set.\n"
+    "better), its 95 % bootstrap interval, and p of a two-sided paired sign-flip test, both over sequences; neither "
+    "is told of fewer than ten, and p is not adjusted for the number of comparisons. Shown are those of the test set "
+    "by length; the CSV has every start, and the training set.\n"
 )
 SPEED = (
-    "Seconds of search per plan, by system and plan length, beside the paper's: [table 8](table_8.md) ([CSV]"
-    "(table_8.csv)), on a page of its own, since no two runs take the same time.\n"
-)
-SPEED_MEANS = (
     "Seconds of search over the number of plans, by system and plan length; *estimate*: seconds per estimate of a "
     "mesh, refined but for *unrefined* (the paper's: 3.7 ms for VtM, 0.57 s for the refinement). Ours with the sizes "
     "of [params.yaml](params.yaml), the paper's with those of its table 1. Searches run many at a time. A dash: none, "
@@ -118,8 +146,8 @@ CAMERA_PLANNING = (
 )
 CAMERA_COMPARISONS = (
     "Each condition against *voxels* on the same tasks: mean difference of errors (above zero the camera costs "
-    "something), its 95 % bootstrap interval, and p of a two-sided paired sign-flip test, both over sequences. [CSV]"
-    "(tables/camera_comparisons.csv)\n"
+    "something), its 95 % bootstrap interval, and p of a two-sided paired sign-flip test, both over sequences; "
+    "neither is told of fewer than ten.\n"
 )
 SYSTEMS = {
     "main": "sees voxels only; two mesh nets",
@@ -138,6 +166,9 @@ SYSTEMS = {
     "dmr": "the refined mesh",
 }
 """What the names of systems, and of kinds of estimates, stand for."""
+
+CAPTIONS_FILE = "captions.json"
+"""Beside a report's figures: the captions of those that were drawn, as they were then."""
 
 CAPTIONS = {
     "sequences": "Simulated test sequences: states from above, manipulations dotted (red and green: the two hands); "
@@ -177,8 +208,3 @@ CAPTIONS = {
     "curves": "Validation errors during training, with their values where the score was best (dots). Tasks: "
     "manipulations / state that they start from; states: manipulations that lie behind them.",
 }
-
-
-def canonical(meshes: bool, voxels: bool) -> str:
-    """What is told of the descriptions in which nets see cloths; nothing where they see them as they are."""
-    return CANONICAL.format(VOXELS_CANONICAL if voxels else VOXELS_AS_THEY_ARE) if meshes else ""

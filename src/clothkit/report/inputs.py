@@ -1,6 +1,5 @@
 """Everything that the report is made from, read and checked at once."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +10,6 @@ import pandas as pd
 from clothkit.dataset import store, tables
 from clothkit.dataset.raw import ATTEMPTS
 from clothkit.dataset.store import Dataset
-from clothkit.errors import InputError
 from clothkit.evaluation import arrays, tidy
 from clothkit.planning import record
 from clothkit.planning.record import Sessions
@@ -29,10 +27,6 @@ class Inputs:
     attempts: pd.DataFrame
     histories: Mapping[str, pd.DataFrame]
     """Of the nets a, b and vtm."""
-    canonical: bool
-    """Whether net a sees cloths in canonical descriptions."""
-    voxels_canonical: bool
-    """Whether net a of the voxel baseline does."""
     estimation: pd.DataFrame
     prediction: pd.DataFrame
     calibration: pd.DataFrame
@@ -61,8 +55,6 @@ def paths(data: Path, settings: ReportConfig) -> list[Path]:
         data / "meshes.zarr",
         data / "raw/attempts.parquet",
         *(data / f"nets/pemd_{net}/history.parquet" for net in NETS),
-        data / "nets/pemd_a/net.json",
-        data / "nets/emd_voxel_a/net.json",
         data / "nets/vtm/history.parquet",
         evaluation / "estimation.parquet",
         evaluation / "estimates.zarr",
@@ -71,7 +63,7 @@ def paths(data: Path, settings: ReportConfig) -> list[Path]:
         evaluation / "comparisons.parquet",
         evaluation / "predictions.zarr",
         *(evaluation / f"planning/{system}.parquet" for system in settings.planners),
-        *(evaluation / f"planning/{name}.parquet" for name in ("comparisons", "intervals", "failures")),
+        *(evaluation / f"planning/{name}.parquet" for name in ("comparisons", "intervals", "failures", "voxels_025")),
         evaluation / f"planning/sessions_{settings.planners[0]}.zarr",
         *(evaluation / f"camera/{name}.parquet" for name in ("estimation", "planning", "comparisons")),
         evaluation / "camera/pictures.zarr",
@@ -86,8 +78,6 @@ def read(data: Path, settings: ReportConfig) -> Inputs:
         dataset=store.load(data / "meshes.zarr"),
         attempts=tables.read(data / "raw/attempts.parquet", ATTEMPTS),
         histories={**forward, "vtm": tables.read(data / "nets/vtm/history.parquet", tidy.HISTORY)},
-        canonical=_canonical(data / "nets/pemd_a/net.json"),
-        voxels_canonical=_canonical(data / "nets/emd_voxel_a/net.json"),
         estimation=tables.read(evaluation / "estimation.parquet", tidy.ESTIMATION),
         prediction=tables.read(evaluation / "prediction.parquet", tidy.PREDICTION),
         calibration=tables.read(evaluation / "calibration.parquet", tidy.CALIBRATION),
@@ -104,11 +94,3 @@ def read(data: Path, settings: ReportConfig) -> Inputs:
         camera_comparisons=tables.read(evaluation / "camera/comparisons.parquet", tidy.ANY_COMPARISONS),
         pictures=arrays.load(evaluation / "camera/pictures.zarr", arrays.PICTURES),
     )
-
-
-def _canonical(path: Path) -> bool:
-    """What a net's description says of it; nets of before it could be told are not."""
-    try:
-        return bool(json.loads(path.read_text())["net"].get("canonical", False))
-    except (OSError, ValueError, KeyError, AttributeError) as error:
-        raise InputError(f"{path}: expected a net's description, could not read one") from error

@@ -1,27 +1,36 @@
-"""Tables as Markdown: the paper's figures beside ours, three significant digits, the means in bold."""
+"""Tables as Markdown: the paper's figures beside ours, three significant digits, the better of two in bold."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Collection, Sequence
 
 import pandas as pd
 
-_SOURCES = ["clothkit", "paper"]
+from clothkit.report.printed import JUDGED, SOURCES, better, number, statistic
 
 
-def table(data: pd.DataFrame, keys: Sequence[str]) -> str:
+def table(
+    data: pd.DataFrame, keys: Sequence[str], *, judged: Collection[str] = JUDGED, ideal: float = -math.inf
+) -> str:
     """A table as a Markdown string: `keys` first, then the source, then its columns; rows of equal keys together.
 
-    The order is that of our rows; rows that only the paper has come last.
+    Rows whose last key is in `judged` have the better of two figures in bold, see `printed.better`. The order is that
+    of our rows; rows that only the paper has come last.
     """
     columns = [column for column in data.columns if column not in (*keys, "source")]
     lines = [_line([*keys, "source", *columns]), _line(["---"] * (len(keys) + 1) + ["---:"] * len(columns))]
-    together: dict[tuple, list[dict]] = {}
+    together: dict[tuple, dict[str, dict]] = {}
     for row in data.to_dict("records"):
-        together.setdefault(tuple(row[key] for key in keys), []).append(row)
-    for key, rows in together.items():
-        for row in sorted(rows, key=lambda row: _SOURCES.index(row["source"])):
-            strong = "**" if row["source"] == "clothkit" and "mean" in key else ""
-            figures = [_strong(row[column], strong) for column in columns]
-            lines.append(_line([*map(str, key), row["source"], *figures]))
+        together.setdefault(tuple(row[key] for key in keys), {})[row["source"]] = row
+    for key, found in together.items():
+        best = {column: _best(found, column, ideal) for column in columns} if key[-1] in judged else {}
+        for source in SOURCES:
+            if source in found:
+                shown = [statistic(key[-1], found[source][column]) for column in columns]
+                figures = [
+                    f"**{figure}**" if best.get(column) == source else figure
+                    for figure, column in zip(shown, columns, strict=True)
+                ]
+                lines.append(_line([*map(_escaped, key), source, *figures]))
     return "\n".join(lines) + "\n"
 
 
@@ -31,18 +40,20 @@ def plain(data: pd.DataFrame) -> str:
     return "\n".join(head + [_line([_cell(value) for value in row]) for row in data.itertuples(index=False)]) + "\n"
 
 
+def _best(found: dict[str, dict], column: str, ideal: float) -> str | None:
+    own, paper = (float(found.get(source, {}).get(column, math.nan)) for source in SOURCES)
+    return better(own, paper, ideal=ideal)
+
+
 def _cell(value: object) -> str:
-    return number(value) if isinstance(value, float) else str(value).replace("|", "\\|")
+    if value is pd.NA:
+        return number(math.nan)
+    return number(value) if isinstance(value, float) else _escaped(value)
+
+
+def _escaped(value: object) -> str:
+    return str(value).replace("|", "\\|")
 
 
 def _line(cells: Sequence[str]) -> str:
     return "| " + " | ".join(cells) + " |"
-
-
-def _strong(value: float, strong: str) -> str:
-    return number(value) if pd.isna(value) else f"{strong}{number(value)}{strong}"
-
-
-def number(value: float) -> str:
-    """Three significant digits, as the paper has them; a dash for what was not measured."""
-    return "–" if pd.isna(value) else f"{value:#.3g}".rstrip(".")

@@ -5,15 +5,10 @@ from collections.abc import Sequence
 import pandas as pd
 
 from clothkit.evaluation.planning import diagnosis
-from clothkit.report import paper, rows, tables
+from clothkit.report import layout, paper, rows, tables
+from clothkit.report.layout import HIGH, LABELLED, LOW, RATIO, TASKS
 
-LOW, HIGH = "mean 95 % low", "mean 95 % high"
-"""Statistics: the ends of the bootstrap interval of a mean."""
-
-LABELLED = "mean, labelled"
-"""The statistic that takes outcome and goal as they are labelled, in place of the best of eight labellings."""
-
-STATISTICS = (*tables.STATISTICS, LOW, HIGH, LABELLED, tables.RATIO)
+STATISTICS = (*layout.STATISTICS, LOW, HIGH, LABELLED, RATIO)
 
 LARGEST = (
     "sequence",
@@ -39,9 +34,21 @@ def planning(tidy: pd.DataFrame, intervals: pd.DataFrame, systems: Sequence[str]
     return _outcomes(tidy, intervals, systems, measure="error", number=6, labelled="error_labelled")
 
 
-def planning_voxels(tidy: pd.DataFrame, intervals: pd.DataFrame, systems: Sequence[str]) -> pd.DataFrame:
-    """Table 7: the same outcomes and goals in voxels [mean voxel difference]."""
-    return _outcomes(tidy, intervals, systems, measure="voxel_error", number=7)
+def planning_voxels(
+    tidy: pd.DataFrame, intervals: pd.DataFrame, systems: Sequence[str], *, measure: str = "voxel_error"
+) -> pd.DataFrame:
+    """Table 7: the same outcomes and goals in voxels [mean voxel difference].
+
+    `measure`: voxel_error_025 for the viewport that is twice as high.
+    """
+    return _outcomes(tidy, intervals, systems, measure=measure, number=7)
+
+
+def planned(tidy: pd.DataFrame) -> pd.DataFrame:
+    """How many sequences were planned for, by split: split, sequences."""
+    splits = [split for split in ("test", "train") if split in set(tidy["split"])]
+    counts = [tidy.loc[tidy["split"] == split, "sequence"].nunique() for split in splits]
+    return pd.DataFrame({"split": splits, "sequences": counts})
 
 
 def _outcomes(
@@ -74,13 +81,13 @@ def _bounds(intervals: pd.DataFrame) -> pd.DataFrame:
     named = intervals.rename(columns={"low": LOW, "high": HIGH})
     long = named.melt(["split", "system", "column"], [LOW, HIGH], var_name="statistic")
     wide = long.pivot(index=["split", "system", "statistic"], columns="column", values="value")
-    return wide.reindex(columns=list(tables.TASKS)).reset_index().rename_axis(columns=None).assign(source="clothkit")
+    return wide.reindex(columns=list(TASKS)).reset_index().rename_axis(columns=None).assign(source="clothkit")
 
 
 def comparisons(tidy: pd.DataFrame, systems: Sequence[str]) -> pd.DataFrame:
     """Paired comparisons among the given systems, in their order and that of the other tables' columns."""
     chosen = tidy[tidy["system"].isin(list(systems)) & tidy["against"].isin(list(systems))]
-    for name, order in (("column", tables.TASKS), ("against", systems), ("system", systems)):
+    for name, order in (("column", TASKS), ("against", systems), ("system", systems)):
         chosen = _ordered(chosen, name, order)
     return chosen.sort_values(["split", "measure"], kind="stable", ignore_index=True)
 

@@ -12,10 +12,19 @@ from clothkit.evaluation.tidy import VOXEL_SYSTEMS as VOXEL_SYSTEMS
 
 
 def read_planning(folder: Path, systems: Sequence[str]) -> pd.DataFrame:
-    """The planning rows of the given systems, `<folder>/<system>.parquet` each, one below the other."""
-    return pd.concat(
+    """The planning rows of the given systems, `<folder>/<system>.parquet` each, one below the other, and beside them
+    those of `<folder>/voxels_025.parquet`.
+
+    Raises InputError for what is malformed, and where a task has no row in the latter.
+    """
+    rows = pd.concat(
         [tables.read(folder / f"{system}.parquet", tidy.PLANNING) for system in systems], ignore_index=True
     )
+    path = folder / "voxels_025.parquet"
+    joined = rows.merge(tables.read(path, tidy.VOXELS_025), on=list(tidy.VOXELS_025.keys))
+    if len(joined) != len(rows):
+        raise InputError(f"{path}: expected a row for each task of the planning rows, found none for some")
+    return joined
 
 
 def require(rows: pd.DataFrame, systems: Sequence[str]) -> None:

@@ -56,22 +56,6 @@ def table_8(folder: Path, systems: Sequence[str]) -> pd.DataFrame:
     )
 
 
-def training(notes: pd.DataFrame) -> str:
-    """What is told of how long nets were trained, from `timings`: whether the voxel baseline had less; nothing where a
-    net has left no note. A training that was interrupted counts from where it went on."""
-    minutes = notes.set_index("stage")["cpu_seconds"].astype(float) / 60
-    meshes, voxels = ([f"{kind}@{net}" for net in "ab"] for kind in ("train_pemd", "train_emd_voxel"))
-    if not minutes.index.is_unique or not {*meshes, *voxels} <= set(minutes.index):
-        return ""
-    share = minutes[voxels].sum() / minutes[meshes].sum()
-    said = [" and ".join(f"{minutes[net]:.0f}" for net in nets) for nets in (voxels, meshes)]
-    verdict = "*a comparison with less*" if share < 0.95 else "as long or longer" if share >= 1 else "about as long"
-    return (
-        f"The voxel nets of *a2*, *b4* and *b5* were trained for {said[0]} CPU minutes in their last runs, "
-        f"those that predict meshes for {said[1]}: {verdict}.\n"
-    )
-
-
 def _note(path: Path) -> dict[str, Any]:
     try:
         note = json.loads(path.read_text())

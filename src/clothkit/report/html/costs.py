@@ -1,32 +1,19 @@
-"""What the run cost: the one part of the page that is not the same when the same run is done again."""
+"""What every stage cost, with a bar for its seconds."""
 
 import pandas as pd
 
 from clothkit.report import captions
-from clothkit.report.html import tables
 from clothkit.report.html.elements import Html, element, inline, joined, paragraph
-from clothkit.report.timings import training
-
-SECTION = "time"
-"""The id of the section; whoever compares pages leaves it out."""
 
 
-def costs(timings: pd.DataFrame, table_8: pd.DataFrame) -> Html:
-    """Table 8, and a bar for the seconds of each stage."""
-    told_of_training = training(timings)
-    told = table_8.rename(columns={"1": "1 step", "2": "2 steps", "3": "3 steps", "estimate": "an estimate"})
-    parts = [
-        element("h3", "Table 8: seconds per plan"),
-        paragraph(captions.SPEED_MEANS),
-        element("p", inline("[CSV](table_8.csv)")),
-        tables.plain(told[["system", "source", *told.columns[2:]]].fillna({"machine": ""}), label="Table 8"),
+def costs(timings: pd.DataFrame) -> Html:
+    """The seconds, the memory and the machine of each stage that left a note."""
+    return joined(
         element("h3", "Time per stage"),
-        *([paragraph(told_of_training)] if told_of_training else []),
         paragraph(captions.TIMINGS),
         element("p", inline("[CSV](timings.csv)")),
         _stages(timings),
-    ]
-    return joined(*parts)
+    )
 
 
 def _stages(timings: pd.DataFrame) -> Html:

@@ -4,10 +4,10 @@ import math
 
 import pandas as pd
 
+from clothkit.report.contents import Contents
 from clothkit.report.html.elements import Html, element
-from clothkit.report.html.tables import better
-from clothkit.report.markdown import number
-from clothkit.report.page import Contents
+from clothkit.report.layout import LABELLED
+from clothkit.report.printed import better, number
 
 FIGURES = (
     ("Seeing", "table_2", "kind", "dmr", "all", "how far a mesh estimated from voxels is from the true one"),
@@ -20,29 +20,33 @@ FIGURES = (
 
 def headline(contents: Contents) -> Html:
     """A card for each of FIGURES that was measured: test set, means [cloth length]."""
-    return element("div", *(_card(contents, *figure) for figure in FIGURES), class_="cards")
+    shown = [figure for figure in FIGURES if figure[1] in contents.tables]
+    return element("div", *(_card(contents.tables[figure[1]], *figure) for figure in shown), class_="cards")
 
 
-def _card(contents: Contents, title: str, table: str, by: str, name: str, column: str, meaning: str) -> Html:
-    rows: pd.DataFrame = getattr(contents, table)
-    rows = rows[(rows["split"] == "test") & (rows["statistic"] == "mean")]
+def _card(rows: pd.DataFrame, title: str, table: str, by: str, name: str, column: str, meaning: str) -> Html:
+    rows = rows[rows["split"] == "test"]
+    means = rows[rows["statistic"] == "mean"]
     own, paper, none = (
-        _figure(rows, "clothkit", by, name, column),
-        _figure(rows, "paper", by, name, column),
-        _figure(rows, "clothkit", by, "no action", column),
+        _figure(means, "clothkit", by, name, column),
+        _figure(means, "paper", by, name, column),
+        _figure(means, "clothkit", by, "no action", column),
     )
     best = better(own, paper)
     if best == "clothkit":
-        held = "better than the paper's"
+        held = "better than the paper's, in another simulator:"
     elif best == "paper":
-        held = "the paper's is better:"
+        held = "the paper's, in another simulator, is better:"
     else:
-        held = "the paper's:"
+        held = "the paper's, in another simulator:"
     text = f"{meaning[0].upper()}{meaning[1:]}; doing nothing would be {number(none)} off."
+    labelled = _figure(rows[rows["statistic"] == LABELLED], "clothkit", by, name, column)
+    said = [element("p", f"as labelled: {number(labelled)}", class_="against")] if not math.isnan(labelled) else []
     return element(
         "div",
         element("p", title, class_="title"),
         element("p", number(own), class_="big"),
+        *said,
         element("p", f"{held} ", element("b", number(paper)), class_="against"),
         element("p", text, class_="meaning"),
         class_={"clothkit": "card won", "paper": "card lost"}.get(best or "", "card"),

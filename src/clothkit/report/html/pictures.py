@@ -5,7 +5,6 @@ from pathlib import Path
 
 import cv2
 
-from clothkit.report import captions
 from clothkit.report.html.elements import Html, element, inline, joined, unmarked
 
 TITLES = {
@@ -34,8 +33,11 @@ LEAST = (0.55, 860)
 """What a picture is shrunk to at the most: a share of its width, and pixels of the page if that is less."""
 
 
-def picture(name: str, file: Path) -> Html:
-    """A figure with its title and caption; `file` is the PNG, which lies as `figures/<name>.png` beside the page."""
+def picture(name: str, caption: str, file: Path) -> Html:
+    """A figure with its title and its caption, which is Markdown.
+
+    `file` is the PNG, which lies as `figures/<name>.png` beside the page.
+    """
     image = cv2.imread(str(file))
     assert image is not None, f"{file} is a picture"
     # A quarter of the PNG's bytes, which the page is kept beside.
@@ -44,15 +46,15 @@ def picture(name: str, file: Path) -> Html:
     shown = element(
         "img",
         src=f"data:image/webp;base64,{base64.b64encode(data.tobytes()).decode()}",
-        alt=unmarked(captions.CAPTIONS[name]),
+        alt=unmarked(caption),
         width=width,
         height=height,
         style=f"min-width:{min(round(LEAST[0] * width), LEAST[1])}px",
     )
     title = element("strong", f"{TITLES[name]}.")
     link = element("a", "PNG", href=f"figures/{name}.png")
-    caption = element("figcaption", title, " ", inline(captions.CAPTIONS[name]), " ", link)
+    below = element("figcaption", title, " ", inline(caption), " ", link)
     frame = element(
         "div", shown, class_="frame scroll", tabindex=0, role="region", aria_label=f"{TITLES[name]}, picture"
     )
-    return element("figure", joined(frame, caption), id=f"figure-{name}")
+    return element("figure", joined(frame, below), id=f"figure-{name}")

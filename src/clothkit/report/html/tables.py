@@ -7,34 +7,12 @@ from itertools import groupby
 import pandas as pd
 
 from clothkit.report import captions
+from clothkit.report.budgets import DAGGER
 from clothkit.report.html.elements import Html, element, joined
-from clothkit.report.markdown import number
-from clothkit.report.planning_tables import HIGH, LOW
-from clothkit.report.tables import NO_ACTION
-
-IDEAL_RATIO = 0.798
-"""Of sigma ratios."""
-
-JUDGED = ("mean", "median")
-"""Statistics of which less is better; a spread is neither better nor worse."""
+from clothkit.report.layout import HIGH, LOW, NO_ACTION
+from clothkit.report.printed import JUDGED, SOURCES, TOO_FEW, better, number
 
 STATISTICS = {"std": "st.dev.", LOW: "95 % of mean"}
-
-_PAIR = ("clothkit", "paper")
-
-
-def better(own: float, paper: float, *, ideal: float = -math.inf) -> str | None:
-    """Which of the two is nearer to the ideal as they are printed, "clothkit" or "paper"; None if neither is.
-
-    By default less is better.
-    """
-    if math.isnan(own) or math.isnan(paper):
-        return None
-    shown = [float(number(value)) for value in (own, paper)]
-    distances = shown if math.isinf(ideal) else [abs(value - ideal) for value in shown]
-    if math.isclose(*distances):
-        return None
-    return _PAIR[distances[1] < distances[0]]
 
 
 def paired(
@@ -50,7 +28,7 @@ def paired(
     """A table whose rows are told apart by `keys`: under a heading for each value of the first, if there are two.
 
     The columns source (clothkit, paper) and `keys` aside, all are figures; `heads` names them. Rows whose last key is
-    in `judged` have the better of two figures marked, see `better`.
+    in `judged` have the better of two figures marked, see `printed.better`.
     """
     columns = [column for column in data.columns if column not in (*keys, "source")]
     found: dict[tuple[str, ...], dict[str, dict]] = {}
@@ -75,14 +53,14 @@ def paired(
 
 def plain(data: pd.DataFrame, *, label: str) -> Html:
     """A table column by column and row by row as it stands; the first column heads its rows."""
-    words = [bool(data[column].map(lambda value: isinstance(value, str)).any()) for column in data.columns]
+    words = [bool(data[column].map(_is_word).any()) for column in data.columns]
     heads = [
         element("th", column.replace("_", " "), scope="col", class_="word" if word else None)
         for column, word in zip(data.columns, words, strict=True)
     ]
     lines = []
     for first, *rest in data.itertuples(index=False):
-        cells = [element("td", _text(value), class_="word" if isinstance(value, str) else None) for value in rest]
+        cells = [element("td", _text(value), class_="word" if _is_word(value) else None) for value in rest]
         lines.append(element("tr", element("th", _text(first), scope="row"), *cells))
     parts = (element("thead", element("tr", *heads)), element("tbody", *lines))
     return _scrolling(element("table", *parts, class_="plain"), label)
@@ -90,7 +68,7 @@ def plain(data: pd.DataFrame, *, label: str) -> Html:
 
 def named(name: str) -> Html:
     """A system or kind, and in words what it is."""
-    words = captions.SYSTEMS.get(name)
+    words = captions.SYSTEMS.get(name.removesuffix(DAGGER))
     return joined(element("b", name), " ", element("span", words, class_="words")) if words else element("b", name)
 
 
@@ -115,10 +93,10 @@ def _line(
     """A row; nothing is marked in it without an `ideal`, and with `high` it holds intervals."""
     cells = []
     for column in columns:
-        own, paper = (float(sources.get(source, {}).get(column, math.nan)) for source in _PAIR)
+        own, paper = (float(sources.get(source, {}).get(column, math.nan)) for source in SOURCES)
         if high is not None:
             # One below the other, as narrow as the other rows.
-            ends = (f"{number(own)} to", number(float(high["clothkit"][column])))
+            ends = (TOO_FEW,) if math.isnan(own) else (f"{number(own)} to", number(float(high["clothkit"][column])))
             cells.append(element("td", *(element("span", end, class_="own") for end in ends)))
             continue
         best = None if ideal is None else better(own, paper, ideal=ideal)
@@ -164,4 +142,10 @@ def _two_heads(columns: Sequence[str]) -> Html:
 def _text(value: object) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
+    if value is pd.NA:
+        return number(math.nan)
     return number(value) if isinstance(value, float) else str(value)
+
+
+def _is_word(value: object) -> bool:
+    return isinstance(value, str) and value != TOO_FEW

@@ -1,0 +1,125 @@
+"""What each system plans and learned with, and which systems can't be held against one another with equal means."""
+
+import math
+from collections.abc import Mapping
+from functools import cache
+
+import jax
+import numpy as np
+import pandas as pd
+
+from clothkit.networks.settings import EMDVoxelConfig, PEMDConfig, TrainingConfig
+from clothkit.networks.store import shapes
+from clothkit.planning.search import SearchConfig
+from clothkit.planning.systems import SYSTEMS
+from clothkit.report.layout import LENGTHS
+from clothkit.report.made_with import Learned, MadeWith, Net
+
+EQUAL = 0.05
+"""Means that differ by no more than this share count as equal."""
+
+DAGGER = " †"
+"""Stands behind the name of a system that is held against another one with other means."""
+
+VTM = "vtm"
+
+PAPER: Mapping[str, Net] = {"main": PEMDConfig(), "b4": EMDVoxelConfig()}
+"""The paper's forward models; its searches and its training are the defaults of their settings."""
+
+ITERATIONS = tuple(f"iterations_{length}" for length in LENGTHS)
+EVALUATIONS = tuple(f"evaluations_{length}" for length in LENGTHS)
+
+
+def budgets(made_with: MadeWith, timings: pd.DataFrame | None, systems: list[str]) -> pd.DataFrame:
+    """A row per planner, one of VtM, and the paper's.
+
+    source, system; nets (forward models that a plan is made with; two are trained, of which one net plans with the
+    better), parameters (of each), training_iterations, batch, training_cpu_minutes (of both forward models, or of VtM;
+    missing where their trainings left no note), strains, iterations_1, _2, _3 (of a search, by plan length),
+    evaluations_1, _2, _3 (of the loss with its gradient: strains times iterations).
+    """
+    rows = []
+    for name in systems:
+        system = SYSTEMS[name]
+        learned, search = (
+            (made_with.emd_voxel, made_with.voxel_search) if system.voxels else (made_with.pemd, made_with.search)
+        )
+        minutes = _minutes(timings, "train_emd_voxel" if system.voxels else "train_pemd")
+        rows.append(_row("clothkit", name, system.nets, learned, search, minutes))
+    rows.append(_row("clothkit", VTM, 1, made_with.vtm, None, _minutes(timings, "train_vtm")))
+    for name, net in PAPER.items():
+        rows.append(_row("paper", name, 2, Learned(net, TrainingConfig()), SearchConfig(), math.nan))
+    return pd.DataFrame(rows).astype(dict.fromkeys(("strains", *ITERATIONS, *EVALUATIONS), "Int64"))
+
+
+def _row(
+    source: str, system: str, nets: int, learned: Learned, search: SearchConfig | None, minutes: float
+) -> dict[str, object]:
+    iterations = {length: search.iterations(int(length)) if search else math.nan for length in LENGTHS}
+    strains = search.strains if search else math.nan
+    return {
+        "source": source,
+        "system": system,
+        "nets": nets,
+        "parameters": _parameters(learned.net),
+        "training_iterations": learned.training.iterations,
+        "batch": learned.training.batch,
+        "training_cpu_minutes": minutes,
+        "strains": strains,
+        **{f"iterations_{length}": count for length, count in iterations.items()},
+        **{f"evaluations_{length}": strains * count for length, count in iterations.items()},
+    }
+
+
+@cache
+def _parameters(net: Net) -> int:
+    return sum(int(np.prod(leaf.shape)) for leaf in jax.tree.leaves(shapes(net)))
+
+
+def _minutes(timings: pd.DataFrame | None, stage: str) -> float:
+    """CPU minutes of a training's last runs, of all its nets; NaN where none is known."""
+    if timings is None:
+        return math.nan
+    own = timings[timings["stage"].map(lambda name: name.split("@")[0] == stage)]
+    return float(own["cpu_seconds"].sum()) / 60 if len(own) else math.nan
+
+
+def differ(table: pd.DataFrame, system: str, against: str) -> bool:
+    """Whether two planners search or learned with other means, as far as these are known."""
+    one, other = (_of(table, name) for name in (system, against))
+    if one is None or other is None:
+        return False
+    return any(_apart(float(one[name]), float(other[name])) for name in (*EVALUATIONS, "training_cpu_minutes"))
+
+
+def told(table: pd.DataFrame) -> str:
+    """In words how the voxel baseline's means differ from main's; nothing where there is no such planner."""
+    main = _of(table, "main")
+    voxels = [name for name in dict.fromkeys(table["system"]) if name in SYSTEMS and SYSTEMS[name].voxels]
+    other = _of(table, voxels[0]) if voxels else None
+    if main is None or other is None:
+        return ""
+    times = [main[name] / other[name] for name in EVALUATIONS]
+    names = " and ".join(f"*{name}*" for name in voxels)
+    fewer = f"{names} search with {min(times):.2g} to {max(times):.2g} times fewer evaluations of the loss than *main*"
+    return f"{fewer}; {told_of_nets(table, 'their nets')}"
+
+
+def told_of_nets(table: pd.DataFrame, whose: str) -> str:
+    """In words how long the nets of the voxel baseline learned (`whose` names them), and those of main."""
+    voxels, main = (_of(table, name) for name in ("b4", "main"))
+    if voxels is None or main is None:
+        return ""
+    minutes = [row["training_cpu_minutes"] for row in (voxels, main)]
+    if any(map(math.isnan, minutes)):
+        return f"{whose} were trained for a time that is not known"
+    return f"{whose} were trained for {minutes[0]:.0f} CPU minutes, those of *main* for {minutes[1]:.0f}"
+
+
+def _of(table: pd.DataFrame, system: str) -> pd.Series | None:
+    own = table[(table["source"] == "clothkit") & (table["system"] == system)]
+    return own.iloc[0] if len(own) else None
+
+
+def _apart(one: float, other: float) -> bool:
+    return bool(abs(one - other) > EQUAL * max(one, other)) if not math.isnan(one + other) else False

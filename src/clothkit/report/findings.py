@@ -1,0 +1,103 @@
+"""What a report says first: whether the uncertainty term, two nets and refinement were worth anything, from the paired
+comparisons of planners, so that the words stay true when a chain is run again."""
+
+import pandas as pd
+
+from clothkit.report.layout import TASKS
+from clothkit.report.printed import LEAST, number
+
+LEVEL = 0.05
+"""A difference counts as found where p, times the columns that are compared, is below it."""
+
+TERM = "the uncertainty term (alpha)"
+
+PLANS = {
+    "1/0": "one-step plans from the flat cloth",
+    "1/1": "one-step plans from state 1",
+    "1/2": "one-step plans from state 2",
+    "1/all": "one-step plans from every start",
+    "2/0": "two-step plans from the flat cloth",
+    "2/1": "two-step plans from state 1",
+    "2/all": "two-step plans from every start",
+    "3/all": "three-step plans",
+}
+
+RULE = (
+    f"A difference counts as found where p, times the {len(TASKS)} columns that are compared, is below {LEVEL}; "
+    "[planners compared](#planners-compared) has them all.\n"
+)
+
+
+def findings(comparisons: pd.DataFrame) -> list[str]:
+    """Paragraphs in Markdown, from the table of planners' comparisons; none where there is nothing to compare."""
+    errors = comparisons[(comparisons["split"] == "test") & (comparisons["measure"] == "error")]
+    pairs = dict(iter(errors[errors["system"] == "main"].groupby("against")))
+    said = []
+    if "b3" in pairs:
+        said.append(_term(pairs["b3"]))
+    rivals = {name: pairs[name] for name in ("b2", "b3") if name in pairs}
+    if rivals:
+        said.append(_lead(rivals))
+    if "unrefined" in pairs:
+        said.append(_refinement(pairs["unrefined"]))
+    return [*said, RULE] if said else []
+
+
+def _term(rows: pd.DataFrame) -> str:
+    count = _sequences(rows)
+    which = f"(*main* against *b3*, which differs from it in this alone; {count} test sequences)"
+    if count < LEAST:
+        return f"Too few test sequences were planned for ({count}) to tell what the uncertainty term is worth.\n"
+    better, worse = _found(rows, better=True), _found(rows, better=False)
+    if better and worse:
+        return f"With {TERM} plans were better than without it {which} in {better}, and worse in {worse}.\n"
+    if better:
+        return f"Plans were better with {TERM} than without it {which}: {better}.\n"
+    if worse:
+        return f"Plans were no better with {TERM} than without it {which}, and worse in {worse}.\n"
+    return f"Plans were no better with {TERM} than without it {which}: no difference was found.\n"
+
+
+def _lead(rivals: dict[str, pd.DataFrame]) -> str:
+    words = {"b2": "*b2* (one net)", "b3": "*b3* (two nets, without the term)"}
+    enough = {name: rows for name, rows in rivals.items() if _sequences(rows) >= LEAST}
+    if not enough:
+        return "Nor is that enough to tell whether *main* leads over *b2* and *b3* as it does in the paper.\n"
+    leads = {name: _found(rows, better=True) for name, rows in enough.items()}
+    without = [words[name] for name, lead in leads.items() if not lead]
+    said = [
+        f"The paper's lead of *main* over {words[name]} was found in {lead}." for name, lead in leads.items() if lead
+    ]
+    if without:
+        said.append(f"The lead that *main* has over {' and '.join(without)} in the paper was not found.")
+    return " ".join(said) + "\n"
+
+
+def _refinement(rows: pd.DataFrame) -> str:
+    paper = 'In the paper skipping refinement "was observed to significantly harm planning performance" (section 4.7)'
+    if _sequences(rows) < LEAST:
+        return f"{paper}; too few sequences were planned for here to tell.\n"
+    better, worse = (_found(rows, better=which, of_other=True) for which in (True, False))
+    said = [f"it harmed {better}"] if better else []
+    said += [f"plans without it were better in {worse}"] if worse else []
+    return f"{paper}; here {', and '.join(said) or 'no difference was found (*main* against *unrefined*)'}.\n"
+
+
+def _sequences(rows: pd.DataFrame) -> int:
+    return int(rows["sequences"].max()) if len(rows) else 0
+
+
+def _found(rows: pd.DataFrame, *, better: bool, of_other: bool = False) -> str:
+    """The columns in which the first system's errors are smaller (`better`) or larger, in words.
+
+    `of_other`: told as how the other system's errors compare.
+    """
+    size = "smaller" if better != of_other else "larger"
+    said = []
+    for column in TASKS:
+        for row in rows[rows["column"] == column].to_dict("records"):
+            significant = row["sequences"] >= LEAST and row["p"] * len(TASKS) < LEVEL
+            if significant and (row["difference"] < 0) == better:
+                told = f"mean error {number(abs(row['difference']))} {size}, p {row['p']:.2g}"
+                said.append(f"{PLANS[column]} ({told})")
+    return " and ".join(part for part in (", ".join(said[:-1]), *said[-1:]) if part)

@@ -1,0 +1,108 @@
+"""What a report's own params.yaml says of how it was made, as far as its pages tell of it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import pydantic
+from ruamel.yaml import YAML, YAMLError
+
+from clothkit.errors import InputError, system_error
+from clothkit.networks.settings import EMDVoxelConfig, PEMDConfig, TrainingConfig, VtMConfig
+from clothkit.planning.search import SearchConfig
+
+T = TypeVar("T")
+
+Net = PEMDConfig | EMDVoxelConfig | VtMConfig
+
+
+@dataclass(frozen=True)
+class Learned:
+    """A net, and how long it learned."""
+
+    net: Net
+    training: TrainingConfig
+
+
+@dataclass(frozen=True)
+class MadeWith:
+    """Settings of the chain that a report is about."""
+
+    text: str
+    """The file as it stands."""
+    scale: str
+    simulated: bool
+    """Whether sequences come from our own simulator, which also executes plans."""
+    sequences: Mapping[str, int]
+    """How many are planned for at the most, by split."""
+    search: SearchConfig
+    voxel_search: SearchConfig
+    pemd: Learned
+    emd_voxel: Learned
+    vtm: Learned
+
+    @property
+    def canonical(self) -> bool:
+        """Whether the forward models of meshes see each cloth in one canonical description."""
+        return bool(getattr(self.pemd.net, "canonical", False))
+
+    @property
+    def voxels_canonical(self) -> bool:
+        """Whether those of voxels do."""
+        return bool(getattr(self.emd_voxel.net, "canonical", False))
+
+
+def read(path: Path) -> MadeWith:
+    """The settings in a params.yaml that the report stage wrote: those of one scale, defaults filled in.
+
+    Raises InputError that names the file and the key that is missing or impossible.
+    """
+    try:
+        text = path.read_text()
+        whole = YAML(typ="safe").load(text)
+    except OSError as error:
+        raise system_error(
+            error, path, expected="the settings that the report stage leaves (dvc repro report)"
+        ) from error
+    except (YAMLError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: is not valid YAML ({' '.join(str(error).split())})") from error
+    scale = _at(path, whole, "scale")
+    stages = _at(path, whole, f"scales.{scale}")
+    return MadeWith(
+        text=text,
+        scale=scale,
+        simulated=_at(path, stages, "simulate.source") == "own",
+        sequences={split: _at(path, stages, f"plan.{split}") for split in ("test", "train")},
+        search=_settings(path, stages, "plan.search", SearchConfig),
+        voxel_search=_settings(path, stages, "plan.voxel_search", SearchConfig),
+        pemd=_learned(path, stages, "train_pemd", PEMDConfig),
+        emd_voxel=_learned(path, stages, "train_emd_voxel", EMDVoxelConfig),
+        vtm=_learned(path, stages, "train_vtm", VtMConfig),
+    )
+
+
+def _learned(path: Path, stages: Any, stage: str, net: type[Net]) -> Learned:
+    return Learned(
+        _settings(path, stages, f"{stage}.net", net), _settings(path, stages, f"{stage}.training", TrainingConfig)
+    )
+
+
+def _settings(path: Path, stages: Any, key: str, kind: type[T]) -> T:
+    found = _at(path, stages, key)
+    try:
+        # As JSON, in which a list may be a tuple.
+        return pydantic.TypeAdapter(kind).validate_json(pydantic.TypeAdapter(Any).dump_json(found), strict=True)
+    except pydantic.ValidationError as error:
+        first = error.errors()[0]
+        at = ".".join(str(part) for part in (key, *first["loc"]))
+        raise InputError(f"{path}: {at}: {first['msg'][0].lower()}{first['msg'][1:]}") from error
+
+
+def _at(path: Path, found: Any, key: str) -> Any:
+    """What stands at a key such as `plan.search`."""
+    for part in key.split("."):
+        if not isinstance(found, dict) or part not in found:
+            raise InputError(f"{path}: {key}: expected the report's settings there, found none")
+        found = found[part]
+    return found

@@ -1,0 +1,97 @@
+"""Budgets against counts by hand, and which systems they set apart."""
+
+import dataclasses
+import math
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from clothkit.errors import InputError
+from clothkit.networks.settings import PEMDConfig
+from clothkit.report import made_with
+from clothkit.report.budgets import budgets, differ, told, told_of_nets
+from tests.report.contents import LAPTOP
+
+MADE_WITH = made_with.read(LAPTOP / "params.yaml")
+
+
+def times(**cpu_seconds: float) -> pd.DataFrame:
+    rows = [(name.replace("__", "@"), seconds) for name, seconds in cpu_seconds.items()]
+    return pd.DataFrame(rows, columns=["stage", "cpu_seconds"])
+
+
+TIMES = times(train_pemd__a=600, train_pemd__b=660, train_emd_voxel__a=300, train_emd_voxel__b=330, plan__b4=9)
+TABLE = budgets(MADE_WITH, TIMES, ["main", "b2", "b4", "b5"])
+
+
+def row(source: str, system: str) -> dict[str, float]:
+    return TABLE[(TABLE["source"] == source) & (TABLE["system"] == system)].iloc[0].to_dict()
+
+
+def test_budgets_by_hand() -> None:
+    main, voxels, paper = row("clothkit", "main"), row("clothkit", "b5"), row("paper", "main")
+    # 64 strains, 10 + 10 n iterations; the voxel baseline 16 and 10 + 5 n; the paper 256 and 25 + 25 n.
+    assert [main[f"evaluations_{n}"] for n in (1, 2, 3)] == [64 * 20, 64 * 30, 64 * 40]
+    assert [voxels[f"evaluations_{n}"] for n in (1, 2, 3)] == [16 * 15, 16 * 20, 16 * 25]
+    assert [paper[f"iterations_{n}"] for n in (1, 2, 3)] == [50, 75, 100]
+    assert (main["nets"], row("clothkit", "b2")["nets"], voxels["nets"]) == (2, 1, 1)
+    assert (main["training_cpu_minutes"], voxels["training_cpu_minutes"]) == (21, 10.5)
+    # Design 6.3: 43.1 million weights at table 1's sizes.
+    assert paper["parameters"] == pytest.approx(43.1e6, rel=1e-3)
+    assert math.isnan(row("clothkit", "vtm")["training_cpu_minutes"])
+    assert pd.isna(row("clothkit", "vtm")["evaluations_1"])
+
+
+def test_parameters_of_a_small_net_by_hand() -> None:
+    small = PEMDConfig(latent=2, encoder=(3,), manipulation=2, decoder=(3,))
+    made = dataclasses.replace(MADE_WITH, pemd=dataclasses.replace(MADE_WITH.pemd, net=small))
+    found = int(budgets(made, None, ["main"])["parameters"].iloc[0])
+    encoder = 3072 * 3 + 3 + 3 * 2 + 2
+    decoder = 2 * 3 + 3 + 3 * 6144 + 6144
+    # M: 14 hidden layers, each of which gets the manipulation too; skips without biases from 2, 4, .., 12.
+    first = (2 + 2 + 6) * 2 + 2
+    hidden = 13 * ((2 + 6) * 2 + 2)
+    output = (2 + 6) * (2 + 2 + 2) + (2 + 2 + 2)
+    skips = 6 * (2 + 6) * 2
+    assert abs(found - (encoder + decoder + first + hidden + output + skips)) <= 6 * 6 * 2
+
+
+def test_unequal_means_are_told_apart() -> None:
+    assert differ(TABLE, "main", "b4")
+    assert not differ(TABLE, "b4", "b5")
+    assert not differ(TABLE, "main", "b2")
+    assert not differ(TABLE, "main", "b9")
+    assert told(TABLE) == (
+        "*b4* and *b5* search with 5.3 to 6.4 times fewer evaluations of the loss than *main*; their nets were trained "
+        "for 10 CPU minutes, those of *main* for 21"
+    )
+    assert told(budgets(MADE_WITH, TIMES, ["main"])) == ""
+    # Equal searches and, as far as is known, equal training: nothing to mark; one more minute in ten: marked.
+    same = dataclasses.replace(MADE_WITH, voxel_search=MADE_WITH.search)
+    assert not differ(budgets(same, None, ["main", "b4"]), "main", "b4")
+    for minutes, apart in ((10.4, False), (11, True)):
+        trained = times(train_pemd__a=600, train_emd_voxel__a=60 * minutes)
+        assert differ(budgets(same, trained, ["main", "b4"]), "main", "b4") == apart
+    assert "a time that is not known" in told_of_nets(budgets(same, None, ["main", "b4"]), "a2's")
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (("strains: 64", "strains: 63"), r"params\.yaml: plan\.search.*strains: input should be a multiple of 8"),
+        (("  laptop:", "  others:"), r"params\.yaml: scales\.laptop: expected the report's settings there"),
+        (("scale: laptop", "scale: [laptop"), r"params\.yaml: is not valid YAML"),
+    ],
+)
+def test_bad_settings_are_named(tmp_path: Path, change: tuple[str, str], sentence: str) -> None:
+    text = (LAPTOP / "params.yaml").read_text()
+    assert change[0] in text
+    (tmp_path / "params.yaml").write_text(text.replace(*change))
+    with pytest.raises(InputError, match=sentence):
+        made_with.read(tmp_path / "params.yaml")
+
+
+def test_settings_that_are_not_there_are_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"params\.yaml: not found"):
+        made_with.read(tmp_path / "params.yaml")

@@ -1,0 +1,113 @@
+"""Pages from the tables that git holds: the committed ones byte for byte, older reports, damaged tables."""
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from clothkit.errors import InputError
+from clothkit.report import contents, page, pages
+from clothkit.report.captions import CAPTIONS
+from tests.evaluation.planning_rows import SYSTEMS
+from tests.report.contents import contents_of, parts_of, tables_of, write_report
+
+REPORTS = Path(__file__).parents[2] / "reports"
+
+
+@pytest.mark.parametrize("scale", ["laptop", "overnight"])
+def test_the_committed_pages_are_made_from_the_committed_tables(scale: str, tmp_path: Path) -> None:
+    pages.write(REPORTS / scale, tmp_path)
+    for name in pages.OUTS:
+        made, committed = ((folder / name).read_bytes() for folder in (tmp_path, REPORTS / scale))
+        assert made == committed, f"{name} is not what stages/pages.py makes of reports/{scale}: run it"
+
+
+@pytest.mark.parametrize(
+    "missing",
+    [("table_4_025", "table_7_025", "planned"), tuple(set(contents.TABLES) - {"table_6"}), ("timings", "table_8")],
+)
+def test_what_an_older_report_lacks_is_not_missed(tmp_path: Path, missing: tuple[str, ...]) -> None:
+    made = {name: table for name, table in tables_of(SYSTEMS).items() if name not in missing}
+    text = page.page("laptop", parts_of(contents.read(write_report(tmp_path / "report", made))))
+    for name in missing:
+        assert f"tables/{name}.csv" not in text
+    assert "every task of" in text
+    assert text.count("Not measured in this report.") == sum(
+        name.startswith("table_") for name in missing if name != "table_8"
+    )
+
+
+def test_intervals_of_too_few_sequences_are_not_shown(tmp_path: Path) -> None:
+    folder = write_report(tmp_path / "report", tables_of(SYSTEMS))
+    few = pd.read_csv(folder / "tables/planned.csv").assign(sequences=[12, 9])
+    few.to_csv(folder / "tables/planned.csv", index=False)
+    compared = pd.read_csv(folder / "tables/planning_comparisons.csv")
+    compared.loc[compared["column"] == "3/all", "sequences"] = 9
+    compared.to_csv(folder / "tables/planning_comparisons.csv", index=False)
+    shown = contents.read(folder)
+    intervals = shown.tables["table_7"].query("statistic in ('mean 95 % low', 'mean 95 % high')")
+    assert intervals.groupby("split")["1/0"].count().to_dict() == {"test": 12, "train": 0}
+    assert shown.tables["table_7"].query("statistic == 'mean'").notna().all(axis=None)
+    text = page.page("laptop", parts_of(shown))
+    assert "| train | b2 | mean 95 % high | clothkit |" + 8 * " too few |" in text
+    (line,) = (line for line in text.splitlines() if line.startswith("| error | main | b1 | 3/all |"))
+    assert line.endswith("| too few | too few | too few |")
+    (line,) = (line for line in text.splitlines() if line.startswith("| error | main | b1 | 2/all |"))
+    assert "too few" not in line
+    # Three sequences before cameras.
+    assert text.count("| too few | too few | too few |") >= 6
+
+
+def test_reports_of_before_sequences_were_counted_tell_them_by_their_comparisons(tmp_path: Path) -> None:
+    made = tables_of(SYSTEMS, sequences=11)
+    del made["planned"]
+    assert contents.read(write_report(tmp_path / "one", made)).planned == {"test": 11, "train": 11}
+    del made["planning_comparisons"]
+    # Then by their settings.
+    assert contents.read(write_report(tmp_path / "two", made)).planned == {"test": 20, "train": 5}
+
+
+def test_a_study_of_the_memory_trace_is_linked_where_there_is_one(tmp_path: Path) -> None:
+    shown = contents_of(tmp_path / "report", SYSTEMS)
+    assert "What it is worth was not measured for this report." in page.page("laptop", parts_of(shown))
+    (tmp_path / "report/studies").mkdir()
+    (tmp_path / "report/studies/memory.csv").write_text("system\n")
+    assert "[A study](studies/memory.csv)" in page.page("laptop", parts_of(contents.read(tmp_path / "report")))
+
+
+def test_whole_figures_stay_figures_and_counts_stay_counts(tmp_path: Path) -> None:
+    made = tables_of(SYSTEMS)
+    compared = made["planning_comparisons"].assign(difference=2.0)
+    shown = contents.read(write_report(tmp_path / "report", {**made, "planning_comparisons": compared}))
+    line = next(
+        line for line in page.page("laptop", parts_of(shown)).splitlines() if line.startswith("| error | main |")
+    )
+    assert "| 1/all | 12 | 2.00 |" in line
+
+
+def test_pictures_keep_the_captions_that_they_were_drawn_with(tmp_path: Path) -> None:
+    folder = write_report(tmp_path / "report", tables_of(SYSTEMS), ["curves"])
+    assert contents.read(folder).figures == {"curves": CAPTIONS["curves"]}
+    (folder / "figures/captions.json").write_text('{"curves": "As of *then*.", "scatter": "Not there."}')
+    shown = contents.read(folder)
+    assert "*As of *then*.*" in page.page("laptop", parts_of(shown))
+    assert shown.figures == {"curves": "As of *then*."}
+    for text in ("{", "[]", "{}"):
+        (folder / "figures/captions.json").write_text(text)
+        with pytest.raises(InputError, match=r"captions\.json: expected a JSON object with a caption"):
+            contents.read(folder)
+
+
+def test_bad_tables_are_named(tmp_path: Path) -> None:
+    folder = write_report(tmp_path / "report", tables_of(("main",)))
+    path = folder / "tables/table_5.csv"
+    pd.read_csv(path).drop(columns="2").to_csv(path, index=False)
+    with pytest.raises(InputError, match=r"table_5\.csv: expected the columns .*; 2 not found"):
+        contents.read(folder)
+    path.write_bytes(b"\xff\xfe,\n")
+    with pytest.raises(InputError, match=r"table_5\.csv: expected a table as CSV"):
+        contents.read(folder)
+    (folder / "tables/table_6.csv").unlink()
+    path.unlink()
+    with pytest.raises(InputError, match=r"table_6\.csv: not found; run the stage"):
+        contents.read(folder)
