@@ -103,7 +103,7 @@ def rows(dataset: Dataset, nets: dict[str, Net], sequences: list[int]) -> pd.Dat
 
 def summary(tidy: pd.DataFrame) -> pd.DataFrame:
     """Means over both nets by way and column of the tables, and their paired comparisons with `none`."""
-    both = tidy.groupby(["system", "split", "sequence", "start", "length"], as_index=False)["error"].mean()
+    both: pd.DataFrame = tidy.groupby(["system", "split", "sequence", "start", "length"])["error"].mean().reset_index()
     labelled = both.assign(column=both["length"].astype(str) + "/" + both["start"].astype(str))
     means = labelled.groupby(["system", "column"], as_index=False)["error"].mean()
     compared = pd.concat([compare(both, "error", way, "none") for way in WAYS[1:]], ignore_index=True)

@@ -82,8 +82,9 @@ def _bar(
     labels = [f"{tick:g}" for tick in ticks]
     axis.set_xticks(ticks, [*labels[:-1], f"≥ {labels[-1]}" if more else labels[-1]], fontsize=6)
     # Scales stand side by side: what their ends say stays within them.
-    for label, side in zip(axis.get_xticklabels()[:: len(labels) - 1], ("left", "right"), strict=True):
-        label.set_horizontalalignment(side)
+    first, *_, last = axis.get_xticklabels()
+    first.set_horizontalalignment("left")
+    last.set_horizontalalignment("right")
     axis.set_yticks([])
     axis.tick_params(length=2, pad=1.5)
     axis.set_xlabel(text, fontsize=6.5, labelpad=1)
