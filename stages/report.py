@@ -16,7 +16,9 @@ DATA, TIMINGS = Path("data"), Path(".work/timings")
 OUTS = (
     "tables",
     "figures",
+    "plots",
     "metrics.json",
+    "metrics.csv",
     "README.md",
     "index.html",
     "params.yaml",

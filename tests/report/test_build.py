@@ -165,7 +165,8 @@ def test_a_report_is_complete(inputs: Inputs, tmp_path: Path) -> None:
             *(f"sessions_{n}" for n in (1, 2, 3)),
         )
     }
-    assert {"README.md", "metrics.json"} | tables | pictures <= found.keys()
+    data = {f"plots/{name}.csv" for name in ("learning", "calibration", "prediction", "planning", "table_6")}
+    assert {"README.md", "metrics.json", "metrics.csv"} | tables | pictures | data <= found.keys()
     page = found["README.md"].decode()
     assert all(picture in page for picture in pictures)
     assert all(f"(tables/{name}.csv)" in page for name in TABLES if name not in ("sigma_ratio", "splits", "attempts"))

@@ -9,7 +9,7 @@ import pytest
 
 from clothkit.errors import InputError
 from clothkit.evaluation import planning
-from clothkit.report import markdown, metrics, page, paper, planning_tables, rows, tables, timings
+from clothkit.report import markdown, page, paper, planning_tables, rows, tables, timings
 from tests.evaluation.planning_rows import SYSTEMS, planning_rows
 from tests.report.contents import contents_of, dataset, tidy_estimates, tidy_tasks
 
@@ -156,32 +156,6 @@ def test_markdown_puts_the_papers_row_below_ours() -> None:
         lines[3]
         == "| test | main | mean | paper | 0.0291 | 0.0411 | 0.0783 | 0.0495 | 0.0725 | 0.0913 | 0.0819 | 0.109 |"
     )
-
-
-def test_metrics_are_nested_means() -> None:
-    estimation = tables.estimation(tidy_estimates())
-    tidy = tidy_tasks(("main", "a1"))
-    prediction = tables.prediction(tidy, ("main", "a1"))
-    position = tables.position(tidy, ("main", "a1"))
-    ratios = tables.sigma_ratio(tidy_estimates(), tidy)
-    planned = planning_rows(("main", "b4"))
-    outcomes = planning_tables.planning_voxels(planned, planning.intervals(planned), ("main", "b4"))
-    found = metrics.headline(
-        estimation=estimation,
-        prediction=prediction,
-        prediction_voxels=prediction,
-        position=position,
-        planning=prediction,
-        planning_voxels=outcomes,
-        sigma_ratio=ratios,
-    )
-    voxels = planned.query("split == 'train' and system == 'b4' and length == 3")["voxel_error"]
-    assert found["planning_voxels"]["train"]["b4"]["3/all"] == pytest.approx(voxels.mean(), abs=1e-6)
-    assert found["estimation"]["test"]["pmr"]["1"] == pytest.approx(0.011)
-    assert found["prediction"]["test"]["no action"]["3/all"] == pytest.approx(0.515)
-    assert found["position"]["test"]["main"]["2"] == pytest.approx(0.035)
-    assert found["sigma_ratio"]["test"]["estimate"] == pytest.approx(0.8)
-    json.dumps(found, allow_nan=False)
 
 
 def test_attempts_are_counted_by_reason() -> None:

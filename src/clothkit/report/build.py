@@ -23,6 +23,7 @@ from clothkit.report.figures.sessions import Session, of_record, sessions
 from clothkit.report.figures.trajectories import Example, trajectories
 from clothkit.report.figures.voxels import voxels
 from clothkit.report.inputs import NETS, Inputs
+from clothkit.report.plots import plots
 from clothkit.report.settings import ReportConfig
 
 PREDICTOR_OF = {"main": "main", "b1": "a1"}
@@ -52,7 +53,7 @@ ABREAST = {1: 2, 2: 2, 3: 1}
 
 
 def build(folder: Path, inputs: Inputs, settings: ReportConfig, *, scale: str) -> page.Contents:
-    """Write `tables/`, `figures/`, `metrics.json` and `README.md` into a new folder; what they show.
+    """Write tables, figures, plots, metrics and the page (README.md) into a new folder; what they show.
 
     Equal inputs give equal bytes.
     """
@@ -85,7 +86,7 @@ def build(folder: Path, inputs: Inputs, settings: ReportConfig, *, scale: str) -
         table = getattr(contents, name)
         table.to_csv(folder / "tables" / f"{name}.csv", index=False, float_format="%.5g", lineterminator="\n")
         (folder / "tables" / f"{name}.md").write_text(page.table(name, table))
-    headline = metrics.headline(
+    means = metrics.means(
         estimation=contents.table_2,
         prediction=contents.table_3,
         prediction_voxels=contents.table_4,
@@ -94,7 +95,12 @@ def build(folder: Path, inputs: Inputs, settings: ReportConfig, *, scale: str) -
         planning_voxels=contents.table_7,
         sigma_ratio=contents.sigma_ratio,
     )
+    means.to_csv(folder / "metrics.csv", index=False, float_format="%.5g", lineterminator="\n")
+    headline = metrics.headline(means, settings.planners)
     (folder / "metrics.json").write_text(json.dumps(headline, indent=1) + "\n")
+    (folder / "plots").mkdir()
+    for name, rows in plots(inputs.histories, inputs.calibration, contents.table_3, contents.table_6).items():
+        rows.to_csv(folder / "plots" / f"{name}.csv", index=False, float_format="%.5g", lineterminator="\n")
     (folder / "README.md").write_text(page.page(contents))
     return contents
 

@@ -1,13 +1,20 @@
-"""Headline figures for `dvc metrics diff`: the means of the tables, our rows only, as nested names."""
+"""The means of all tables, tidy, and the few of them that `dvc exp show` and `dvc metrics diff` have room for."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import pandas as pd
 
 DIGITS = 6
 
+LENGTHS = {"1": "1/all", "2": "2/all", "3": "3/all"}
+"""Columns of the tables of tasks, by the number of manipulations."""
 
-def headline(
+OTHER_PLANNERS = 8
+"""Of how many planners beside the first the headline figures tell; more than the paper has."""
+
+
+def means(
     *,
     estimation: pd.DataFrame,
     prediction: pd.DataFrame,
@@ -16,31 +23,55 @@ def headline(
     planning: pd.DataFrame,
     planning_voxels: pd.DataFrame,
     sigma_ratio: pd.DataFrame,
-) -> dict[str, Any]:
-    """Means by split, kind or system, and column, no action included: errors [cloth length], voxel differences.
+) -> pd.DataFrame:
+    """A row per mean of ours: measure, split, system (of an estimate its kind), column of the table, mean.
 
-    Of sigma ratios the medians.
+    Errors [cloth length], differences of voxels; of sigma ratios the medians. What was not measured has no row.
     """
-    ratios = sigma_ratio[sigma_ratio["source"] == "clothkit"].drop(columns=["source", "system"])
+    by_system = {
+        "prediction": prediction,
+        "position": position,
+        "prediction_voxels": prediction_voxels,
+        "planning": planning,
+        "planning_voxels": planning_voxels,
+    }
+    parts = {"estimation": _means(estimation.rename(columns={"kind": "system"}))}
+    parts |= {measure: _means(table) for measure, table in by_system.items()}
+    ratios = sigma_ratio[sigma_ratio["source"] == "clothkit"]
+    parts["sigma_ratio"] = _long(ratios.drop(columns="source"))
+    rows = pd.concat([part.assign(measure=measure) for measure, part in parts.items()], ignore_index=True)
+    return rows[["measure", "split", "system", "column", "mean"]]
+
+
+def headline(rows: pd.DataFrame, planners: Sequence[str]) -> dict[str, Any]:
+    """At most 20 figures of the test split, of what `means` found, as nested names.
+
+    Errors of estimates; of main's predictions and of the first planner's plans by number of manipulations; of the other
+    planners' plans of three manipulations; main's sigma ratios.
+    """
+    test = rows[rows["split"] == "test"].set_index(["measure", "system", "column"])["mean"].round(DIGITS).to_dict()
+
+    def of(measure: str, cells: dict[str, tuple[str, str]]) -> dict[str, float]:
+        return {name: test[measure, *cell] for name, cell in cells.items() if (measure, *cell) in test}
+
+    first, *others = planners
+    lengths = {first: LENGTHS} | {system: {"3": LENGTHS["3"]} for system in others[:OTHER_PLANNERS]}
+    planning = {
+        system: of("planning", {length: (system, column) for length, column in columns.items()})
+        for system, columns in lengths.items()
+    }
     return {
-        "estimation": _means(estimation, "kind"),
-        "prediction": _means(prediction, "system"),
-        "position": _means(position, "system"),
-        "prediction_voxels": _means(prediction_voxels, "system"),
-        "planning": _means(planning, "system"),
-        "planning_voxels": _means(planning_voxels, "system"),
-        "sigma_ratio": {row.pop("split"): _rounded(row) for row in ratios.to_dict("records")},
+        "estimation": of("estimation", {kind: (kind, "all") for kind in ("pmr", "dmr")}),
+        "prediction": of("prediction", {length: ("main", column) for length, column in LENGTHS.items()}),
+        "planning": {system: found for system, found in planning.items() if found},
+        "sigma_ratio": of("sigma_ratio", {name: ("main", name) for name in ("estimate", *LENGTHS)}),
     }
 
 
-def _means(table: pd.DataFrame, by: str) -> dict[str, Any]:
-    means = table[(table["source"] == "clothkit") & (table["statistic"] == "mean")]
-    nested: dict[str, Any] = {}
-    for row in means.drop(columns=["source", "statistic"]).to_dict("records"):
-        split, group = row.pop("split"), row.pop(by)
-        nested.setdefault(split, {})[group] = _rounded(row)
-    return nested
+def _means(table: pd.DataFrame) -> pd.DataFrame:
+    ours = table[(table["source"] == "clothkit") & (table["statistic"] == "mean")]
+    return _long(ours.drop(columns=["source", "statistic"]))
 
 
-def _rounded(row: dict) -> dict[str, float]:
-    return {str(name): round(float(value), DIGITS) for name, value in row.items() if not pd.isna(value)}
+def _long(table: pd.DataFrame) -> pd.DataFrame:
+    return table.melt(["split", "system"], var_name="column", value_name="mean").dropna(subset=["mean"])
