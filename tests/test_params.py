@@ -89,4 +89,4 @@ def test_another_checkouts_code_is_refused(tmp_path: Path) -> None:
     command = [sys.executable, str(ROOT / "stages" / "regularise.py")]
     ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert ended.returncode == 1
-    assert "under the current directory" in ended.stderr
+    assert "expected the clothkit of the current directory" in ended.stderr

@@ -94,15 +94,17 @@ class Stage:
 def stage(name: str, variant: str | None = None) -> Iterator[Stage]:
     """Run a stage script's body: bad input ends it with one sentence and exit status 1, pieces of work stay.
 
-    Refuses to run another checkout's clothkit: `dvc exp run --temp` with an editable install would record results of
-    code that it did not snapshot.
+    Refuses to run another clothkit than `src/clothkit` in the current directory: an experiment in a copy of the
+    checkout (`dvc exp run --temp`, `--queue`) would record results of code that is not in its snapshot. dvc.yaml sets
+    PYTHONPATH for that.
     """
     started = time.monotonic()
     try:
-        if not Path(clothkit.__file__).resolve().is_relative_to(Path.cwd().resolve()):
+        expected = Path("src/clothkit").resolve()
+        if Path(clothkit.__file__).resolve().parent != expected:
             raise InputError(
-                f"{clothkit.__file__}: stages run the clothkit under the current directory, and this one is elsewhere; "
-                "set PYTHONPATH=src or install the checkout that you stand in"
+                f"{clothkit.__file__}: expected the clothkit of the current directory, {expected}; "
+                "run the stage with dvc repro, or from a checkout with PYTHONPATH=src"
             )
         if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
             jax.config.update("jax_compilation_cache_dir", str(WORK / "compiled"))

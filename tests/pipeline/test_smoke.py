@@ -96,6 +96,8 @@ def test_the_chain_ends_with_tables_pictures_and_metrics(finished: Checkout) -> 
         "README.md",
         "index.html",
         "metrics.json",
+        "metrics.csv",
+        "dvc.lock",
         "params.yaml",
         "timings.csv",
         "tables/table_5.csv",
@@ -107,6 +109,8 @@ def test_the_chain_ends_with_tables_pictures_and_metrics(finished: Checkout) -> 
         "tables/largest.csv",
         "tables/camera_estimation.csv",
         "tables/camera_planning.csv",
+        "plots/learning.csv",
+        "plots/table_6.csv",
         "table_8.csv",
         "table_8.md",
     ):
