@@ -106,3 +106,35 @@ def test_files(tmp_path: Path) -> None:
         load(tmp_path / "no.json")
     with pytest.raises(InputError, match="the same"):
         dataclasses.replace(toy.NORMALISATION, sigma=(0.0, 1.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"low": "low"},
+        {"low": [["a", "b", "c"]] * 2},
+        {"mu": [True, True, True]},
+        {"mu": [10**400, 1.0, 1.0]},
+        {"sigma": [0.1, 0.1]},
+        {"high": [[1.0] * 3]},
+        {"low": [], "high": []},
+        {"mu": None},
+        {"mu": [float("nan")] * 3},
+        {"sigma": [[0.1]] * 3},
+    ],
+)
+def test_values_that_are_none_are_told_in_one_sentence(tmp_path: Path, change: dict) -> None:
+    path = tmp_path / "mesh.json"
+    save(path, toy.NORMALISATION, {})
+    path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
+    with pytest.raises(InputError, match=r"mesh\.json: ") as told:
+        load(path)
+    assert len(str(told.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("content", [b"\xff\xfe", b"[" * 100_000, b"null", b"[]", b"12"])
+def test_other_files_are_told_in_one_sentence(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "mesh.json"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"mesh\.json: expected JSON"):
+        load(path)

@@ -125,13 +125,14 @@ def _check_splits(
         raise InputError(f"{path}: expected split to be train throughout, and evaluated to be true of some sequences")
     if stage != "regularise" or not isinstance(params, Mapping):
         return
+    stated = {name: value for name, value in params.items() if isinstance(value, int)}
     for code, name in enumerate(SPLITS):
         chosen = evaluated[split == code]
-        if params.get(name, len(chosen)) != len(chosen):
+        if stated.get(name, len(chosen)) != len(chosen):
             raise InputError(
-                f"{path}: split: expected {params[name]} of {name}, as its attributes say, found {len(chosen)}"
+                f"{path}: split: expected {stated[name]} of {name}, as its attributes say, found {len(chosen)}"
             )
-        used = 0 if name == "validation" else min(len(chosen), int(params.get("evaluated", chosen.sum())))
+        used = 0 if name == "validation" else min(len(chosen), stated.get("evaluated", int(chosen.sum())))
         if chosen.sum() != used or not chosen[:used].all():
             raise InputError(
                 f"{path}: evaluated: expected the first {used} sequences of {name}, as its attributes say, found "

@@ -108,7 +108,7 @@ def read(
         frame = found.to_pandas()
     except InputError:
         raise
-    except (pa.ArrowException, OSError, ValueError, MemoryError, OverflowError) as error:
+    except Exception as error:  # of pyarrow by many kinds, of pandas where its metadata are damaged
         raise _unreadable(path, error) from error
     if not found.num_rows:
         if table.may_be_empty or sequences is not None:

@@ -50,12 +50,8 @@ class Normalisation:
 
     def __post_init__(self) -> None:
         rows = (*self.low, *self.high, self.mu, self.sigma)
-        values = [value for row in rows for value in row]
-        # A comparison takes integers of any length; NaN fails it.
-        numbers = all(
-            type(value) is not bool and isinstance(value, int | float) and abs(value) < 1e30 for value in values
-        )
-        if not numbers or {len(row) for row in rows} != {len(self.mu)} or not 1 <= len(self.mu) <= STEPS:
+        same = {len(row) for row in rows} == {len(self.mu)} and 1 <= len(self.mu) <= STEPS
+        if not same or not np.isfinite(np.array(rows, float)).all():
             raise InputError(
                 f"normalisation: expected 1 to {STEPS} finite values in each row of low, high, mu and sigma"
             )
@@ -139,14 +135,20 @@ def save(path: Path, normalisation: Normalisation, attributes: dict[str, Any]) -
 
 
 def load(path: Path) -> Normalisation:
-    """Read the values. Raises InputError for a file that is missing, damaged or lacks a field."""
+    """Read the values. Raises InputError for a file that is missing, damaged, lacks a field or has none in one."""
     try:
         stored = json.loads(path.read_text())
-        rows = {name: tuple(tuple(row) for row in stored[name]) for name in ("low", "high")}
-        return Normalisation(**rows, mu=tuple(stored["mu"]), sigma=tuple(stored["sigma"]))
+        rows = {name: tuple(_numbers(row) for row in stored[name]) for name in ("low", "high")}
+        return Normalisation(**rows, mu=_numbers(stored["mu"]), sigma=_numbers(stored["sigma"]))
     except OSError as error:
         raise system_error(error, path, expected="JSON; run the stage that writes it (dvc repro)") from error
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise InputError(f"{path}: expected JSON with low, high, mu and sigma, could not read it ({error})") from error
+
+
+def _numbers(row: Any) -> tuple[float, ...]:
+    if not isinstance(row, list) or any(type(value) not in (int, float) for value in row):
+        raise TypeError(f"expected a list of numbers, found {row!r:.60}")
+    return tuple(float(value) for value in row)
