@@ -14,7 +14,7 @@ _TYPES: dict[str, type | tuple[type, ...]] = {
 _KNOWN = {
     *("$schema", "$defs", "$ref", "title", "description", "discriminator", "type", "properties", "required"),
     *("additionalProperties", "items", "prefixItems", "minItems", "maxItems", "enum", "const", "anyOf", "oneOf"),
-    *("minimum", "maximum", "exclusiveMinimum"),
+    *("minimum", "maximum", "exclusiveMinimum", "default"),
 }
 
 
