@@ -1,4 +1,4 @@
-"""What each system plans and learned with, and which systems can't be held against one another with equal means."""
+"""What each system plans and learned with, and which systems are held against one another with unequal budgets."""
 
 import math
 from collections.abc import Mapping
@@ -16,10 +16,10 @@ from clothkit.report.layout import LENGTHS
 from clothkit.report.made_with import Learned, MadeWith, Net
 
 EQUAL = 0.05
-"""Means that differ by no more than this share count as equal."""
+"""Budgets that differ by no more than this share count as equal."""
 
 DAGGER = " †"
-"""Stands behind the name of a system that is held against another one with other means."""
+"""Stands behind the name of a system that is held against another one with another budget."""
 
 VTM = "vtm"
 
@@ -85,7 +85,7 @@ def _minutes(timings: pd.DataFrame | None, stage: str) -> float:
 
 
 def differ(table: pd.DataFrame, system: str, against: str) -> bool:
-    """Whether two planners search or learned with other means, as far as these are known."""
+    """Whether the budgets of two planners, for search or training, are unequal, as far as these are known."""
     one, other = (_of(table, name) for name in (system, against))
     if one is None or other is None:
         return False
@@ -93,7 +93,7 @@ def differ(table: pd.DataFrame, system: str, against: str) -> bool:
 
 
 def told(table: pd.DataFrame) -> str:
-    """In words how the voxel baseline's means differ from main's; nothing where there is no such planner."""
+    """In words how the voxel baseline's budget differs from main's; nothing where there is no such planner."""
     main = _of(table, "main")
     voxels = [name for name in dict.fromkeys(table["system"]) if name in SYSTEMS and SYSTEMS[name].voxels]
     other = _of(table, voxels[0]) if voxels else None

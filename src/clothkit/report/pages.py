@@ -21,8 +21,8 @@ def write(report: Path, folder: Path) -> None:
     """
     shown = contents.read(report)
     own = shown.tables["table_6"].query("source == 'clothkit'")["system"].drop_duplicates()
-    means = budgets(shown.made_with, shown.tables.get("timings"), [name for name in own if name != NO_ACTION])
-    means.to_csv(folder / "budgets.csv", index=False, float_format="%.5g", lineterminator="\n")
-    parts = sections(shown, means)
+    spending = budgets(shown.made_with, shown.tables.get("timings"), [name for name in own if name != NO_ACTION])
+    spending.to_csv(folder / "budgets.csv", index=False, float_format="%.5g", lineterminator="\n")
+    parts = sections(shown, spending)
     (folder / "README.md").write_text(page.page(shown.made_with.scale, parts))
     (folder / "index.html").write_text(html.page(shown, parts, report / "figures"))

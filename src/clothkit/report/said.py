@@ -56,15 +56,15 @@ def viewport() -> str:
 
 
 def unequal(table: pd.DataFrame) -> str:
-    """What the dagger means in tables of planners; nothing where no planner of voxels has other means than main."""
+    """What the dagger means in tables of planners; nothing where there is no planner of voxels."""
     told = budgets.told(table)
-    return f"†: not with equal means. {told} ([budgets](#budgets)).\n" if told else ""
+    return f"†: with another budget. {told} ([budgets](#budgets)).\n" if told else ""
 
 
 def unequal_nets(table: pd.DataFrame) -> str:
     """What it means in tables of predictions; nothing where a2's nets are none of a planner's."""
     told = budgets.told_of_nets(table, "*a2* predicts with the nets of *b4*, which")
-    return f"†: not with equal means. {told} ([budgets](#budgets)).\n" if told else ""
+    return f"†: with another budget. {told} ([budgets](#budgets)).\n" if told else ""
 
 
 def mean(table: pd.DataFrame, source: str, system: str, column: str) -> float:

@@ -21,12 +21,12 @@ PREDICTORS = {"a2": "b4", "main_occluded": "main"}
 """Planners whose forward models these systems of table 4 predict with."""
 
 
-def sections(contents: Contents, means: pd.DataFrame) -> list[Section]:
+def sections(contents: Contents, spending: pd.DataFrame) -> list[Section]:
     """What the pages show. What an older report lacks is left out, or called missing.
 
-    `means`: the table of `budgets`.
+    `spending`: the table of `budgets.budgets`.
     """
-    page = _Page(contents, means)
+    page = _Page(contents, spending)
     return [
         Section("short", "In short", list(_short(page))),
         Section("planning", "Planning", list(_planning(page))),
@@ -48,7 +48,7 @@ def sections(contents: Contents, means: pd.DataFrame) -> list[Section]:
 @dataclass(frozen=True)
 class _Page:
     contents: Contents
-    means: pd.DataFrame
+    spending: pd.DataFrame
 
     def figures(self, *names: str) -> Iterator[Figure]:
         """Those that were drawn."""
@@ -74,12 +74,12 @@ class _Page:
             yield Table(name, title, data, words)
 
     def marked(self, system: str, against: str = "main") -> str:
-        """The name of a system with a dagger if it has other means than another one."""
+        """The name of a system with a dagger if its budget is another than that of `against`."""
         one, other = (PREDICTORS.get(name, name) for name in (system, against))
-        return system + DAGGER * budgets.differ(self.means, one, other)
+        return system + DAGGER * budgets.differ(self.spending, one, other)
 
     def compared(self, data: pd.DataFrame) -> pd.DataFrame:
-        """Comparisons, those of unequal means with a dagger, and what was not told of too few sequences called so."""
+        """Comparisons, those of unequal budgets with a dagger, and what was not told of too few sequences called so."""
         if {"system", "against"} <= set(data.columns):
             pairs = zip(data["against"], data["system"], strict=True)
             data = data.assign(against=[self.marked(*pair) for pair in pairs])
@@ -128,7 +128,7 @@ def short(contents: Contents) -> pd.DataFrame:
 
 def _dagger(page: _Page) -> str:
     systems = set(page.data("table_6").get("system", []))
-    return said.unequal(page.means) if any(page.marked(system) != system for system in systems) else ""
+    return said.unequal(page.spending) if any(page.marked(system) != system for system in systems) else ""
 
 
 def _planning(page: _Page) -> Iterator[Block]:
@@ -146,7 +146,7 @@ def _planning(page: _Page) -> Iterator[Block]:
     yield page.paired("table_7", "Table 7: planning, in voxels", *words, unit=VOXELS)
     words = (captions.TALL.format(""), _dagger(page))
     yield page.paired("table_7_025", "Table 7 for a viewport of height 0.25", *words, unit=VOXELS)
-    yield Table("budgets", "Budgets", _in_millions(page.means), (captions.BUDGETS,), file="budgets.csv")
+    yield Table("budgets", "Budgets", _in_millions(page.spending), (captions.BUDGETS,), file="budgets.csv")
     compared = page.data("planning_comparisons")
     if not compared.empty:
         compared = compared[(compared["split"] == "test") & compared["column"].isin(BY_LENGTH)].drop(columns="split")
@@ -160,16 +160,16 @@ def _planning(page: _Page) -> Iterator[Block]:
     yield from page.figures("largest")
 
 
-def _in_millions(means: pd.DataFrame) -> pd.DataFrame:
-    counts = means["parameters"] / 1e6
-    table = means.assign(parameters=counts).rename(columns={"parameters": "parameters_millions"})
+def _in_millions(spending: pd.DataFrame) -> pd.DataFrame:
+    counts = spending["parameters"] / 1e6
+    table = spending.assign(parameters=counts).rename(columns={"parameters": "parameters_millions"})
     return table[["system", "source", *table.columns[2:]]]
 
 
 def _prediction(page: _Page) -> Iterator[Block]:
     yield from page.figures("predictions")
     yield page.paired("table_3", "Table 3: predicted meshes", unit=LENGTHS)
-    dagger = said.unequal_nets(page.means) if page.marked("a2") != "a2" else ""
+    dagger = said.unequal_nets(page.spending) if page.marked("a2") != "a2" else ""
     words: tuple[str, ...] = (captions.VOXELS, said.viewport(), dagger)
     yield page.paired("table_4", "Table 4: predicted meshes, in voxels", *words, unit=VOXELS)
     words = (captions.TALL.format(captions.TALL_A2), dagger)
