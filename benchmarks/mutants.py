@@ -11,10 +11,10 @@ does a run that takes longer than `--limit`. Printed are every mutant, with the 
 killed ones. A mutant that survives either means the same as the original, or shows that a test is missing. `--list`
 prints the sample without running a test.
 
-Annotations are no places to change. Comparisons are negated, and never made strict or lax: nearly all of them compare
-floats, which are hardly ever equal. Tests run one after the other, in a copy of the checkout with what is not
-committed, so that no mutant is left behind. With JAX_COMPILATION_CACHE_DIR set, compiled programs are kept for the
-next run.
+Annotations and the strictness of `zip` are no places to change. Comparisons are negated, and never made strict or lax:
+nearly all of them compare floats, which are hardly ever equal. Tests run one after the other, in a copy of the checkout
+with what is not committed, so that no mutant is left behind. With JAX_COMPILATION_CACHE_DIR set, compiled programs are
+kept for the next run.
 """
 
 import argparse
@@ -106,7 +106,8 @@ def source_of(module: str) -> str:
 
 
 def meant(code: str) -> str | None:
-    """The syntax tree as text, without annotations; None if it isn't Python."""
+    """The syntax tree as text, without what no caller that is right can notice: annotations, which arguments have to be
+    named, whether `zip` is strict. None if it isn't Python."""
     try:
         tree = ast.parse(code)
     except SyntaxError:
@@ -118,6 +119,12 @@ def meant(code: str) -> str | None:
             node.returns = None
         elif isinstance(node, ast.AnnAssign):
             node.annotation = ast.Constant(None)
+        elif isinstance(node, ast.arguments):
+            node.args = [*node.posonlyargs, *node.args, *node.kwonlyargs]
+            node.defaults += [default for default in node.kw_defaults if default]
+            node.posonlyargs, node.kwonlyargs, node.kw_defaults = [], [], []
+        elif isinstance(node, ast.Call):
+            node.keywords = [keyword for keyword in node.keywords if keyword.arg != "strict"]
     return ast.dump(tree)
 
 
