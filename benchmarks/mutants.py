@@ -1,19 +1,20 @@
 """How many faults would the tests notice? Small changes of the code, one at a time, against the tests of its module.
 
-python benchmarks/mutants.py [PACKAGE ..] [--each N] [--seed N] [--limit SECONDS] [--list]
+python benchmarks/mutants.py [PACKAGE|PACKAGE/MODULE ..] [--each N] [--seed N] [--limit SECONDS] [--list]
 
 Cosmic Ray finds the places where a module can be changed and makes the changes: an operator, a sign, a comparison, a
-condition, a number, a loop that is never entered. Of every PACKAGE that pyproject.toml names under
-[tool.clothkit.mutants], a sample of `--each` places that is drawn with `--seed` is changed, each in one way. Each
-changed module, a mutant, is tried with its mirror tests, tests/<package>/test_<module>.py and what pyproject.toml names
-beside them. A test that fails kills the mutant, and so does a run that takes longer than `--limit`. Printed are every
-mutant, with the change, and per package the share of killed ones. A mutant that survives either means the same as the
-original, or shows that a test is missing. `--list` prints the sample without running a test.
+condition, a number, a loop that is never entered. Of every PACKAGE, all that pyproject.toml names under
+[tool.clothkit.mutants] unless some are given, or of a single MODULE of it, a sample of `--each` places that is drawn
+with `--seed` is changed, each in one way. Each changed module, a mutant, is tried with its mirror tests,
+tests/<package>/test_<module>.py and what pyproject.toml names beside them. A test that fails kills the mutant, and so
+does a run that takes longer than `--limit`. Printed are every mutant, with the change, and per package the share of
+killed ones. A mutant that survives either means the same as the original, or shows that a test is missing. `--list`
+prints the sample without running a test.
 
-Annotations are no places to change. Comparisons are negated, and never made strict or lax: nearly all of them compare
-floats, which are hardly ever equal. Tests run one after the other, in a copy of the checkout with what is not
-committed, so that no mutant is left behind. With JAX_COMPILATION_CACHE_DIR set, compiled programs are kept for the
-next run.
+Annotations and the strictness of `zip` are no places to change. Comparisons are negated, and never made strict or lax:
+nearly all of them compare floats, which are hardly ever equal. Tests run one after the other, in a copy of the checkout
+with what is not committed, so that no mutant is left behind. With JAX_COMPILATION_CACHE_DIR set, compiled programs are
+kept for the next run.
 """
 
 import argparse
@@ -105,7 +106,8 @@ def source_of(module: str) -> str:
 
 
 def meant(code: str) -> str | None:
-    """The syntax tree as text, without annotations; None if it isn't Python."""
+    """The syntax tree as text, without what no caller that is right can notice: annotations, which arguments have to be
+    named, whether `zip` is strict. None if it isn't Python."""
     try:
         tree = ast.parse(code)
     except SyntaxError:
@@ -117,6 +119,12 @@ def meant(code: str) -> str | None:
             node.returns = None
         elif isinstance(node, ast.AnnAssign):
             node.annotation = ast.Constant(None)
+        elif isinstance(node, ast.arguments):
+            node.args = [*node.posonlyargs, *node.args, *node.kwonlyargs]
+            node.defaults += [default for default in node.kw_defaults if default]
+            node.posonlyargs, node.kwonlyargs, node.kw_defaults = [], [], []
+        elif isinstance(node, ast.Call):
+            node.keywords = [keyword for keyword in node.keywords if keyword.arg != "strict"]
     return ast.dump(tree)
 
 
@@ -195,7 +203,8 @@ def change(original: str, mutant: Mutant) -> Iterator[str]:
 def main() -> None:
     table = settings()
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("packages", nargs="*", metavar="PACKAGE", choices=[[], *table["modules"]])
+    modules = {f"{package}/{name}": (name,) for package, names in table["modules"].items() for name in names}
+    parser.add_argument("packages", nargs="*", metavar="PACKAGE", choices=[[], *table["modules"], *modules])
     parser.add_argument("--each", type=int, default=table["each"])
     parser.add_argument("--seed", type=int, default=table["seed"])
     parser.add_argument("--limit", type=float, default=table["limit"])
@@ -219,7 +228,8 @@ def main() -> None:
             (shutil.copytree if source.is_dir() else shutil.copy)(source, copy / name)
         sound: set[tuple[str, ...]] = set()
         for package in options.packages or table["modules"]:
-            chosen = sample(package, table["modules"][package], operators, options.each, options.seed)
+            names = modules.get(package) or table["modules"][package]
+            chosen = sample(package.split("/")[0], names, operators, options.each, options.seed)
             killed, late = 0, 0
             for mutant in chosen:
                 original, tests = source_of(mutant.module), mirrors(mutant.module, table["beside"])
