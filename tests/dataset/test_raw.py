@@ -1,6 +1,7 @@
 """Raw tables with each fault, one by one: a sentence that names the file, the column and what was expected."""
 
 import dataclasses
+import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -211,3 +212,19 @@ def test_only_the_wanted_columns_are_read_and_optional_ones_as_far_as_they_are_t
     with pytest.raises(InputError, match="has no column attempt"):
         tables.read(folder / MOVES, asked, ("sequence", "step", "attempt"))
     assert set(raw.STATE_COLUMNS) <= set(raw.STATES_TABLE.columns)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (lambda stored: stored.update(index_columns=["hands"]), "take column hands for an index"),
+        (lambda stored: stored["columns"][0].pop("pandas_type"), "can't be read as parquet"),
+    ],
+)
+def test_damaged_metadata_of_pandas_are_told(folder: Path, change: Callable[[dict], Any], sentence: str) -> None:
+    found = pq.read_table(folder / MOVES)
+    stored = json.loads(found.schema.metadata[b"pandas"])
+    change(stored)
+    pq.write_table(found.replace_schema_metadata({b"pandas": json.dumps(stored).encode()}), folder / MOVES)
+    with pytest.raises(InputError, match=rf"manipulations\.parquet: .*{sentence}"):
+        tables.read(folder / MOVES, MANIPULATIONS)

@@ -110,6 +110,9 @@ def read(
         raise
     except Exception as error:  # of pyarrow by many kinds, of pandas where its metadata are damaged
         raise _unreadable(path, error) from error
+    lost = [name for name in names if name not in frame]
+    if lost:
+        raise InputError(f"{path}: can't be read as parquet (its metadata take column {lost[0]} for an index)")
     if not found.num_rows:
         if table.may_be_empty or sequences is not None:
             return frame
