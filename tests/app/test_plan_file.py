@@ -212,6 +212,18 @@ def test_a_plan_for_another_cloth_is_refused(earlier: Path, command: str) -> Non
     assert sentence == f"{command}: --side: expected 0.4, for which plan.json was planned, found 0.5"
 
 
+@pytest.mark.parametrize("size", [0.0, 0.1, 3.0])
+def test_a_cloth_of_another_size_is_not_simulated(earlier: Path, size: float) -> None:
+    """Not one that is crammed into a point, either: all of its vertices would touch each other."""
+    plan = content("b1", vectors=(np.float32([0, 0, 0, 0, 0.6, 0.5]),))
+    middle = np.array(plan["start"]["centre_m"])
+    vertices = middle + size * (np.array(plan["start"]["state"]["vertices_m"]) - middle)
+    grasped = changed(plan, "start.state.vertices_m", vertices.tolist())
+    write(earlier / "plan.json", grasped)
+    sentence = refused("simulate", *COMMANDS["simulate"])
+    assert sentence.startswith(f"simulate: plan.json: start.state: the mesh's side is {0.4 * size:.3g} along its edges")
+
+
 @pytest.mark.parametrize("command", ["predict", "plan"])
 def test_a_plan_of_other_nets_is_refused(earlier: Path, command: str) -> None:
     """The nets under data are as they are trained by then: net a is the better one, of latent width 8."""

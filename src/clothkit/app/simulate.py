@@ -22,6 +22,7 @@ from clothkit.errors import InputError
 from clothkit.manipulation.turns import turn_mesh
 from clothkit.observation.coverage import goal_iou
 from clothkit.observation.pose import Pose
+from clothkit.observation.surfaces import check_grid
 from clothkit.simulation.executor import execute
 from clothkit.simulation.settings import SimulationConfig
 
@@ -100,6 +101,8 @@ def command(
             mesh = np.asarray(estimated(vtm_of(data, given), seen, given).mesh[0])
         warn(explained(seen, mesh, given))
     assert mesh is not None
+    # Where cloth is crammed into a point, each of its vertices touches all others, and a step takes minutes.
+    check_grid(state or f"{source}: start.state", mesh * pose.scale, side=plan.side_m, unit="m")
     with part("simulate"):
         hands = seen.pose if seen and seen.kind == "points" and plan.frame == "camera" else None
         states = simulated(plan, mesh, pose, given.simulation, steps=steps, hands=hands, name=str(source))
