@@ -61,3 +61,12 @@ def test_error_is_blind_to_labels(k: int) -> None:
     assert float(error(moved, MESH[0], aligned=True)) == pytest.approx(0, abs=5e-5)
     label = int(best_label(relabel(MESH[0], k), MESH[0]))
     np.testing.assert_array_equal(relabel(MESH[0], label), relabel(MESH[0], k))
+
+
+def test_every_mesh_of_a_batch_has_labels_of_its_own() -> None:
+    truths = RNG.normal(size=(3, 7, 7, 3)).astype(np.float32)
+    meshes = np.stack([np.asarray(relabel(truth, k)) for truth, k in zip(truths, (3, 0, 6), strict=True)])
+    off = np.float32([[0.14, 0, 0], [0, 0.28, 0], [0, 0, 0.42]])[:, None, None]
+    np.testing.assert_allclose(error(meshes + off, truths), [0.1, 0.2, 0.3], rtol=1e-4)
+    np.testing.assert_allclose(error(meshes + off, truths, aligned=True), np.zeros(3), atol=5e-5)
+    assert best_label(meshes, truths).tolist() == [3, 0, 6]

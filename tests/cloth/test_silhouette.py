@@ -30,8 +30,10 @@ def test_the_centre_is_the_silhouettes_and_not_the_vertices() -> None:
     assert centre(folded)[0] == pytest.approx(-0.35, abs=0.03)
     folded[..., 0] = np.where(folded[..., 0] < -0.6, folded[..., 0], -0.02)
     assert abs(centre(folded)[0] - folded[..., 0].mean()) > 0.1
-    moved, _ = centred(folded)
+    folded[..., 2] = np.linspace(0, 0.1, 32)
+    moved, was = centred(folded)
     np.testing.assert_allclose(centre(moved), 0, atol=1e-3)
+    np.testing.assert_allclose(moved + np.append(was, 0), folded, atol=1e-6)
 
 
 def test_iou_by_hand() -> None:
