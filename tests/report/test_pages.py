@@ -6,7 +6,8 @@ import pandas as pd
 import pytest
 
 from clothkit.errors import InputError
-from clothkit.report import contents, page, pages
+from clothkit.evaluation import comparisons
+from clothkit.report import contents, page, pages, printed, said
 from clothkit.report.captions import CAPTIONS
 from tests.evaluation.planning_rows import SYSTEMS
 from tests.report.contents import contents_of, parts_of, tables_of, write_report
@@ -38,6 +39,7 @@ def test_what_an_older_report_lacks_is_not_missed(tmp_path: Path, missing: tuple
 
 
 def test_intervals_of_too_few_sequences_are_not_shown(tmp_path: Path) -> None:
+    assert printed.LEAST == comparisons.LEAST, "what evaluations leave out is called too few, and nothing else is"
     folder = write_report(tmp_path / "report", tables_of(SYSTEMS))
     few = pd.read_csv(folder / "tables/planned.csv").assign(sequences=[12, 9])
     few.to_csv(folder / "tables/planned.csv", index=False)
@@ -96,6 +98,24 @@ def test_pictures_keep_the_captions_that_they_were_drawn_with(tmp_path: Path) ->
         (folder / "figures/captions.json").write_text(text)
         with pytest.raises(InputError, match=r"captions\.json: expected a JSON object with a caption"):
             contents.read(folder)
+
+
+def test_where_voxel_tables_stand_is_told_in_times_of_the_papers(tmp_path: Path) -> None:
+    made = tables_of(SYSTEMS)
+    table = made["table_7"].copy()
+    own = (table["source"] == "clothkit") & (table["statistic"] == "mean") & (table["split"] == "test")
+    # The paper's: 0.00561, 0.00907, 0.0119.
+    table.loc[own & (table["system"] == "main"), ["1/all", "2/all", "3/all"]] = [0.01122, 0.01814, 0.02975]
+    errors = made["table_6"].copy()
+    errors.loc[own & (errors["system"] == "main"), ["1/all", "2/all", "3/all"]] = [0.0495, 0.04095, 0.109]
+    shown = contents.read(write_report(tmp_path / "report", {**made, "table_7": table, "table_6": errors}))
+    told = said.viewport(shown, "table_7", "table_6")
+    assert told.startswith(
+        "Of our means by length, those of *main* are 2.00 to 2.50 times the paper's (0.50 to 1.00 times in table 6), "
+    )
+    # The example that the paper's tables give.
+    assert "(0.0913 in its table 6, 0.0103 in its table 7)" in told
+    assert "(0.0915 in its table 6, 0.0254 in its table 7)" in told
 
 
 def test_bad_tables_are_named(tmp_path: Path) -> None:

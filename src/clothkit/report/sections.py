@@ -142,7 +142,11 @@ def _planning(page: _Page) -> Iterator[Block]:
         unit=LENGTHS,
     )
     yield from page.figures("scatter")
-    words: tuple[str, ...] = (captions.PLANNING_VOXELS, said.viewport(), _dagger(page))
+    words: tuple[str, ...] = (
+        captions.PLANNING_VOXELS,
+        said.viewport(page.contents, "table_7", "table_6"),
+        _dagger(page),
+    )
     yield page.paired("table_7", "Table 7: planning, in voxels", *words, unit=VOXELS)
     words = (captions.TALL.format(""), _dagger(page))
     yield page.paired("table_7_025", "Table 7 for a viewport of height 0.25", *words, unit=VOXELS)
@@ -170,7 +174,7 @@ def _prediction(page: _Page) -> Iterator[Block]:
     yield from page.figures("predictions")
     yield page.paired("table_3", "Table 3: predicted meshes", unit=LENGTHS)
     dagger = said.unequal_nets(page.spending) if page.marked("a2") != "a2" else ""
-    words: tuple[str, ...] = (captions.VOXELS, said.viewport(), dagger)
+    words: tuple[str, ...] = (captions.VOXELS, said.viewport(page.contents, "table_4", "table_3"), dagger)
     yield page.paired("table_4", "Table 4: predicted meshes, in voxels", *words, unit=VOXELS)
     words = (captions.TALL.format(captions.TALL_A2), dagger)
     yield page.paired("table_4_025", "Table 4 for a viewport of height 0.25", *words, unit=VOXELS)
