@@ -50,7 +50,7 @@ class SimulationConfig:
     side: Annotated[int, Ge(8), Le(64)] = 32  # vertices along a side of the grid
     cloth_side: Annotated[float, Ge(0.1), Le(1)] = 0.4  # m
     time_step: Annotated[float, Ge(2e-4), Le(2e-3)] = 1e-3  # s
-    hand_speed: Annotated[float, Ge(0.05), Le(2)] = 0.42  # m/s, mean along the arc
+    hand_speed: Annotated[float, Ge(0.05), Le(0.7)] = 0.42  # m/s, mean along the arc
     shortest_move: Annotated[float, Ge(0.05), Le(10)] = 0.4  # s
     # normalised, section 4.2.2: hands end at min(highest_lift, k / 2)
     highest_lift: Annotated[float, Ge(0.02), Le(0.7)] = 0.2
