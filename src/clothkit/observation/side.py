@@ -23,6 +23,8 @@ _LIKELY = 0.0003
 _UNSEEN = 0.001
 # Times the deviation of the table's patches.
 _SURE_DEVIATIONS = 3.0
+# The middle of hundreds of patches is surer than one patch.
+_LIKELY_DEVIATIONS = 0.5
 # What the heights of the farther side must be of those of the nearer.
 _LOPSIDED = 2.0
 _LEAST_COSINE = 0.5
@@ -87,7 +89,7 @@ def evidence(heights: Heights, *, sure: bool) -> Evidence:
     farthest = max(_SURE, _SURE_DEVIATIONS * heights.deviation)
     if max(rise, fall) > farthest and max(rise, fall) > _LOPSIDED * min(rise, fall):
         return "above" if rise > fall else "below"
-    if sure or abs(heights.middle) <= max(_LIKELY, heights.deviation):
+    if sure or abs(heights.middle) <= max(_LIKELY, _LIKELY_DEVIATIONS * heights.deviation):
         return "unknown"
     return "above" if heights.middle > 0 else "below"
 
