@@ -60,17 +60,25 @@ def test_losses_by_hand() -> None:
     np.testing.assert_allclose(slope, gradient, rtol=1e-3, atol=0.05)
 
 
-def test_matches_a_plain_loop_of_sign_steps() -> None:
+@pytest.mark.parametrize(("tolerance", "patience", "stops"), [(1e-3, 20, False), (0.3, 3, True)])
+def test_matches_a_plain_loop_of_sign_steps(tolerance: float, patience: int, stops: bool) -> None:
     rng = np.random.default_rng(1)
     mesh, mean = wavy(rng)
     std = np.full(mesh.shape, 0.05, np.float32)
-    settings = RefineConfig(iterations=12)
+    settings = RefineConfig(iterations=12, tolerance=tolerance, patience=patience)
     position, best, lowest = mesh.astype(float), mesh, np.inf
+    level, stale = np.inf, 0
     for _ in range(settings.iterations):
+        if stale == patience:
+            break
         loss, gradient = by_hand(position, mean, std, settings)
         if loss < lowest:
             best, lowest = position.copy(), loss
+        # The loss has not stabilised as long as it falls by a share of itself, in one step or in several.
+        fell = np.isinf(level) or loss < level - tolerance * abs(level)
+        level, stale = (loss, 0) if fell else (level, stale + 1)
         position = position - settings.step * np.sign(gradient)
+    assert (stale == patience) == stops
     found = refine(ProbabilisticMesh(mean[None], std[None]), mesh[None], settings)[0]
     # A sign near zero may differ between float32 and float64: all but a few coordinates agree.
     assert np.mean(np.abs(found - best) < 1e-5) > 0.97

@@ -1,13 +1,24 @@
 """What nets expect of a plan, spelled out in the labels of the state."""
 
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 
-from clothkit.cloth.equivalents import COUNT
+from clothkit.cloth.equivalents import COUNT, relabel_manipulation
 from clothkit.planning.predict import expect
 from tests.planning import toy
 
 PLAN = np.array([[-1.0, 0.5, 1.0, 0.2, 0.3, 0.6], [0.1, 0.5, 0.1, 0.5, -0.6, 0.2]], np.float32)
+
+
+def noting(net: Any, latent: Any, trace: Any, manipulation: Any) -> Any:
+    """The toy world's step, with a trace that tells manipulations apart: it adds up where they grasped."""
+    latent, _, shift = toy.step(net, latent, trace, manipulation)
+    return latent, trace + manipulation[..., :1], shift
+
+
+NOTING = toy.FORWARD._replace(step=noting)
 
 
 def test_expectations_are_those_of_the_plan_after_what_is_remembered() -> None:
@@ -17,13 +28,15 @@ def test_expectations_are_those_of_the_plan_after_what_is_remembered() -> None:
     counts = np.array([np.arange(COUNT), 2.0 * np.arange(COUNT)])[:, None] + np.array([0, 10])[:, None]
     traces = tuple(np.repeat(count[..., None], 3072, axis=-1).astype(np.float32) for count in counts)
     plans = np.stack([PLAN, -PLAN])
-    found = expect(toy.FORWARD, toy.NETS, states, traces, plans, common)
+    found = expect(NOTING, toy.NETS, states, traces, plans, common)
     for net, expected, count in zip(toy.NETS, found, counts, strict=True):
         assert expected.states.mean.shape == (2, 2, 32, 32, 3)
         for task in range(2):
             mesh, before = jnp.asarray(states[task]), count[task, common[task]]
             for i, manipulation in enumerate(plans[task]):
-                mesh = toy.dragged(mesh, jnp.asarray(manipulation), net * (1 + 0.02 * (before + i)))
+                mesh = toy.dragged(mesh, jnp.asarray(manipulation), net * (1 + 0.02 * before))
+                before = before + float(relabel_manipulation(manipulation, int(common[task]))[0])
                 np.testing.assert_allclose(expected.states.mean[task, i], mesh, atol=1e-5)
-        # Only the first manipulation will be executed.
-        np.testing.assert_allclose(expected.traces[..., 0], count + 1)
+        # Only the first manipulation will be executed, in whichever equivalent the next plan is found.
+        grasped = [[float(relabel_manipulation(plan[0], k)[0]) for k in range(COUNT)] for plan in plans]
+        np.testing.assert_allclose(expected.traces[..., 0], count + grasped, atol=1e-5)
