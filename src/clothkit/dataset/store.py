@@ -1,7 +1,7 @@
 """The zarr store of meshes, and the record that the rest of the library reads it as (design section 4)."""
 
 import dataclasses
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ import zarr
 from jaxtyping import Bool, Float, Int, Int8
 
 from clothkit.cloth.grid import SIDE
-from clothkit.dataset.zarr_store import Declared, Store, open_store, written
+from clothkit.dataset.zarr_store import WRITTEN, Declared, Store, open_store
 from clothkit.errors import InputError
 
 SPLITS = ("train", "validation", "test")
@@ -25,8 +25,8 @@ _ARRAYS = {
     "manipulation": Declared("f4", ("sequence", "step", "component")),
     "hands": Declared("i1", ("sequence", "step")),
     "length": Declared("i1", ("sequence",)),
-    "split": Declared("i1", ("sequence",), zeros=True),
-    "evaluated": Declared("bool", ("sequence",), zeros=True),
+    "split": Declared("i1", ("sequence",)),
+    "evaluated": Declared("bool", ("sequence",)),
 }
 _HOLDS = "which a store of meshes holds"
 
@@ -81,7 +81,7 @@ def save(path: Path, dataset: Dataset, attributes: dict[str, Any]) -> None:
             chunks=(_CHUNK, *data.shape[1:]),
             shards=(_SHARD, *data.shape[1:]),
             dimension_names=declared.dimensions,
-            config=written(declared),
+            **WRITTEN,
         )
         array[:] = data
 
@@ -96,48 +96,23 @@ def load(path: Path) -> Dataset:
     path = Path(path)
     store = open_meshes(path)
     dataset = Dataset(**{name: store.read(name) for name in _ARRAYS})
-    _check_splits(path, dataset.split, dataset.length, dataset.evaluated, store.attributes)
+    _check_splits(path, dataset.split, dataset.length)
     _check_values(path, dataset)
     return dataset
 
 
 def load_splits(path: Path) -> tuple[Int8[np.ndarray, " sequence"], Int8[np.ndarray, " sequence"]]:
     """Split and length of each sequence of a store, no mesh read. Raises InputError, as `load` does."""
-    store = open_meshes(path, ("split", "length", "evaluated"))
-    split, length, evaluated = (store.read(name) for name in ("split", "length", "evaluated"))
-    _check_splits(path, split, length, evaluated, store.attributes)
+    store = open_meshes(path, ("split", "length"))
+    split, length = store.read("split"), store.read("length")
+    _check_splits(path, split, length)
     return split, length
 
 
-def _check_splits(
-    path: Path, split: np.ndarray, length: np.ndarray, evaluated: np.ndarray, attributes: Mapping[str, Any]
-) -> None:
-    """Besides ranges, what reads as all zeros where a file was lost: `split` and `evaluated`.
-
-    How many sequences of each split there should be, and which of them evaluations use, is known of stores that our
-    stages made, and of no others.
-    """
+def _check_splits(path: Path, split: np.ndarray, length: np.ndarray) -> None:
     for name, values, least, most in (("length", length, 1, STEPS), ("split", split, 0, len(SPLITS) - 1)):
         if np.any((values < least) | (values > most)):
             raise InputError(f"{path}: {name} has values outside {least}..{most}")
-    stage, params = attributes.get("stage"), attributes.get("params")
-    if stage == "augment" and (split.any() or not evaluated.any()):
-        raise InputError(f"{path}: expected split to be train throughout, and evaluated to be true of some sequences")
-    if stage != "regularise" or not isinstance(params, Mapping):
-        return
-    stated = {name: value for name, value in params.items() if isinstance(value, int)}
-    for code, name in enumerate(SPLITS):
-        chosen = evaluated[split == code]
-        if stated.get(name, len(chosen)) != len(chosen):
-            raise InputError(
-                f"{path}: split: expected {stated[name]} of {name}, as its attributes say, found {len(chosen)}"
-            )
-        used = 0 if name == "validation" else min(len(chosen), stated.get("evaluated", int(chosen.sum())))
-        if chosen.sum() != used or not chosen[:used].all():
-            raise InputError(
-                f"{path}: evaluated: expected the first {used} sequences of {name}, as its attributes say, found "
-                f"{chosen.sum()}"
-            )
 
 
 def _check_values(path: Path, dataset: Dataset) -> None:

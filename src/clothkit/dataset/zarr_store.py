@@ -1,11 +1,8 @@
-"""Zarr stores: the arrays that one holds are declared, and are checked against that before anything is read.
+"""Zarr stores: the arrays of a store are declared, and are checked against that before anything is read.
 
-Each array lies in shards: files of many chunks, with an index that has a checksum. Zarr writes no chunk of nothing but
-zeros (or False): in an index such a chunk is marked as empty, and a shard of nothing else has no file. A shard's file
-that is not there therefore means zeros, or that it was lost. What tells the two apart is declared for each array:
-`zeros=False` says that no shard of it is all zeros, so every file must be there. An array of which whole shards may be
-zeros is missing part of itself where its folder of shards is there without a file in it. Beyond that nothing in a store
-tells a lost shard from zeros, so those who read such an array hold it against the others.
+Each array lies in shards: files of many chunks, with an index that has a checksum. By default zarr leaves out chunks of
+nothing but zeros, and a lost file then reads as zeros. Stores of ours are written with every chunk, each with a
+checksum of its contents (`WRITTEN`): a missing shard is refused, and so is a damaged chunk.
 """
 
 import itertools
@@ -17,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import zarr
-from zarr.core.array_spec import ArrayConfigParams
+from zarr.codecs import ZstdCodec
 
 from clothkit.errors import InputError, system_error
 
@@ -27,13 +24,13 @@ class Declared(NamedTuple):
 
     dtype: str
     dimensions: tuple[str, ...]
-    zeros: bool = False
-    """Whether a whole shard of it may be zeros, or False."""
 
 
-def written(declared: Declared) -> ArrayConfigParams:
-    """How an array that is so declared has to be written, for `zarr.Group.create_array`'s `config`."""
-    return {"write_empty_chunks": not declared.zeros}
+WRITTEN: dict[str, Any] = {
+    "config": {"write_empty_chunks": True},
+    "compressors": ZstdCodec(level=0, checksum=True),
+}
+"""Options of `zarr.Group.create_array` with which every chunk is written, and its contents have a checksum."""
 
 
 class Store:
@@ -87,12 +84,15 @@ def open_store(path: Path, declared: Mapping[str, Declared], *, lengths: Mapping
     arrays = {name: _member(path, group, name, holds) for name in declared}
     _check_shapes(path, arrays, declared, lengths)
     for name, array in arrays.items():
-        check_shards(array, f"{path}: array {name}", zeros=declared[name].zeros)
+        check_shards(array, f"{path}: array {name}")
     return Store(path, arrays, dict(group.attrs))
 
 
-def check_shards(array: zarr.Array, name: str, *, zeros: bool) -> None:
-    """Raises InputError where a file of the array is missing; `zeros`: unless whole files of it may be zeros."""
+def check_shards(array: zarr.Array, name: str, *, zeros: bool = False) -> None:
+    """Raises InputError where a file of the array is missing.
+
+    `zeros` is for arrays that others have written: files that hold nothing but zeros need not be there.
+    """
     parts = array.shards or array.chunks
     counts = [math.ceil(length / part) for length, part in zip(array.shape, parts, strict=True)]
     folder = Path(str(array.store_path.store.root), array.store_path.path)  # type: ignore[attr-defined]
@@ -145,7 +145,7 @@ def _check_shapes(
     # Where arrays differ, most of them are right.
     expected_of = {**{name: counts.most_common(1)[0][0] for name, counts in found.items()}, **lengths}
     for name, array in arrays.items():
-        dtype, dimensions, _ = declared[name]
+        dtype, dimensions = declared[name]
         expected = tuple(expected_of[dimension] for dimension in dimensions if dimension in expected_of)
         if array.shape != expected:
             wanted = ", ".join(dimensions)

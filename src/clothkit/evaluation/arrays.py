@@ -9,19 +9,19 @@ import zarr
 
 from clothkit.cloth.voxels import RESOLUTION
 from clothkit.dataset.store import LENGTHS, STATES
-from clothkit.dataset.zarr_store import Declared, open_store
+from clothkit.dataset.zarr_store import WRITTEN, Declared, open_store
 from clothkit.errors import InputError
 
 _LENGTHS = {**LENGTHS, **dict(zip("xyz", RESOLUTION, strict=True))}
 _VERTICES = ("u", "v", "xyz")
-_NUMBERS = Declared("i8", ("sequence",), zeros=True)
+_NUMBERS = Declared("i8", ("sequence",))
 
 ESTIMATES = {
     "sequence": _NUMBERS,
     "mean": Declared("f4", ("sequence", "state", *_VERTICES)),
     "std": Declared("f4", ("sequence", "state", *_VERTICES)),
     "mesh": Declared("f4", ("sequence", "state", *_VERTICES)),
-    "label": Declared("i4", ("sequence", "state"), zeros=True),
+    "label": Declared("i4", ("sequence", "state")),
 }
 PREDICTIONS = {
     "sequence": _NUMBERS,
@@ -34,7 +34,7 @@ PICTURES = {
     "sequence": _NUMBERS,
     "shown": Declared("i8", ("sequence",)),
     "height": Declared("f4", ("sequence", "condition", "row", "column")),
-    "voxels": Declared("bool", ("sequence", "condition", "x", "y", "z"), zeros=True),
+    "voxels": Declared("bool", ("sequence", "condition", "x", "y", "z")),
     "mesh": Declared("f4", ("sequence", "condition", *_VERTICES)),
 }
 
@@ -51,7 +51,12 @@ def save(path: Path, arrays: Mapping[str, Named], attributes: Mapping[str, Any])
     group = zarr.open_group(path, mode="w", zarr_format=3, attributes=dict(attributes))
     for name, (values, dimensions) in arrays.items():
         group.create_array(
-            name, data=values, chunks=(1, *values.shape[1:]), shards=values.shape, dimension_names=dimensions
+            name,
+            data=values,
+            chunks=(1, *values.shape[1:]),
+            shards=values.shape,
+            dimension_names=dimensions,
+            **WRITTEN,
         )
 
 
@@ -74,7 +79,7 @@ def load(path: Path, declared: Mapping[str, Declared], names: tuple[str, ...] = 
 
 
 def _check_values(path: Path, found: Mapping[str, np.ndarray]) -> None:
-    """What a lost chunk would do to the arrays of which one may be all zeros; see `dataset.zarr_store`."""
+    """Raises InputError for sequences, states, labels and standard deviations that can't be."""
     sequence = found.get("sequence", np.arange(0))
     if len(np.unique(sequence)) < len(sequence) or np.any(sequence < 0):
         raise InputError(f"{path}: array sequence: expected another sequence in each row, from 0 on")

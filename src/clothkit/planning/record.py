@@ -11,8 +11,8 @@ from jaxtyping import Bool, Float, Float16, Int8, Int64
 
 from clothkit.dataset.store import LENGTHS, SPLITS, STEPS, Dataset
 from clothkit.dataset.tasks import Task
-from clothkit.dataset.zarr_store import Declared, open_store, written
-from clothkit.planning.record_checks import KEYS, check_counts, check_keys, check_values
+from clothkit.dataset.zarr_store import WRITTEN, Declared, open_store
+from clothkit.planning.record_checks import KEYS, check_keys, check_values
 
 MESH = ("u", "v", "xyz")
 SEEN = ("seen_0", "seen_1", "seen_2")
@@ -152,26 +152,26 @@ def blank(tasks: Tasks, sizes: Sizes) -> Sessions:
 
 
 _FIELDS: dict[str, Declared] = {
-    "split": Declared("i1", ("task",), zeros=True),
-    "sequence": Declared("i8", ("task",), zeros=True),
-    "start": Declared("i1", ("task",), zeros=True),
+    "split": Declared("i1", ("task",)),
+    "sequence": Declared("i8", ("task",)),
+    "start": Declared("i1", ("task",)),
     "length": Declared("i1", ("task",)),
     "goal": Declared("f4", ("task", *MESH)),
     "state": Declared("f4", ("task", "state", *MESH)),
-    "centre": Declared("f4", ("task", "state", "xy"), zeros=True),
+    "centre": Declared("f4", ("task", "state", "xy")),
     "estimate": Declared("f4", ("task", "step", *SEEN)),
     "candidates": Declared("f4", ("task", "step", "candidate", "xy")),
     "plan": Declared("f4", ("task", "step", "planned", "component")),
     "loss": Declared("f4", ("task", "step")),
     "terms": Declared("f4", ("task", "step", "term")),
-    "common": Declared("i1", ("task", "step"), zeros=True),
-    "relative": Declared("i1", ("task", "step"), zeros=True),
-    "null": Declared("?", ("task", "step"), zeros=True),
-    "cancelled": Declared("?", ("task", "step"), zeros=True),
+    "common": Declared("i1", ("task", "step")),
+    "relative": Declared("i1", ("task", "step")),
+    "null": Declared("?", ("task", "step")),
+    "cancelled": Declared("?", ("task", "step")),
     "error_otherwise": Declared("f4", ("task", "step")),
     "expected": Declared("f4", ("task", "step")),
     "loss_recorded": Declared("f4", ("task",)),
-    "offered": Declared("?", ("task",), zeros=True),
+    "offered": Declared("?", ("task",)),
     "prediction_mean": Declared("f2", ("task", "step", "planned", "net", *SEEN)),
     "prediction_std": Declared("f2", ("task", "step", "planned", "net", *SURE)),
     "refined": Declared("f2", ("task", "step", *SURE)),
@@ -232,7 +232,7 @@ def save(path: Path, parts: Iterable[Sessions], attributes: dict[str, Any]) -> N
                 chunks=(1, *chunk),
                 shards=shards,
                 dimension_names=field.dimensions,
-                config=written(field),
+                **WRITTEN,
             )
 
 
@@ -261,8 +261,6 @@ def load(path: Path, chosen: slice = slice(None)) -> Sessions:
     store = open_store(path, _FIELDS, lengths=_LENGTHS, holds=_HOLDS)
     arrays = {name: store.read(name, chosen) for name in _FIELDS}
     names = check_keys(path, arrays, store.attributes)
-    if chosen == slice(None):
-        check_counts(path, arrays, store.attributes)
     check_values(path, arrays)
     return Sessions(**{**arrays, "split": np.array(names, dtype="U10")[arrays["split"]]})
 
@@ -272,6 +270,5 @@ def load_tasks(path: Path) -> list[tuple[str, int, int, int]]:
     store = open_store(path, {name: _FIELDS[name] for name in KEYS}, lengths=_LENGTHS, holds=_HOLDS)
     arrays = {name: store.read(name) for name in KEYS}
     names = check_keys(path, arrays, store.attributes)
-    check_counts(path, arrays, store.attributes)
     splits = [names[code] for code in arrays["split"]]
     return list(zip(splits, *(arrays[name].tolist() for name in KEYS[1:]), strict=True))

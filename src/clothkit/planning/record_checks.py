@@ -1,7 +1,4 @@
-"""Whether the arrays of recorded sessions can be what sessions leave, and agree with one another.
-
-Of some arrays a lost part reads as zeros (`dataset.zarr_store`): what other arrays say of the same thing shows it.
-"""
+"""Whether the arrays of recorded sessions can be what sessions leave, and agree with one another."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -41,19 +38,6 @@ def check_keys(path: Path, arrays: Mapping[str, np.ndarray], attributes: Mapping
         again[first] = False
         _refuse(path, "sequence", again, "expected each task once, by split, sequence, start and length")
     return splits
-
-
-def check_counts(path: Path, arrays: Mapping[str, np.ndarray], attributes: Mapping[str, Any]) -> None:
-    """Raises InputError unless as many sequences of each split were planned for as the plan stage's settings say."""
-    params = attributes.get("params")
-    if not str(attributes.get("stage")).startswith("plan@") or not isinstance(params, Mapping):
-        return
-    for code, split in enumerate(attributes["splits"]):
-        wanted, found = params.get(split, 0), len(np.unique(arrays["sequence"][arrays["split"] == code]))
-        if wanted != found:
-            raise InputError(
-                f"{path}: split: expected {wanted} sequences of {split}, as its attributes say, found {found}"
-            )
 
 
 def check_values(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
