@@ -1,6 +1,6 @@
-"""Whether the arrays of recorded sessions can be what sessions leave, and agree with one another.
+"""Checks that the arrays of recorded sessions hold possible values and are consistent with one another.
 
-Of some arrays a lost part reads as zeros (`dataset.zarr_store`): what other arrays say of the same thing shows it.
+In some arrays a lost shard reads as zeros (`dataset.zarr_store`); comparing them with other arrays detects this.
 """
 
 from collections.abc import Mapping
@@ -18,9 +18,9 @@ KEYS = ("split", "sequence", "start", "length")
 
 
 def check_keys(path: Path, arrays: Mapping[str, np.ndarray], attributes: Mapping[str, Any]) -> list[str]:
-    """The names that `split` numbers, which the attribute `splits` says.
+    """The list of split names, from the attribute `splits`; the array `split` holds indices into it.
 
-    Raises InputError unless KEYS name a task in each row, no task twice.
+    Raises InputError unless the KEYS of each row name a valid task and all rows name different tasks.
     """
     splits = attributes.get("splits")
     if not isinstance(splits, list) or not set(map(str, splits)) <= set(SPLITS):
@@ -44,7 +44,10 @@ def check_keys(path: Path, arrays: Mapping[str, np.ndarray], attributes: Mapping
 
 
 def check_counts(path: Path, arrays: Mapping[str, np.ndarray], attributes: Mapping[str, Any]) -> None:
-    """Raises InputError unless as many sequences of each split were planned for as the plan stage's settings say."""
+    """Raises InputError unless the number of sequences of each split is the one in the plan stage's params.
+
+    Stores that no plan stage wrote are not checked.
+    """
     params = attributes.get("params")
     if not str(attributes.get("stage")).startswith("plan@") or not isinstance(params, Mapping):
         return
@@ -57,7 +60,7 @@ def check_counts(path: Path, arrays: Mapping[str, np.ndarray], attributes: Mappi
 
 
 def check_values(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """Raises InputError unless each session has what its length asks for, and nothing past its end."""
+    """Raises InputError unless each session has valid values up to its length and only fill values after it."""
     length = arrays["length"][:, None]
     reached, acted = np.arange(STATES) <= length, np.arange(STEPS) < length
     left = np.arange(STEPS) < (length - np.arange(STEPS))[..., None]
