@@ -127,9 +127,9 @@ def voxel_frame(voxels: Shaped[Array, "*batch x y z"]) -> Frame:
 def _moments(
     voxels: Shaped[Array, "*batch x y z"], power: int
 ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-    """Moments of that order, along x and along y, of the columns that hold cloth, about the grid's middle.
+    """Moments of order `power`, along x and along y, of the columns that hold cloth, about the grid's middle.
 
-    `[*batch]` each, in voxels to that power.
+    `[*batch]` each.
     """
     seen = jnp.any(voxels > 0, axis=-1)
     x, y = (jnp.arange(side) - (side - 1) / 2 for side in seen.shape[-2:])

@@ -12,8 +12,10 @@ from jaxtyping import PyTree
 
 
 def write(path: Path, arrays: PyTree, notes: Any) -> None:
-    """Write a pytree of arrays, and notes that JSON can hold. If the process is killed, the old or the new file is left
-    complete."""
+    """Write a pytree of arrays, and notes that can be converted to JSON.
+
+    The file is replaced atomically: if the process is killed, either the old or the new file is there.
+    """
     leaves = {str(i): np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(arrays))}
     half_written = path.with_suffix(".new")
     half_written.write_bytes(serialization.msgpack_serialize({"leaves": leaves, "notes": json.dumps(notes)}))

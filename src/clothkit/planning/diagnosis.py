@@ -63,7 +63,7 @@ def note_recorded(sessions: Sessions, goals: np.ndarray, recorded: list[Stretch]
 
 def _places(sight: Sight, seen: np.ndarray, candidates: Float[np.ndarray, "c 2"]) -> Float[np.ndarray, "present 2"]:
     present = np.isfinite(candidates[:, 0])
-    # Padded candidates are converted too, so that the shapes are the same for all states and compile once.
+    # Padding is converted too, so that shapes are the same for all states and the function is compiled only once.
     pairs = np.repeat(np.nan_to_num(candidates)[:, None], 2, axis=1)
     return sight.places(np.repeat(seen[None], len(candidates), axis=0), pairs)[present, 0]
 

@@ -36,7 +36,7 @@ def pieces(dataset: Dataset, settings: PlanConfig) -> list[tuple[str, list[Task]
 def evaluate(dataset: Dataset, planner: Planner, execute: Execute, *, work: Path) -> tuple[Pieces, Clock]:
     """Run the sessions of all tasks, except those that an earlier run has saved in the folder `work`.
 
-    Returns the sessions, which are read from `work` piece by piece so that memory does not grow with the number of
+    Returns all sessions, which are read from `work` piece by piece so that memory does not grow with the number of
     tasks, and the times that searches and estimates took.
     """
     work.mkdir(parents=True, exist_ok=True)

@@ -16,13 +16,13 @@ class IRpropConfig:
     """Hyperparameters of iRprop-; the defaults are the paper's (section 5.1)."""
 
     grow: Annotated[float, Gt(1)] = 1.2
-    """eta+"""
+    """eta+: factor on the step size where the gradient keeps its sign."""
     shrink: Annotated[float, Gt(0), Lt(1)] = 0.5
-    """eta-"""
+    """eta-: factor on the step size where the gradient changes its sign."""
     least: Annotated[float, Gt(0)] = 1e-3
-    """Delta_min"""
+    """Delta_min: lower bound of the step size."""
     most: Annotated[float, Gt(0)] = 0.05
-    """Delta_max"""
+    """Delta_max: upper bound of the step size."""
     initial: Annotated[float, Gt(0)] = 0.05
 
 

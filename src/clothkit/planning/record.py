@@ -86,9 +86,9 @@ class Sessions:
     terms: Float[np.ndarray, "task step term"]
     """Accuracy terms of nets a and b, then u."""
     common: Int8[np.ndarray, "task step"]
-    """The common equivalent in which the plan was found."""
+    """Index of the common equivalent in which the plan was found."""
     relative: Int8[np.ndarray, "task step"]
-    """The relabelling that brings the goal under the estimate's labels."""
+    """Index of the relabelling that brings the goal to the estimate's labels."""
     null: Bool[np.ndarray, "task step"]
     """Whether the plan's first manipulation was not executed."""
     cancelled: Bool[np.ndarray, "task step"]
@@ -129,8 +129,10 @@ class Sizes(NamedTuple):
 
 
 def blank(tasks: Tasks, sizes: Sizes) -> Sessions:
-    """Records of sessions that have not started: state 0 is the start state, everything later is filled with NaN, -1
-    or False."""
+    """Records of sessions that have not started.
+
+    State 0 is the start state; everything later is filled with NaN, -1 or False.
+    """
     lengths = {"task": len(tasks.task), **_LENGTHS}
     lengths |= {name: getattr(sizes, name) for name in ("candidate", "net", "iteration", "strain", "restart")}
     lengths |= dict(zip(SEEN, sizes.state, strict=True))

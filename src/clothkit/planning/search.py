@@ -27,8 +27,7 @@ UNKNOWN = -1
 """Marks a relative labelling that is not fixed: each evaluation of the loss then uses the one that fits best."""
 
 NEAR = 0.15
-"""Standard deviation of the noise that is added to the best plan when a strain restarts near it, in each component's
-own unit: geodesic or normalised."""
+"""Standard deviation of the noise added to the best plan when a strain restarts near it [geodesic, or normalised]."""
 
 COMPOSED = np.array([[compose(j, k) for k in range(COUNT)] for j in range(COUNT)], np.int32)
 
@@ -58,8 +57,7 @@ class SearchConfig:
 
 
 class Reference(NamedTuple):
-    """Reference values of the loss for plans of one length: low and high of eq. (14) for each net, and the moments of
-    eq. (15)."""
+    """Reference values of the loss for plans of one length: ranges of eq. (14) per net, moments of eq. (15)."""
 
     spans: tuple[Range, ...]
     spread: Spread
@@ -133,8 +131,7 @@ class _State(NamedTuple):
 
 
 class Fixed(NamedTuple):
-    """Quantities that are constant during a search: each net's latents of the state's equivalents, its memory traces,
-    and the goal's equivalents."""
+    """Constants of a search: for each net, latents of the state's equivalents and traces; the goal's equivalents."""
 
     latents: tuple[Float[Array, "labels latent"], ...]
     traces: tuple[Float[Array, "labels latent"], ...]
