@@ -1,1 +1,1 @@
-"""What a cloth state is: grid topology and equivalents, meshes, voxels, silhouettes."""
+"""Representations of a cloth state: grid topology and equivalents, meshes, voxels, silhouettes."""

@@ -1,4 +1,4 @@
-"""The grid that every mesh shares: vertices, geodesic coordinates, triangles and springs (section 4.2.1, eq. 11)."""
+"""The grid topology of all meshes: vertices, geodesic coordinates, triangles and springs (section 4.2.1, eq. 11)."""
 
 from typing import Any, NamedTuple
 
@@ -6,14 +6,14 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped
 
 SIDE = 32
-"""Vertices along one side of the cloth."""
+"""Number of vertices along one side of the cloth."""
 
 CLOTH_SIDE = 1.4
-"""Side of the flat cloth in normalised coordinates: the unit of every reported mesh error."""
+"""Side length of the flat cloth in normalised coordinates, which is the unit (cloth length) of reported mesh errors."""
 
 
 def flat(side: int = SIDE) -> Float[np.ndarray, "u v 3"]:
-    """The flat, axis-aligned cloth on the table, normalised coordinates: -0.7..0.7 in x (along u) and y (along v)."""
+    """The flat, axis-aligned cloth on the table: -0.7..0.7 in x (along u) and y (along v) [normalised]."""
     uv = geodesic(side) * (CLOTH_SIDE / 2)
     return np.concatenate([uv, np.zeros((side, side, 1), np.float32)], axis=-1)
 
@@ -25,7 +25,10 @@ def geodesic(side: int = SIDE) -> Float[np.ndarray, "u v 2"]:
 
 
 def thinned(values: Shaped[Any, "*batch u v c"], every: int) -> Shaped[Any, "*batch thin thin c"]:
-    """One of every `every` vertices along u and v, of an array over all of them; the same ones under all labels."""
+    """Every `every`-th vertex along u and v of an array over all vertices.
+
+    The kept vertices lie symmetrically, so that they are the same in all eight labellings.
+    """
     if every == 1:
         return values
     half = np.arange((every - 1) // 2, SIDE // 2, every)
@@ -34,9 +37,9 @@ def thinned(values: Shaped[Any, "*batch u v c"], every: int) -> Shaped[Any, "*ba
 
 
 def triangles(side: int = SIDE) -> Int[np.ndarray, "triangles 3"]:
-    """Vertex indices (u * side + v) of two triangles a quad, both on the diagonal (u, v)-(u + 1, v + 1).
+    """Vertex indices (u * side + v) of two triangles per quad, which share the diagonal (u, v)-(u + 1, v + 1).
 
-    On the flat cloth every triangle is counter-clockwise seen from above.
+    On the flat cloth, seen from above, all triangles are counter-clockwise.
     """
     index = np.arange(side * side, dtype=np.int32).reshape(side, side)
     p00, p01, p10, p11 = (index[a : side - 1 + a, b : side - 1 + b].ravel() for a, b in np.ndindex(2, 2))
@@ -44,7 +47,7 @@ def triangles(side: int = SIDE) -> Int[np.ndarray, "triangles 3"]:
 
 
 def edges(side: int = SIDE) -> Int[np.ndarray, "edges 2"]:
-    """Vertex indices of every edge of the triangles: along u, along v and the diagonals."""
+    """Vertex indices of all edges of the triangles: along u, along v and the diagonals."""
     index = np.arange(side * side, dtype=np.int32).reshape(side, side)
     along = [(index[:-1], index[1:]), (index[:, :-1], index[:, 1:]), (index[:-1, :-1], index[1:, 1:])]
     return np.concatenate([np.stack([a.ravel(), b.ravel()], -1) for a, b in along])
@@ -55,14 +58,14 @@ SPRING_OFFSETS = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 0), (0, 2))
 
 
 class Springs(NamedTuple):
-    """Eq. (11)'s springs: vertex indices of the ends, and lengths at rest [normalised]."""
+    """Springs of eq. (11): vertex indices of their ends, and rest lengths [normalised]."""
 
     ends: Int[np.ndarray, "springs 2"]
     rest: Float[np.ndarray, " springs"]
 
 
 def springs(side: int = SIDE) -> Springs:
-    """Stretch, shear and bend springs between grid neighbours; rest lengths are those of the flat cloth."""
+    """Stretch, shear and bend springs between near grid vertices; rest lengths are those of the flat cloth."""
     index = np.arange(side * side, dtype=np.int32).reshape(side, side)
     spacing = CLOTH_SIDE / (side - 1)
     ends, rest = [], []

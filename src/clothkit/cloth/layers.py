@@ -1,4 +1,4 @@
-"""In which order the layers of a folded cloth lie (section 6.4)."""
+"""Compares the vertical order of the layers of two folded cloths (section 6.4)."""
 
 import numpy as np
 from jaxtyping import Float
@@ -7,23 +7,24 @@ from scipy.spatial import cKDTree
 from clothkit.cloth.grid import CLOTH_SIDE, SIDE
 
 REACH = CLOTH_SIDE / (SIDE - 1)
-"""Vertices of the truth that are this near in x and y lie on one another [normalised]."""
+"""Distance in x and y up to which two vertices of the truth count as lying on one another [normalised]."""
 
 SLACK = 3
-"""Folds are never quite the truth's: a mesh's vertices lie on one another within so many times REACH."""
+"""Factor on REACH for the other mesh, whose folds are not exactly where the truth's are."""
 
 APART = 4
-"""Vertices this near on the cloth are of one layer [grid steps]."""
+"""Two vertices nearer to one another along the cloth than this count as one layer [grid steps]."""
 
 COMMON = 0.5
-"""Meshes that have a smaller share of the truth's overlaps are folded otherwise, in whatever order."""
+"""Least share of the truth's overlapping pairs that must also overlap in the mesh; otherwise the folds differ."""
 
 
 def reversed_share(mesh: Float[np.ndarray, "u v 3"], truth: Float[np.ndarray, "u v 3"]) -> float:
-    """The share of pairs of vertices, on one another in both meshes, whose order in z is not the truth's.
+    """The share of vertex pairs that lie on one another in both meshes whose order in z differs from the truth's.
 
-    Both under the same labels. NaN where the truth has no layers on one another, or the mesh less than COMMON of them.
-    One half where a cloth is folded twice, first over the other axis: of six pairs of layers three change places.
+    Both meshes must have the same labels. NaN if the truth has no overlapping pairs, or if less than a share COMMON of
+    them overlap in the mesh. For example, the value is 1/2 for a cloth that is folded twice if the order of the two
+    folds is exchanged: three of the six pairs of layers are reversed.
     """
     a, b = (np.asarray(m, np.float64).reshape(-1, 3) for m in (mesh, truth))
     pairs = cKDTree(b[:, :2]).query_pairs(REACH, output_type="ndarray")

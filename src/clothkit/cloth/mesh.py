@@ -10,10 +10,10 @@ from clothkit.cloth.equivalents import equivalents
 from clothkit.cloth.grid import CLOTH_SIDE
 
 LEAST_SPREAD = 0.005
-"""Floor of the standard deviation that whitening divides by: a flat cloth has none in z."""
+"""Lower bound of the standard deviation that whitening divides by; that of a flat cloth is zero in z."""
 
 Mesh = Float[Array, "*#batch u v 3"] | Float[ndarray, "*#batch u v 3"]
-"""A mesh or a batch of them; functions of two meshes broadcast."""
+"""A mesh or a batch of meshes; functions of two meshes broadcast their batch axes."""
 
 
 class ProbabilisticMesh(NamedTuple):
@@ -25,19 +25,22 @@ class ProbabilisticMesh(NamedTuple):
 
 def _moments(mesh: Mesh) -> tuple[Array, Array]:
     mean = jnp.mean(mesh, axis=(-3, -2), keepdims=True)
-    # The root of a variance below the floor has no use, and its gradient at zero is not finite.
+    # The bound is applied before the root, whose gradient at zero is not finite.
     variance = jnp.var(mesh, axis=(-3, -2), keepdims=True)
     return mean, jnp.sqrt(jnp.maximum(variance, LEAST_SPREAD**2))
 
 
 def whiten(mesh: Mesh) -> Float[Array, "... u v 3"]:
-    """w of eq. (13): the mesh with mean 0 and standard deviation 1 in each Cartesian dimension, no unit."""
+    """w of eq. (13): the mesh, scaled to mean 0 and standard deviation 1 in each Cartesian dimension (no unit)."""
     mean, spread = _moments(mesh)
     return (jnp.asarray(mesh) - mean) / spread
 
 
 def whiten_probabilistic(mesh: ProbabilisticMesh) -> ProbabilisticMesh:
-    """w of eq. (13): whitened by the moments of the means; the standard deviations are divided by the same spread."""
+    """w of eq. (13) for a probabilistic mesh.
+
+    The moments are those of the mean; its standard deviations are divided by the same standard deviation.
+    """
     mean, spread = _moments(mesh.mean)
     return ProbabilisticMesh((mesh.mean - mean) / spread, mesh.std / spread)
 
@@ -49,32 +52,32 @@ def coordinate_nll(mesh: Mesh, probabilistic: ProbabilisticMesh) -> Float[Array,
 
 
 def nll(mesh: Mesh, probabilistic: ProbabilisticMesh) -> Float[Array, "..."]:
-    """Negative log likelihood of a mesh, the mean over its coordinates (eqs. 8, 12 and 13)."""
+    """Negative log likelihood of a mesh, averaged over its coordinates (eqs. 8, 12 and 13)."""
     return jnp.mean(coordinate_nll(mesh, probabilistic), axis=(-3, -2, -1))
 
 
 def distance(a: Mesh, b: Mesh) -> Float[Array, "..."]:
-    """Mean Euclidean distance between vertices of the same label [cloth length]."""
+    """Mean Euclidean distance between vertices with the same label [cloth length]."""
     return jnp.mean(jnp.linalg.norm(jnp.asarray(a) - b, axis=-1), axis=(-2, -1)) / CLOTH_SIDE
 
 
 def align(mesh: Mesh, target: Mesh) -> Float[Array, "... u v 3"]:
-    """The mesh, moved so that its mean 3D offset to the target is zero (section 6.3)."""
+    """The mesh, translated so that its mean 3D offset from the target is zero (section 6.3)."""
     return jnp.asarray(mesh) - jnp.mean(jnp.asarray(mesh) - target, axis=(-3, -2), keepdims=True)
 
 
 def distance_aligned(a: Mesh, b: Mesh) -> Float[Array, "..."]:
-    """`distance` after the mean 3D offset is removed [cloth length]: how planning outcomes are measured."""
+    """`distance` after subtraction of the mean 3D offset [cloth length], as for planning outcomes (section 6.3)."""
     return distance(align(a, b), b)
 
 
 def error(mesh: Mesh, truth: Mesh, *, aligned: bool = False) -> Float[Array, "..."]:
-    """The smallest distance to any of the truth's eight equivalents [cloth length]."""
+    """The smallest distance to any of the truth's eight equivalents [cloth length]; `distance_aligned` if `aligned`."""
     measure = distance_aligned if aligned else distance
     return jnp.min(measure(jnp.asarray(mesh)[None], equivalents(truth)), axis=0)
 
 
 def best_label(mesh: Mesh, truth: Mesh, *, aligned: bool = False) -> Int[Array, "..."]:
-    """The k in 0..7 under which the truth comes nearest to the mesh."""
+    """The index k in 0..7 of the truth's equivalent that is nearest to the mesh."""
     measure = distance_aligned if aligned else distance
     return jnp.argmin(measure(jnp.asarray(mesh)[None], equivalents(truth)), axis=0)

@@ -1,4 +1,4 @@
-"""What a cloth covers, seen from above: silhouettes, their centre and their overlap (section 4.2.1)."""
+"""Silhouettes (masks of the area that a cloth covers, seen from above), their centre and their overlap (4.2.1)."""
 
 import cv2
 import numpy as np
@@ -13,12 +13,12 @@ _SHIFT = 4
 def silhouette(
     mesh: Float[np.ndarray, "u v 3"], *, resolution: int = 256, extent: float = 1.1
 ) -> Bool[np.ndarray, "x y"]:
-    """The pixels of the square -extent..extent [normalised] that the cloth's triangles cover, seen from above.
+    """Mask of the pixels of the square -extent..extent [normalised] that the cloth's triangles cover from above.
 
-    Pixel (i, j) spans x in -extent + 2 extent / resolution * (i, i + 1), y likewise in j.
+    Pixel (i, j) spans x in -extent + 2 extent / resolution * (i, i + 1), and y in the same way with j.
     """
     pixels = (mesh[..., :2].reshape(-1, 2) + extent) * (resolution / (2 * extent)) - 0.5
-    # cv2 indexes images as (row, column) and points as (column, row): row is x here.
+    # cv2 indexes images as (row, column) and points as (column, row); here the row is x.
     corners = np.rint(pixels[triangles(mesh.shape[0])][..., ::-1] * 2**_SHIFT).astype(np.int32)
     image = np.zeros((resolution, resolution), np.uint8)
     for corner in corners:
@@ -32,7 +32,10 @@ def pixel_centres(resolution: int, extent: float) -> Float[np.ndarray, " resolut
 
 
 def centre(mesh: Float[np.ndarray, "u v 3"], *, resolution: int = 256, extent: float = 1.1) -> Float[np.ndarray, "2"]:
-    """Mean x, y over the silhouette's pixels [normalised]; the raster follows the mesh, wherever it lies."""
+    """Mean x, y of the silhouette's pixels [normalised].
+
+    The raster is centred on the mesh's bounding box, so the mesh may lie anywhere.
+    """
     middle = (mesh[..., :2].max((0, 1)) + mesh[..., :2].min((0, 1))) / 2
     moved = mesh - np.append(middle, 0).astype(mesh.dtype)
     covered = silhouette(moved, resolution=resolution, extent=extent)
@@ -42,7 +45,7 @@ def centre(mesh: Float[np.ndarray, "u v 3"], *, resolution: int = 256, extent: f
 
 
 def centred(mesh: Float[np.ndarray, "u v 3"]) -> tuple[Float[np.ndarray, "u v 3"], Float[np.ndarray, "2"]]:
-    """The mesh moved to have its centre at (0, 0), and the centre that it had [normalised]."""
+    """The mesh translated to have its centre at (0, 0), and its centre before that [normalised]."""
     middle = centre(mesh)
     return mesh - np.append(middle, 0).astype(mesh.dtype), middle
 

@@ -13,7 +13,7 @@ Points = Float[Array, "*batch points 3"] | Float[ndarray, "*batch points 3"]
 
 
 def double(mesh: Float[Array | ndarray, "*batch u v 3"]) -> Float[Array, "*batch uu vv 3"]:
-    """The mesh at twice its resolution, by midpoints: 63 x 63 vertices from 32 x 32."""
+    """The mesh with midpoints inserted between neighbouring vertices: 63 x 63 vertices from 32 x 32."""
     mesh = jnp.asarray(mesh)
     for axis in (-3, -2):
         ahead = jax.lax.slice_in_dim(mesh, 1, None, axis=axis)
@@ -27,7 +27,10 @@ def double(mesh: Float[Array | ndarray, "*batch u v 3"]) -> Float[Array, "*batch
 
 
 def voxelise(points: Points, *, height: float = HEIGHT) -> Bool[Array, "*batch 32 32 16"]:
-    """The voxels that hold at least one point. Points outside are dropped in x and y, clamped in z (design 6.14)."""
+    """The voxels that contain at least one point.
+
+    Points outside the viewport in x or y are dropped; in z they are clamped (design 6.14).
+    """
     points = jnp.asarray(points)
     batch = points.shape[:-2]
     nx, ny, nz = RESOLUTION
@@ -42,18 +45,18 @@ def voxelise(points: Points, *, height: float = HEIGHT) -> Bool[Array, "*batch 3
 
 
 def occlude(voxels: Bool[Array, "*batch x y z"]) -> Bool[Array, "*batch x y z"]:
-    """The voxels with every voxel below an occupied one occupied too, as a camera above would see them."""
+    """Mark all voxels below an occupied one as occupied too, since a camera above can't see them."""
     return jax.lax.cummax(voxels.astype(jnp.int8), axis=voxels.ndim - 1, reverse=True).astype(bool)
 
 
 def of_mesh(mesh: Float[Array | ndarray, "*batch u v 3"], *, height: float = HEIGHT) -> Bool[Array, "*batch 32 32 16"]:
-    """The voxels that hold a vertex: undoubled, noise-free and unoccluded, as tables 4 and 7 compare them."""
+    """The voxels that contain a vertex, without doubling, noise or occlusion, as compared in tables 4 and 7."""
     mesh = jnp.asarray(mesh)
     return voxelise(mesh.reshape(*mesh.shape[:-3], -1, 3), height=height)
 
 
 def observe(mesh: Float[Array | ndarray, "*batch u v 3"], *, height: float = HEIGHT) -> Bool[Array, "*batch 32 32 16"]:
-    """What a camera above sees of a mesh: doubled, occluded, without noise; the input of every evaluation."""
+    """The voxels of a mesh as a camera above sees them: doubled, occluded, without noise; the input in evaluations."""
     dense = double(mesh)
     return occlude(voxelise(dense.reshape(*dense.shape[:-3], -1, 3), height=height))
 
@@ -66,7 +69,10 @@ def observe_noisily(
     height: float = HEIGHT,
     key: PRNGKeyArray,
 ) -> Bool[Array, "*batch 32 32 16"]:
-    """Training input of section 4.8: doubled, duplicated, each copy with its own noise [normalised], then occluded."""
+    """Training inputs of section 4.8: points are doubled and duplicated, each copy with its own noise, then occluded.
+
+    `noise` (in x and y) and `noise_z` are standard deviations [normalised].
+    """
     dense = double(mesh)
     points = dense.reshape(*dense.shape[:-3], -1, 3)
     scale = jnp.array([noise, noise, noise_z])

@@ -1,1 +1,1 @@
-"""Raw parquet, regularisation, the zarr store, splits and augmentation."""
+"""Datasets: raw parquet tables, regularisation to grids, zarr stores, splits, augmentation and export."""

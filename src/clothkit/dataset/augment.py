@@ -1,4 +1,4 @@
-"""Null insertion and random turns of the training sequences, as a store that can be inspected (section 4.6)."""
+"""Insertion of null manipulations into training sequences and random rotation, saved as a store (section 4.6)."""
 
 from typing import Annotated
 
@@ -14,7 +14,7 @@ from clothkit.manipulation.vector import SHORTEST
 
 @config
 class AugmentConfig:
-    """How many variants of each training sequence are written, and how many of them have a null manipulation."""
+    """Number of variants of each training sequence, and the share of them with an inserted null manipulation."""
 
     variants: Annotated[int, Gt(0)] = 2
     null_share: Annotated[float, Ge(0), Le(1)] = 0.25
@@ -22,7 +22,10 @@ class AugmentConfig:
 
 
 def augment(training: Dataset, settings: AugmentConfig) -> Dataset:
-    """`variants` copies of every sequence, some with a null inserted, each turned and mirrored at random."""
+    """Make `variants` copies of every sequence, each rotated and mirrored at random.
+
+    With probability `null_share`, a copy also gets a null manipulation at a random step.
+    """
     copies = training.take(np.repeat(np.arange(len(training)), settings.variants))
     rng = np.random.default_rng(settings.seed)
     fields = {name: getattr(copies, name).copy() for name in ("vertices", "centre", "manipulation", "hands", "length")}
@@ -34,7 +37,10 @@ def augment(training: Dataset, settings: AugmentConfig) -> Dataset:
 
 
 def _insert_null(fields: dict[str, np.ndarray], row: int, rng: np.random.Generator) -> None:
-    """(m0, null, m1) with states (s0, s1, s1, s2): what a null displaces moves on by a step, the last one drops out."""
+    """Insert a null manipulation at a random step of one row, in place, e.g. (m0, null, m1) with (s0, s1, s1, s2).
+
+    The manipulations from that step on come one step later; if the sequence has full length, the last one is dropped.
+    """
     length = int(fields["length"][row])
     step = int(rng.integers(min(length + 1, STEPS)))
     kept_states = np.insert(np.arange(STATES - 1), step, step)
@@ -58,7 +64,7 @@ def _insert_null(fields: dict[str, np.ndarray], row: int, rng: np.random.Generat
 
 
 def null_displacement(rng: np.random.Generator) -> Float[np.ndarray, "2"]:
-    """A displacement that is uniform in the disc of null manipulations [normalised]."""
+    """A random displacement, uniform in the disc of null manipulations [normalised]."""
     angle, radius = rng.uniform(0, 2 * np.pi), SHORTEST * np.sqrt(rng.random())
     return radius * np.array([np.cos(angle), np.sin(angle)])
 

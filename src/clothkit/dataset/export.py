@@ -1,8 +1,8 @@
-"""Cloth states as files that other programs open: OBJ, PLY and GLB, by trimesh.
+"""Export of cloth states to common mesh files: OBJ, PLY and GLB, written by trimesh.
 
-All are in metres. OBJ and PLY keep the world frame of the raw artifacts (z up, the table at z = 0); GLB is turned to
-y up as its standard demands, (x, y, z) becoming (x, z, -y). Material coordinates go along as texture coordinates, 0..1
-from one edge of the cloth to the other.
+All are in metres. OBJ and PLY keep the world frame of the raw artifacts (z up, the table at z = 0). GLB is rotated to y
+up, as its standard requires: (x, y, z) becomes (x, z, -y). Material coordinates are stored as texture coordinates,
+0..1 from one edge of the cloth to the other.
 """
 
 from collections.abc import Iterator, Sequence
@@ -31,7 +31,7 @@ _Y_UP = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], floa
 
 
 class Surface(NamedTuple):
-    """One state as triangles."""
+    """One state as a triangle mesh."""
 
     sequence: int
     state: int
@@ -41,22 +41,23 @@ class Surface(NamedTuple):
     uv: Float[np.ndarray, "vertices 2"]
     """Material coordinates, 0..1."""
     title: str = ""
-    """What it is, where it is not a state of a sequence."""
+    """Name of a surface that is not a state of a sequence; empty otherwise."""
 
     @property
     def name(self) -> str:
-        """What its file is called, without the format's ending."""
+        """The name of its file, without extension."""
         return self.title or f"sequence_{self.sequence:04d}_state_{self.state}"
 
 
 def export(
     source: Path, target: Path, *, file_format: str, sequences: Sequence[int] | None = None, cloth_side: float
 ) -> list[Path]:
-    """Write the states of some or all sequences into the folder `target`, a file each; the files.
+    """Write the states of some or all sequences to one file each in the folder `target`; returns the files' paths.
 
-    `source` is a folder of raw artifacts or a store of meshes, whose sequences are counted from 0, and whose meshes are
-    put back where they lay, `cloth_side` [m] wide. Each file appears whole or not at all. Raises InputError when the
-    format, the source or a sequence isn't there, the side is no cloth's, or a file can't be written.
+    `source` is a folder of raw artifacts or a store of meshes. The sequences of a store are numbered from 0; its meshes
+    are moved back to their centres and scaled to a cloth of width `cloth_side` [m]. Each file is written atomically.
+    Raises InputError for an unknown format, a missing source or sequence, a `cloth_side` out of range, and a file that
+    can't be written.
     """
     if not 0 < cloth_side <= LARGEST_SIDE:
         raise InputError(f"cloth side {cloth_side:g}: expected metres, above 0 and up to {LARGEST_SIDE:g}")
@@ -83,9 +84,9 @@ def export(
 
 
 def raw_surfaces(folder: Path, sequences: Sequence[int] | None) -> tuple[int, Iterator[Surface]]:
-    """How many states of some or all sequences of raw artifacts there are, and these, each in its own topology.
+    """The number of states of some or all sequences of raw artifacts, and an iterator over them.
 
-    Raises InputError when a sequence isn't there, or a state's topology.
+    Each state keeps its own triangulation. Raises InputError if a sequence or a state's topology is missing.
     """
     numbers = read_states(folder / "states", ("sequence", "state"))["sequence"].to_numpy()
     chosen = _checked(folder, sequences, np.unique(numbers).tolist())
@@ -93,7 +94,7 @@ def raw_surfaces(folder: Path, sequences: Sequence[int] | None) -> tuple[int, It
     topologies = Topologies(folder)
 
     def surfaces() -> Iterator[Surface]:
-        # A batch at a time: a dataset of thousands of sequences need not lie in memory.
+        # Sequences are read in batches, because thousands of them may not fit into memory.
         for batch in (chosen[first : first + 100] for first in range(0, len(chosen), 100)):
             states = read_states(folder / "states", sequences=batch)
             for sequence, state, number, flat in zip(*(states[name] for name in STATE_COLUMNS), strict=True):
@@ -106,9 +107,9 @@ def raw_surfaces(folder: Path, sequences: Sequence[int] | None) -> tuple[int, It
 
 
 def stored_surfaces(path: Path, sequences: Sequence[int] | None, *, cloth_side: float) -> tuple[int, Iterator[Surface]]:
-    """How many states of some or all sequences of a store of meshes there are, and these: scaled to `cloth_side` [m].
+    """The number of states of some or all sequences of a store of meshes, and an iterator over them.
 
-    Raises InputError when a sequence isn't there.
+    States are scaled to a cloth of width `cloth_side` [m]. Raises InputError if a sequence is missing.
     """
     dataset = store.load(path)
     chosen = _checked(path, sequences, list(range(len(dataset))))
@@ -126,16 +127,16 @@ def stored_surfaces(path: Path, sequences: Sequence[int] | None, *, cloth_side: 
 
 
 def to_trimesh(surface: Surface) -> trimesh.Trimesh:
-    """The state as trimesh has it: metres, z up, with texture coordinates and a two-sided material."""
+    """The state as a trimesh object: metres, z up, with texture coordinates and a two-sided material."""
     material = PBRMaterial(name="cloth", baseColorFactor=_COLOUR, metallicFactor=0.0, roughnessFactor=1.0)
     material.doubleSided = True
     visual = trimesh.visual.TextureVisuals(uv=surface.uv, material=material)
-    # Unprocessed, so that the vertices keep their number and order.
+    # Without `process=False`, trimesh may merge or reorder vertices.
     return trimesh.Trimesh(surface.vertices, surface.triangles, visual=visual, process=False)
 
 
 def encode(surface: Surface, file_format: str) -> bytes:
-    """The state as the bytes of a file; equal states give equal bytes."""
+    """The contents of a state's file in that format; equal states give equal bytes."""
     mesh = to_trimesh(surface)
     if file_format == "obj":
         text = export_obj(mesh, header=f"clothkit: {surface.name}, metres, z up", include_normals=False)
@@ -151,7 +152,7 @@ def encode(surface: Surface, file_format: str) -> bytes:
 
 
 def _checked(source: Path, sequences: Sequence[int] | None, present: Sequence[int]) -> list[int]:
-    """The sequences that are asked for, all when none are."""
+    """The requested sequences, sorted, or all if `sequences` is None. Raises InputError if one is missing."""
     if not present:
         raise InputError(f"{source}: holds no sequence")
     if sequences is None:

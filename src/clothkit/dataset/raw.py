@@ -1,4 +1,4 @@
-"""Reading the raw artifacts: what the simulation wrote, before it is a grid of 32 x 32 (design section 4)."""
+"""Reads the raw artifacts: the simulator's output before it is resampled to a grid of 32 x 32 (design section 4)."""
 
 import dataclasses
 from collections.abc import Collection, Sequence
@@ -16,19 +16,19 @@ from clothkit.errors import InputError
 STATE_COLUMNS = ("sequence", "state", "topology", "vertices")
 MANIPULATION_COLUMNS = ("sequence", "step", "hands", "u1", "v1", "u2", "v2", "dx", "dy")
 MEASURED = ("height", "strain_p99", "strain_worst", "intersections", "gap", "residual_speed")
-"""What is measured of states, where the simulator measures it."""
+"""Columns of measurements of states, present if the simulator measures them."""
 
 FARTHEST = 100.0
-"""Nothing lies farther from the world's origin [m]."""
+"""Largest accepted absolute coordinate [m]."""
 
 STRETCH = 2.0
-"""No cloth reaches farther along an axis than this many times its flat diagonal."""
+"""Largest accepted extent of a state along an axis, as a multiple of the flat cloth's diagonal."""
 
 _COUNTED = Column("whole numbers", 0)
 _MEASURE = Column("numbers", missing=True, optional=True)
-# Of a tried state that was no longer finite, too.
+# An attempt may have ended with a state that is not finite, so its measurements may be infinite or missing.
 _MEASURES = Column("lists of numbers", missing=True, infinite=True, optional=True)
-# Grasp points come from float32 coordinates.
+# Slightly more than -1..1, because grasp points come from float32 coordinates.
 _GEODESIC = Column("numbers", -1.001, 1.001)
 _DISPLACEMENT = Column("numbers", -10, 10)
 
@@ -42,7 +42,7 @@ STATES_TABLE = Table(
     },
     keys=("sequence", "state"),
 )
-"""Metres, world frame."""
+"""Schema of one file of states: metres, world frame."""
 
 _ALL_STATES = Table(
     STATES_TABLE.columns,
@@ -56,7 +56,7 @@ _ALL_STATES = Table(
         ),
     ),
 )
-"""Of all files together."""
+"""Schema of the states of all files together, which must have every state of each sequence."""
 
 MANIPULATIONS = Table(
     {
@@ -71,7 +71,7 @@ MANIPULATIONS = Table(
     keys=("sequence", "step"),
     complete=(Complete(("sequence",), ("step",), lambda moves: moves["step"] + 1, "steps from 0 on, none left out"),),
 )
-"""Grasp points geodesic, displacements normalised."""
+"""Schema of manipulations: grasp points are geodesic, displacements normalised."""
 
 ATTEMPTS = Table(
     {
@@ -92,14 +92,14 @@ TOPOLOGIES = Table(
     },
     keys=("topology",),
 )
-"""Material coordinates in metres."""
+"""Schema of topologies: material coordinates in metres."""
 
 _SIDES = (0.01, 20.0)
-"""Of flat cloths [m]: what is smaller or larger has other units."""
+"""Accepted range of a flat cloth's sides [m]; other values are probably in another unit."""
 
 
 def state_files(folder: Path) -> list[Path]:
-    """The parquet files that states are spread over. Raises InputError when there are none."""
+    """The parquet files of states in a folder, sorted. Raises InputError if there are none."""
     files = sorted(folder.glob("*.parquet"))
     if not files:
         raise InputError(f"{folder}: holds no parquet file of states")
@@ -109,9 +109,9 @@ def state_files(folder: Path) -> list[Path]:
 def read_states(
     folder: Path, columns: Sequence[str] = STATE_COLUMNS, *, sequences: Collection[int] | None = None
 ) -> pd.DataFrame:
-    """Every state, or those of some sequences, by sequence and state.
+    """Read all states, or those of some sequences, sorted by sequence and state.
 
-    Raises InputError for a file that is not as it should be, and for sequences that lack a state or have one twice.
+    Raises InputError for a file that does not match its schema, and for a sequence with missing or duplicate states.
     """
     found = [read(file, STATES_TABLE, columns, sequences=sequences) for file in state_files(folder)]
     states = pd.concat(found).sort_values(["sequence", "state"], kind="stable").reset_index(drop=True)
@@ -120,9 +120,10 @@ def read_states(
 
 
 def read_manipulations(raw: Path, states: pd.DataFrame, columns: Sequence[str] = MANIPULATION_COLUMNS) -> pd.DataFrame:
-    """The manipulations of a folder of raw artifacts, by sequence and step.
+    """Read the manipulations of a folder of raw artifacts, sorted by sequence and step.
 
-    Raises InputError for a file that is not as it should be, and unless `states` are those between them.
+    Raises InputError for a file that does not match its schema, and if a sequence does not have one manipulation from
+    each of its `states` to the next.
     """
     path = raw / "manipulations.parquet"
     moves = read(path, MANIPULATIONS, columns).sort_values(["sequence", "step"], kind="stable").reset_index(drop=True)
@@ -139,25 +140,25 @@ def read_manipulations(raw: Path, states: pd.DataFrame, columns: Sequence[str] =
 
 
 class Topology(NamedTuple):
-    """What states of one triangulation share."""
+    """A triangulation of the cloth, shared by states."""
 
     material: Float[np.ndarray, "vertices 2"]
-    """Where each vertex lies on the flat cloth [m]."""
+    """Position of each vertex on the flat cloth [m]."""
     triangles: Int[np.ndarray, "triangles 3"]
 
 
 class Topologies:
-    """The triangulations of a folder of raw artifacts."""
+    """The triangulations in a folder of raw artifacts. Raises InputError if the file does not match its schema."""
 
     def __init__(self, raw: Path) -> None:
         self.path = raw / "topologies.parquet"
         self.rows = read(self.path, TOPOLOGIES).set_index("topology")
 
     def __call__(self, where: str, number: int, vertices: np.ndarray) -> tuple[Topology, np.ndarray]:
-        """A state's topology, and its vertices as float32 [vertices 3].
+        """The topology of that number, and a state's flat list of coordinates as an array, float32 [vertices 3].
 
-        Raises InputError, naming the state as `where` says, when there is no such topology, when its vertices are
-        others, or when these lie farther apart than a cloth's can.
+        Raises InputError, which names the state by `where`, if there is no such topology, if the state has another
+        number of vertices, or if its extent is larger than STRETCH allows.
         """
         if number not in self.rows.index:
             raise InputError(f"{where}: its topology {number} is not in topologies.parquet")

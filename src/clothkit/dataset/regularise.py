@@ -1,4 +1,4 @@
-"""From raw states of any topology to normalised, centred 32 x 32 meshes, split for learning (4.2.1 and 4.4)."""
+"""Converts raw states of any topology to normalised, centred 32 x 32 meshes, and assigns splits (4.2.1 and 4.4)."""
 
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -17,41 +17,41 @@ from clothkit.dataset.store import SPLITS, STATES, STEPS, Dataset
 from clothkit.errors import InputError
 
 MARGIN = 1e-3
-"""How negative a barycentric weight may be for a point to count as covered: coordinates come with six digits."""
+"""A point counts as covered if no barycentric weight is below -MARGIN, since coordinates may be rounded to 6 digits."""
 
 KEPT = 64
-"""Interpolations kept at a time: ARCSim's states have a topology each."""
+"""Largest number of cached interpolations; ARCSim writes a topology for every state."""
 
 
 @config
 class RegulariseConfig:
-    """How many sequences each split takes, and how many of each evaluations use."""
+    """Numbers of sequences in the splits and in evaluations."""
 
     train: Annotated[int, Gt(0)]
     validation: Annotated[int, Gt(0)]
     test: Annotated[int, Gt(0)]
     evaluated: Annotated[int, Gt(0)] = 100
-    """Test sequences, and as many training sequences, that evaluations use."""
+    """Number of test sequences, and also of training sequences, that evaluations use."""
     seed: Annotated[int, Ge(0)] = 0
 
 
 class Interpolation(NamedTuple):
-    """For each vertex of the grid: three vertices of the topology and their barycentric weights."""
+    """Barycentric interpolation: for each grid vertex, three vertices of the topology and their weights."""
 
     vertices: Int[np.ndarray, "grid 3"]
     weights: Float[np.ndarray, "grid 3"]
 
     def __call__(self, positions: Float[np.ndarray, "vertices 3"]) -> Float[np.ndarray, "u v 3"]:
-        """The grid's vertices, from the topology's."""
+        """The positions of the grid's vertices, interpolated from those of the topology's."""
         return np.einsum("gk,gkc->gc", self.weights, positions[self.vertices]).reshape(SIDE, SIDE, 3)
 
 
 def interpolation(
     material: Float[np.ndarray, "vertices 2"], triangles: Int[np.ndarray, "triangles 3"], *, name: str = "topology"
 ) -> Interpolation:
-    """Barycentric interpolation in material space [m]; exact for every map that is linear on each triangle.
+    """The barycentric interpolation in material space [m]; it is exact for maps that are linear on each triangle.
 
-    Raises InputError when the triangles don't cover the material's square.
+    Raises InputError, which names the topology by `name`, if the triangles don't cover the cloth's rectangle.
     """
     low, high = material.min(0), material.max(0)
     targets = (geodesic().reshape(-1, 2).astype(float) + 1) / 2 * (high - low) + low
@@ -64,7 +64,7 @@ def interpolation(
     weight_b = (offset[:, 0] * edge_c[:, 1] - offset[:, 1] * edge_c[:, 0]) / area
     weight_c = (edge_b[:, 0] * offset[:, 1] - edge_b[:, 1] * offset[:, 0]) / area
     weights = np.stack([1 - weight_b - weight_c, weight_b, weight_c], axis=-1)
-    # Of a target's triangles the one that it lies deepest in, the first of equals.
+    # Of several triangles that contain a target, the one with the largest least weight is used, or the first of equals.
     order = np.lexsort((triangle, -weights.min(-1), target))
     covered, first = np.unique(target[order], return_index=True)
     chosen = weights[order[first]]
@@ -77,9 +77,12 @@ def interpolation(
 def _near(
     targets: Float[np.ndarray, "u v 2"], corners: Float[np.ndarray, "3 triangles 2"]
 ) -> tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"]]:
-    """Pairs of a target (index u * side + v) and a triangle in whose bounding box it lies: few of all pairs."""
+    """Pairs of a target (index u * side + v) and a triangle whose bounding box contains it.
+
+    Only these few candidate pairs need an exact test.
+    """
     low, high = corners.min(0), corners.max(0)
-    # What is outside by MARGIN in each of two weights may lie this far outside the box.
+    # A point with two weights of -MARGIN lies outside the box by up to 2 MARGIN times its size.
     slack = 2.1 * MARGIN * (high - low)
     firsts, counts = [], []
     for axis, line in enumerate((targets[:, 0, 0], targets[0, :, 1])):
@@ -93,7 +96,10 @@ def _near(
 
 
 def regularise(raw: Path, settings: RegulariseConfig) -> Dataset:
-    """The dataset of a folder of raw artifacts. Raises InputError when they are too few, or not as they should be."""
+    """Make a dataset from a folder of raw artifacts.
+
+    Raises InputError if there are fewer sequences than the splits need, or if a file does not match its schema.
+    """
     states = read_states(raw / "states")
     manipulations = read_manipulations(raw, states)
     wanted = settings.train + settings.validation + settings.test
@@ -119,7 +125,7 @@ def regularise(raw: Path, settings: RegulariseConfig) -> Dataset:
 
 
 def assign_splits(settings: RegulariseConfig) -> tuple[np.ndarray, np.ndarray]:
-    """A split for each sequence (index into SPLITS) and whether evaluations use it, drawn from the seed."""
+    """A random split for each sequence (index into SPLITS), and whether evaluations use the sequence."""
     counts = [settings.train, settings.validation, settings.test]
     split = np.repeat(np.arange(len(SPLITS), dtype=np.int8), counts)
     split = np.random.default_rng(settings.seed).permutation(split)
@@ -130,10 +136,10 @@ def assign_splits(settings: RegulariseConfig) -> tuple[np.ndarray, np.ndarray]:
 
 
 class Mesher:
-    """Raw states as normalised meshes, where they lay on the table; interpolations are made once a topology.
+    """Converts raw states to normalised meshes [u v 3] at their place on the table; interpolations are cached.
 
-    Calls take a name for error messages, the topology's number and the vertices [m], flat or [vertices, 3]. They raise
-    InputError when the topology is unknown, doesn't cover the cloth, or has another number of vertices.
+    A call takes a name for error messages, the topology's number and the flat list of vertex coordinates [m]. It raises
+    InputError if the topology is unknown, does not cover the cloth, or has another number of vertices.
     """
 
     def __init__(self, topologies: Topologies) -> None:

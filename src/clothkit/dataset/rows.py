@@ -1,4 +1,4 @@
-"""Writing tidy rows, with what they were made with in the file's own metadata (design section 4)."""
+"""Writes tidy rows to parquet, with stage, scale and params in the file's metadata (design section 4)."""
 
 import json
 from pathlib import Path
@@ -10,7 +10,10 @@ import pyarrow.parquet as pq
 
 
 def write_rows(path: Path, rows: pd.DataFrame, attributes: dict[str, Any]) -> None:
-    """Write rows as parquet; the attributes are JSON under the key `clothkit`. Equal rows give equal bytes."""
+    """Write rows as parquet, with the attributes as JSON under the metadata key `clothkit`.
+
+    Equal rows and attributes give equal bytes.
+    """
     table = pa.Table.from_pandas(rows, preserve_index=False)
     metadata = {**(table.schema.metadata or {}), b"clothkit": json.dumps(attributes, sort_keys=True).encode()}
     pq.write_table(table.replace_schema_metadata(metadata), path)

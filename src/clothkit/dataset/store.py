@@ -1,4 +1,4 @@
-"""The zarr store of meshes, and the record that the rest of the library reads it as (design section 4)."""
+"""The zarr store of meshes, and the class `Dataset` that holds its contents (design section 4)."""
 
 import dataclasses
 from collections.abc import Collection
@@ -16,7 +16,7 @@ from clothkit.errors import InputError
 SPLITS = ("train", "validation", "test")
 STATES, STEPS = 4, 3
 LENGTHS = {"state": STATES, "step": STEPS, "u": SIDE, "v": SIDE, "xyz": 3, "xy": 2, "component": 6}
-"""Dimensions that are as long in every store."""
+"""Lengths of the dimensions that are the same in every store."""
 
 _CHUNK, _SHARD = 16, 1024
 _ARRAYS = {
@@ -31,22 +31,22 @@ _ARRAYS = {
 _HOLDS = "which a store of meshes holds"
 
 FARTHEST = 1000.0
-"""No length is more [normalised]: a file that says so has other units, or is damaged."""
+"""Largest accepted absolute value [normalised]; a file with larger ones is damaged or in another unit."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Dataset:
-    """Sequences of states and manipulations. Normalised units; states past a sequence's length are NaN."""
+    """Sequences of states and manipulations in normalised units. Values after a sequence's end are NaN."""
 
     vertices: Float[np.ndarray, "sequence state u v 3"]
     """Meshes, centred."""
     centre: Float[np.ndarray, "sequence state 2"]
-    """Where each mesh's centre was."""
+    """Position of each mesh's centre on the table before centring."""
     manipulation: Float[np.ndarray, "sequence step 6"]
-    """u1 v1 u2 v2 dx dy; one hand: the grasp point twice."""
+    """u1 v1 u2 v2 dx dy; one-handed manipulations repeat the grasp point."""
     hands: Int8[np.ndarray, "sequence step"]
     length: Int8[np.ndarray, " sequence"]
-    """Manipulations in the sequence, 1..3."""
+    """Number of manipulations in the sequence, 1..3."""
     split: Int8[np.ndarray, " sequence"]
     """Index into SPLITS."""
     evaluated: Bool[np.ndarray, " sequence"]
@@ -56,21 +56,21 @@ class Dataset:
         return len(self.length)
 
     def take(self, index: Int[np.ndarray, " taken"] | Bool[np.ndarray, " sequence"] | slice) -> "Dataset":
-        """The chosen sequences."""
+        """The sequences chosen by an index array, a mask or a slice."""
         return Dataset(*(getattr(self, field.name)[index] for field in dataclasses.fields(self)))
 
     def indices(self, split: str, *, evaluated: bool = False) -> Int[np.ndarray, " chosen"]:
-        """The numbers of the sequences of one split, in order; of those that evaluations use if `evaluated`."""
+        """Sorted indices of the sequences of one split; with `evaluated`, only of those that evaluations use."""
         chosen = self.split == SPLITS.index(split)
         return np.flatnonzero(chosen & self.evaluated if evaluated else chosen)
 
     def of_split(self, split: str, *, evaluated: bool = False) -> "Dataset":
-        """The sequences of one split."""
+        """The sequences of one split; with `evaluated`, only those that evaluations use."""
         return self.take(self.indices(split, evaluated=evaluated))
 
 
 def save(path: Path, dataset: Dataset, attributes: dict[str, Any]) -> None:
-    """Write a dataset as a zarr v3 directory of a handful of shards; the same dataset gives the same bytes."""
+    """Write a dataset as a zarr v3 directory with few shard files; equal datasets give equal bytes."""
     group = zarr.create_group(path, overwrite=True, attributes={**attributes, "splits": list(SPLITS)})
     for name, declared in _ARRAYS.items():
         data = np.ascontiguousarray(getattr(dataset, name)).astype(declared.dtype)
@@ -87,12 +87,19 @@ def save(path: Path, dataset: Dataset, attributes: dict[str, Any]) -> None:
 
 
 def open_meshes(path: Path, names: Collection[str] = tuple(_ARRAYS)) -> Store:
-    """A store of meshes whose arrays of those names are as they should be, none of them read. Raises InputError."""
+    """Open a store of meshes and check the schema of the named arrays, without reading them.
+
+    Raises InputError if an array is missing, has missing files or is not as declared.
+    """
     return open_store(path, {name: _ARRAYS[name] for name in names}, lengths=LENGTHS, holds=_HOLDS)
 
 
 def load(path: Path) -> Dataset:
-    """Read and check a store. Raises InputError naming the file, the array and what was expected."""
+    """Read and check a store of meshes.
+
+    Raises InputError, which names the file, the array and what was expected, for a store that is missing, damaged, not
+    as declared, or has values out of range.
+    """
     path = Path(path)
     store = open_meshes(path)
     dataset = Dataset(**{name: store.read(name) for name in _ARRAYS})
@@ -102,7 +109,7 @@ def load(path: Path) -> Dataset:
 
 
 def load_splits(path: Path) -> tuple[Int8[np.ndarray, " sequence"], Int8[np.ndarray, " sequence"]]:
-    """Split and length of each sequence of a store, no mesh read. Raises InputError, as `load` does."""
+    """Read the split and length of each sequence of a store, without its meshes. Raises InputError, as `load` does."""
     store = open_meshes(path, ("split", "length"))
     split, length = store.read("split"), store.read("length")
     _check_splits(path, split, length)
@@ -124,7 +131,6 @@ def _check_values(path: Path, dataset: Dataset) -> None:
         values = getattr(dataset, name)
         rest = tuple(range(2, values.ndim))
         _refuse(path, name, axis, present[axis] & ~np.isfinite(values).all(axis=rest), "is not finite")
-        # A NaN, past the end, is no more than anything.
         far = present[axis] & (np.abs(values) > FARTHEST).any(axis=rest)
         _refuse(path, name, axis, far, f"is beyond {FARTHEST:g}, expected normalised lengths")
     _refuse(path, "hands", "step", present["step"] & ~np.isin(dataset.hands, (1, 2)), "is not 1 or 2")

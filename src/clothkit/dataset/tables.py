@@ -1,7 +1,7 @@
-"""Parquet tables: what one holds is declared, and is checked against that wherever it is read.
+"""Schemas of parquet tables, against which a table is checked whenever it is read.
 
-A table's declaration is what pyarrow's schemas have, the kinds of columns, and what these lack: ranges with their
-units, names that may stand in a column, keys, rules between columns, and which rows there have to be.
+In addition to the types of columns, which pyarrow's schemas have, these declare ranges, allowed texts, keys, rules
+between columns, and which rows must exist.
 """
 
 import dataclasses
@@ -29,16 +29,16 @@ _LIST = "lists of "
 
 @dataclasses.dataclass(frozen=True)
 class Column:
-    """What stands in a column."""
+    """The schema of a column."""
 
     kind: str
-    """Of _KINDS, or a list of them."""
+    """A key of _KINDS, or `lists of` and such a key."""
     least: int | float = -np.inf
     most: int | float = np.inf
     among: tuple[str, ...] = ()
-    """The texts that may stand there; any if there are none."""
+    """The allowed texts; empty if all are allowed."""
     missing: bool = False
-    """Whether there may be nothing: null or NaN, in lists too."""
+    """Whether values, or items of lists, may be null or NaN."""
     infinite: bool = False
     """Whether numbers may be infinite."""
     optional: bool = False
@@ -46,12 +46,12 @@ class Column:
 
     @property
     def item(self) -> str:
-        """The kind of one value, of a list or not."""
+        """The kind of a value, or of the items if values are lists."""
         return self.kind.removeprefix(_LIST)
 
     @property
     def expected(self) -> str:
-        """In words."""
+        """The expected values in words, for error messages."""
         low, high = np.isfinite(self.least), np.isfinite(self.most)
         limits = f" {self.least:g} to {self.most:g}" if low and high else f" from {self.least:g} on" if low else ""
         names = f" ({', '.join(self.among)})" if self.among else ""
@@ -59,16 +59,20 @@ class Column:
 
 
 class Rule(NamedTuple):
-    """What holds in each row."""
+    """A condition that every row must satisfy."""
 
     columns: tuple[str, ...]
     holds: Callable[[pd.DataFrame], Any]
-    """Of these columns, in this order: a truth value per row."""
+    """Takes a frame of these columns, in this order; returns a truth value per row."""
     expected: str
 
 
 class Complete(NamedTuple):
-    """Which rows there are: of each group as many as `rows` gives for one of its rows, the largest of these."""
+    """A condition on the number of rows in each group of rows with equal values in the columns `by`.
+
+    It must equal the largest value of `rows` in the group. `rows` takes the whole frame, needs `columns`, and returns a
+    number per row.
+    """
 
     by: tuple[str, ...]
     columns: tuple[str, ...]
@@ -78,7 +82,7 @@ class Complete(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Table:
-    """What a table holds."""
+    """The schema of a table."""
 
     columns: Mapping[str, Column]
     keys: tuple[str, ...] = ()
@@ -91,24 +95,24 @@ class Table:
 def read(
     path: Path, table: Table, columns: Sequence[str] = (), *, sequences: Collection[int] | None = None
 ) -> pd.DataFrame:
-    """The rows of a parquet file, or those of some `sequences`, that are as the table is declared.
+    """Read the rows of a parquet file, or those of some `sequences`, and check them against the schema.
 
-    With `columns` these alone are read, of the optional ones those that are there; without, all that the file has,
-    undeclared ones unchecked. Raises InputError, naming the file, the column and what was expected.
+    With `columns`, only these are read, and optional ones may be absent. Otherwise all columns of the file are read;
+    undeclared ones are not checked. Raises InputError, which names the file, the column and what was expected.
     """
     try:
         schema = pq.read_schema(path)
         names = _present(path, table, columns, schema.names)
         rows = None if sequences is None else [("sequence", "in", sorted(sequences))]
         if not (table.may_be_empty and pq.read_metadata(path).num_rows == 0):
-            # Before they are read: a filter by sequence takes numbers alone.
+            # Types are checked before reading, because the filter by sequence fails on a column that is not numeric.
             for name in names:
                 _check_kind(path, name, table.columns[name], schema.field(name).type)
         found = pq.read_table(path, columns=names if columns else None, filters=rows)
         frame = found.to_pandas()
     except InputError:
         raise
-    except Exception as error:  # of pyarrow by many kinds, of pandas where its metadata are damaged
+    except Exception as error:  # pyarrow, and pandas for damaged metadata, raise many types of exceptions
         raise _unreadable(path, error) from error
     lost = [name for name in names if name not in frame]
     if lost:
@@ -124,7 +128,10 @@ def read(
 
 
 def read_attributes(path: Path) -> dict[str, Any]:
-    """What a parquet file says of how it was made: stage, scale and params; empty when it says nothing."""
+    """Read the attributes of a parquet file (stage, scale and params), or an empty dictionary if it has none.
+
+    Raises InputError if the file can't be read or the attributes are not a JSON object.
+    """
     try:
         found = json.loads((pq.read_schema(path).metadata or {}).get(b"clothkit", b"{}"))
     except (pa.ArrowException, OSError, ValueError) as error:
@@ -135,9 +142,9 @@ def read_attributes(path: Path) -> dict[str, Any]:
 
 
 def check(path: Path, table: Table, frame: pd.DataFrame) -> None:
-    """Raises InputError where keys stand twice, a rule is broken or a row is missing, as far as the columns are there.
+    """Raises InputError if keys are duplicated, a rule is violated or a row is missing.
 
-    For rows of several files together `path` is their folder.
+    Conditions on columns that the frame lacks are skipped. For the rows of several files, `path` is their folder.
     """
     if table.keys and set(table.keys) <= set(frame):
         again = frame.duplicated(list(table.keys))
@@ -210,7 +217,7 @@ def _check_lists(path: Path, name: str, table: Table, values: pa.ChunkedArray, f
         return
     first = 0
     for chunk in values.chunks:
-        # What is missing from a list becomes NaN.
+        # The conversion to NumPy turns null items into NaN.
         items = chunk.flatten().to_numpy(zero_copy_only=False)
         if not _surely_right(table.columns[name], items) and (wrong := _wrong(table.columns[name], items)).any():
             item = int(np.argmax(wrong))
@@ -220,7 +227,7 @@ def _check_lists(path: Path, name: str, table: Table, values: pa.ChunkedArray, f
 
 
 def _surely_right(column: Column, values: np.ndarray) -> bool:
-    """Whether a look at the least and the largest suffices: for the millions of coordinates of states."""
+    """Whether minimum and maximum alone show that all values are valid: a fast test for millions of coordinates."""
     if not len(values):
         return True
     low, high = values.min(), values.max()
@@ -228,7 +235,7 @@ def _surely_right(column: Column, values: np.ndarray) -> bool:
 
 
 def _wrong(column: Column, values: np.ndarray) -> np.ndarray:
-    """Which numbers are not those that are expected. NaN is not within limits."""
+    """Mask of the invalid numbers. NaN is invalid unless values may be missing."""
     right = (values >= column.least) & (values <= column.most) & (column.infinite | np.isfinite(values))
     return ~(right | np.isnan(values)) if column.missing else ~right
 
@@ -241,7 +248,7 @@ def _refuse(
 
 
 def _where(frame: pd.DataFrame, table: Table, wrong: np.ndarray | pd.Series) -> str:
-    """The first wrong row in words: its keys, or else its number."""
+    """The first wrong row in words, for error messages: its keys or, if it has none, its number."""
     place = int(np.argmax(np.asarray(wrong)))
     if table.keys and set(table.keys) <= set(frame):
         return ", ".join(f"{key} {frame[key].iloc[place]}" for key in table.keys)

@@ -1,4 +1,4 @@
-"""Tasks: reach state start + length of a sequence from its state `start` in `length` manipulations (design 2)."""
+"""Tasks: from state `start` of a sequence, reach its state start + length in `length` manipulations (design 2)."""
 
 from typing import NamedTuple
 
@@ -16,5 +16,5 @@ TASKS = ((0, 1), (1, 1), (2, 1), (0, 2), (1, 2), (0, 3))
 
 
 def tasks_of(sequence: int, manipulations: int) -> list[Task]:
-    """The tasks of a sequence with that many manipulations."""
+    """The tasks of a sequence that has this number of manipulations."""
     return [Task(sequence, start, length) for start, length in TASKS if start + length <= manipulations]

@@ -1,8 +1,8 @@
-"""Zarr stores: the arrays of a store are declared, and are checked against that before anything is read.
+"""Zarr stores with a schema, which is checked before any array is read.
 
-Each array lies in shards: files of many chunks, with an index that has a checksum. By default zarr leaves out chunks of
-nothing but zeros, and a lost file then reads as zeros. Stores of ours are written with every chunk, each with a
-checksum of its contents (`WRITTEN`): a missing shard is refused, and so is a damaged chunk.
+An array is stored in shards: files with many chunks and an index that has a checksum. By default, zarr does not write
+chunks that contain only zeros, and a lost file then reads as zeros. Our stores are written with every chunk and with a
+checksum of its contents (`WRITTEN`), so that a missing shard and a damaged chunk are both detected.
 """
 
 import itertools
@@ -20,7 +20,7 @@ from clothkit.errors import InputError, system_error
 
 
 class Declared(NamedTuple):
-    """What an array of a store is."""
+    """The schema of one array of a store."""
 
     dtype: str
     dimensions: tuple[str, ...]
@@ -30,29 +30,29 @@ WRITTEN: dict[str, Any] = {
     "config": {"write_empty_chunks": True},
     "compressors": ZstdCodec(level=0, checksum=True),
 }
-"""Options of `zarr.Group.create_array` with which every chunk is written, and its contents have a checksum."""
+"""Options of `zarr.Group.create_array` that write every chunk, with a checksum of its contents."""
 
 
 class Store:
-    """A store whose arrays are there, with every shard, and as declared."""
+    """An open store, whose arrays have been checked against the schema."""
 
     def __init__(self, path: Path, arrays: Mapping[str, zarr.Array], attributes: dict[str, Any]) -> None:
         self.path = path
         self.attributes = attributes
-        """What it says of how it was made."""
+        """Attributes of the store: stage, scale and params, if a stage wrote it."""
         self._arrays = arrays
 
     def __len__(self) -> int:
-        """How long the first dimension is."""
+        """The length of the first dimension."""
         return next(iter(self._arrays.values())).shape[0]
 
     def read(self, name: str, chosen: slice = slice(None)) -> np.ndarray:
-        """An array, or a stretch of its first dimension. Raises InputError for chunks that are damaged."""
+        """Read an array, or a slice of its first dimension. Raises InputError for damaged chunks."""
         return read_array(self._arrays[name], f"{self.path}: array {name}", chosen)
 
 
 def open_node(path: Path) -> zarr.Group | zarr.Array:
-    """What a zarr store is at its root. Raises InputError for what is not there, or none."""
+    """Open the root of a zarr store, a group or an array. Raises InputError if it is missing or not a zarr store."""
     try:
         if not path.is_dir():
             path.stat()
@@ -64,18 +64,18 @@ def open_node(path: Path) -> zarr.Group | zarr.Array:
         raise system_error(error, path, expected="a zarr store; run the stage that writes it (dvc repro)") from error
     except InputError:
         raise
-    except Exception as error:  # zarr tells of damaged metadata by many kinds of errors
+    except Exception as error:  # zarr raises many types of exceptions for damaged metadata
         raise _unreadable(path, error) from error
 
 
 def open_store(path: Path, declared: Mapping[str, Declared], *, lengths: Mapping[str, int], holds: str) -> Store:
-    """A store of the declared arrays; `holds` tells what these are, in messages.
+    """Open a store and check the declared arrays, without reading them; `holds` describes them in error messages.
 
-    `lengths` are those of the dimensions that have the same in every store; any other may have any length, as long as
-    it is the same in all of the declared arrays.
+    `lengths` has the required lengths of some dimensions. Any other dimension may have any length, but the same in all
+    declared arrays.
 
-    Raises InputError, naming the array and what was expected, for a store that can't be read, an array that is missing,
-    a group, of another shape or kind, and for shards that are missing. No array is read.
+    Raises InputError, which names the array and what was expected, if the store can't be read, if an array is missing,
+    is a group, or has another shape, type or dimensions, and if shards are missing.
     """
     path = Path(path)
     group = open_node(path)
@@ -89,9 +89,10 @@ def open_store(path: Path, declared: Mapping[str, Declared], *, lengths: Mapping
 
 
 def check_shards(array: zarr.Array, name: str, *, zeros: bool = False) -> None:
-    """Raises InputError where a file of the array is missing.
+    """Raises InputError if a shard's file is missing.
 
-    `zeros` is for arrays that others have written: files that hold nothing but zeros need not be there.
+    `zeros` is for arrays that other programs wrote, where shards of zeros have no file: then the error is raised only if
+    the folder of shards has no files at all.
     """
     parts = array.shards or array.chunks
     counts = [math.ceil(length / part) for length, part in zip(array.shape, parts, strict=True)]
@@ -108,10 +109,10 @@ def check_shards(array: zarr.Array, name: str, *, zeros: bool = False) -> None:
 
 
 def read_array(array: zarr.Array, name: str, chosen: slice = slice(None)) -> np.ndarray:
-    """An array, or a stretch of its first dimension. Raises InputError for chunks that are damaged."""
+    """Read an array, or a slice of its first dimension. Raises InputError for damaged chunks."""
     try:
         return np.asarray(array[chosen] if array.shape else array[...])
-    except Exception as error:  # zarr and its codecs tell of damaged chunks by many kinds of errors
+    except Exception as error:  # zarr and its codecs raise many types of exceptions for damaged chunks
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"{name}: can't be read, a chunk is damaged ({reason})") from error
 
@@ -142,7 +143,7 @@ def _check_shapes(
     for name, array in arrays.items():
         for dimension, length in zip(declared[name].dimensions, array.shape, strict=False):
             found.setdefault(dimension, Counter())[length] += 1
-    # Where arrays differ, most of them are right.
+    # If arrays disagree about a dimension's length, the most common length is taken as the expected one.
     expected_of = {**{name: counts.most_common(1)[0][0] for name, counts in found.items()}, **lengths}
     for name, array in arrays.items():
         dtype, dimensions = declared[name]

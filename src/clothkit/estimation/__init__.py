@@ -1,1 +1,1 @@
-"""From voxels to a probabilistic mesh to a plausible mesh."""
+"""Estimation: from voxels to a probabilistic mesh, and by refinement to a plausible mesh."""

@@ -1,4 +1,4 @@
-"""Whether an estimated mesh explains what was seen: both as columns of voxels, held against one another."""
+"""Compares an estimated mesh with the observed voxels, to detect estimates that do not explain the observation."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -19,37 +19,38 @@ Share = Annotated[float, Ge(0), Le(1)]
 
 @config
 class AgreementConfig:
-    """From which agreement on an estimate is said to explain what was seen.
+    """Thresholds of the agreement above which an estimate counts as explaining the observation.
 
-    Provisional: low enough for few false alarms, but guessed. studies/agreement.py proposes values, such that at most
-    2 % of the validation split's states raise an alarm; it was not run yet with a trained net.
+    The defaults are provisional guesses, low enough for few false alarms. studies/agreement.py proposes values for
+    which at most 2 % of the validation split's states raise an alarm; it has not been run with a trained net yet.
     """
 
     silhouette: Share = 0.5
     """Least intersection over union of the columns that hold cloth."""
     heights: Share = 0.2
-    """Least intersection over union of the occluded voxels: of what lies below the surface."""
+    """Least intersection over union of the occluded voxels, which include all voxels below the surface."""
 
 
 class Agreement(NamedTuple):
-    """Intersection over union of an estimate and what was seen, 0..1; an array each for a batch."""
+    """Intersection over union between estimates and observations, 0..1."""
 
     silhouette: Float[np.ndarray, "*batch"]
-    """Of the columns that hold cloth."""
+    """That of the columns that hold cloth."""
     heights: Float[np.ndarray, "*batch"]
-    """Of the occluded voxels, a column of which is as high as the cloth there."""
+    """That of the occluded voxels: in each column, all voxels up to the height of the cloth."""
 
     def explains(self, least: AgreementConfig) -> Bool[np.ndarray, "*batch"]:
-        """Whether both are high enough."""
+        """Whether both values reach their thresholds."""
         return np.asarray((self.silhouette >= least.silhouette) & (self.heights >= least.heights))
 
 
 def agreement(
     meshes: Float[np.ndarray, "*batch u v 3"], seen: Bool[np.ndarray, "*batch x y z"], *, height: float = HEIGHT
 ) -> Agreement:
-    """How far meshes [normalised, centred] agree with occluded, centred voxels of a viewport of that height.
+    """The agreement of meshes [normalised, centred] with occluded, centred voxels of a viewport of that height.
 
-    The meshes are looked at as training looks at them: doubled, occluded, what is higher than the viewport clamped.
+    The meshes are converted to voxels as for training, but without noise: doubled, occluded, and with points above the
+    viewport clamped to its uppermost voxels.
     """
     shown = np.asarray(_observed(meshes, height=height))
     columns = np.asarray(shown.any(-1)), np.asarray(seen.any(-1))
@@ -57,9 +58,10 @@ def agreement(
 
 
 def proposed(known: Sequence[Agreement], *, alarms: float) -> AgreementConfig:
-    """The highest thresholds that warn of at most a share `alarms` of each batch of states that a net knows.
+    """The highest thresholds at which at most a share `alarms` of each batch in `known` raises an alarm.
 
-    Both stand at the same quantile of one of the batches, rounded down to a hundredth.
+    `known` are agreements for states like those that the net was trained on. Both thresholds are the same quantile of
+    one of the batches, rounded down to a hundredth; the pair with the largest sum is returned.
     """
     found = [AgreementConfig(silhouette=0.0, heights=0.0)]
     for batch in known:

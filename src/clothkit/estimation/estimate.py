@@ -1,4 +1,4 @@
-"""From voxels to a mesh: VtM, labels that agree with the prediction, refinement (sections 4.7 and 5.1, design 6.10)."""
+"""Estimation of meshes from voxels: VtM, relabelling to match a prediction, refinement (4.7 and 5.1, design 6.10)."""
 
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ from clothkit.networks.net import Net
 
 
 class Estimate(NamedTuple):
-    """What voxels show: VtM's probabilistic mesh and the refined one, under the same labels [normalised]."""
+    """An estimate: VtM's probabilistic mesh and the refined mesh, in the same labels [normalised]."""
 
     probabilistic: ProbabilisticMesh
     mesh: Float[Array, "batch u v 3"]
@@ -28,10 +28,11 @@ def estimate(
     *,
     predicted: Float[Array | np.ndarray, "batch u v 3"] | None = None,
 ) -> Estimate:
-    """The estimates of centred voxels, refined from VtM's means or, where there are any, from the predicted means.
+    """Estimate meshes from centred voxels.
 
-    An estimate comes in any of the eight labellings; beside a prediction it takes that under which the prediction's
-    negative log likelihood is least.
+    Without `predicted`, refinement starts from VtM's means and the estimates have arbitrary labels. With predicted
+    meshes, the estimates are relabelled to minimise the predictions' negative log likelihood, and refinement starts
+    from the predictions.
     """
     probabilistic = _vtm(net, jnp.asarray(voxels))
     if predicted is None:
@@ -45,7 +46,7 @@ def estimate_unrefined(
     voxels: Shaped[Array | np.ndarray, "batch x y z"],
     predicted: Float[Array | np.ndarray, "batch u v 3"] | None = None,
 ) -> Float[Array, "batch u v 3"]:
-    """VtM's means alone, under the labels that `estimate` would give them."""
+    """VtM's means without refinement, in the same labels as the result of `estimate`."""
     probabilistic = _vtm(net, jnp.asarray(voxels))
     return jnp.asarray((probabilistic if predicted is None else labelled_like(probabilistic, predicted)).mean)
 
@@ -53,7 +54,7 @@ def estimate_unrefined(
 def labelled_like(
     probabilistic: ProbabilisticMesh, mesh: Float[Array | np.ndarray, "batch u v 3"]
 ) -> ProbabilisticMesh:
-    """The equivalents of probabilistic meshes under which the meshes' negative log likelihood is least."""
+    """For each probabilistic mesh, the equivalent that minimises the negative log likelihood of the given mesh."""
     batch = probabilistic.mean.shape[0]
     scores = []
     for k in range(COUNT):

@@ -1,4 +1,4 @@
-"""Refinement: the plausible mesh in the leeway that a probabilistic mesh gives (section 4.7, eqs. 10 and 11)."""
+"""Refinement: a physically plausible mesh that is likely under a probabilistic mesh (section 4.7, eqs. 10 and 11)."""
 
 from functools import partial
 from typing import Annotated, NamedTuple
@@ -14,22 +14,23 @@ from clothkit.cloth.mesh import ProbabilisticMesh, nll
 from clothkit.config import config
 
 SHORTEST_SPRING = 1e-6
-"""A spring's length has no gradient at zero; below this [normalised] none is asked for."""
+"""Lower bound of spring lengths [normalised], because the gradient of a length is not defined at zero."""
 
 
 @config
 class RefineConfig:
-    """Weights, step and end of refinement; the defaults are the paper's."""
+    """Weights of the loss, step size and stopping rule of refinement; the defaults are the paper's."""
 
     spring_weight: Annotated[float, Ge(0)] = 5000.0
     upward_weight: Annotated[float, Ge(0)] = 1000.0
     step: Annotated[float, Gt(0)] = 0.001
-    """What SignSGD moves each coordinate per iteration [normalised]."""
+    """Step size of SignSGD: the change of each coordinate per iteration [normalised]."""
     iterations: Annotated[int, Ge(0)] = 300
+    """Largest number of iterations."""
     tolerance: Annotated[float, Ge(0)] = 1e-3
-    """A mesh's loss has stabilised when its lowest value fell by less than this share of it ..."""
+    """Relative decrease of a mesh's loss that counts as an improvement."""
     patience: Annotated[int, Gt(0)] = 20
-    """... for this many iterations."""
+    """Iterations without improvement after which a mesh's refinement stops."""
 
 
 def spring_energy(mesh: Float[Array, "*batch u v 3"]) -> Float[Array, "*batch"]:
@@ -37,7 +38,7 @@ def spring_energy(mesh: Float[Array, "*batch u v 3"]) -> Float[Array, "*batch"]:
     side = mesh.shape[-2]
     spacing = CLOTH_SIDE / (side - 1)
     energy = jnp.zeros(mesh.shape[:-3], mesh.dtype)
-    # Slices, not the index pairs of `grid.springs`: gathering costs more than everything else together.
+    # Slices instead of the index pairs of `grid.springs`, because gathering costs more than the rest of the loss.
     for du, dv in SPRING_OFFSETS:
         low, high = max(0, -dv), side - max(0, dv)
         spring = mesh[..., du:, low + dv : high + dv, :] - mesh[..., : side - du, low:high, :]
@@ -48,7 +49,7 @@ def spring_energy(mesh: Float[Array, "*batch u v 3"]) -> Float[Array, "*batch"]:
 
 
 def upward_bias(mesh: Float[Array, "*batch u v 3"], estimate: ProbabilisticMesh) -> Float[Array, "*batch"]:
-    """Loss_up: the mean over vertices of how far the mesh lies below the estimate's mean [normalised]."""
+    """Loss_up: the mean over vertices of the distance by which the mesh is below the estimate's mean [normalised]."""
     return jnp.mean(jnp.maximum(0, estimate.mean[..., 2] - mesh[..., 2]), axis=(-2, -1))
 
 
@@ -77,9 +78,9 @@ class _Search(NamedTuple):
 def refine(
     estimate: ProbabilisticMesh, start: Float[Array | np.ndarray, "batch u v 3"], settings: RefineConfig
 ) -> Float[Array, "batch u v 3"]:
-    """R of eq. (10): for each mesh of the batch the one of lowest loss that SignSGD meets on its way from `start`.
+    """R of eq. (10): for each mesh of the batch, the mesh of lowest loss that SignSGD finds from `start`.
 
-    A mesh stops when its own loss has stabilised, so that its result does not depend on what it is batched with.
+    Each mesh stops when its own loss has stabilised, so that its result does not depend on the rest of the batch.
     """
 
     def total(mesh: Array) -> tuple[Array, Array]:
@@ -93,7 +94,7 @@ def refine(
         gradient, loss = jax.grad(total, has_aux=True)(search.mesh)
         active = search.stale < settings.patience
         lower = active & (loss < search.lowest)
-        # `level` is the lowest loss when it last fell enough: many small steps down count together.
+        # `level` is the loss at the last improvement, so that many small decreases add up to one.
         fell = jnp.isinf(search.level) | (loss < search.level - settings.tolerance * jnp.abs(search.level))
         return _Search(
             search.iteration + 1,

@@ -1,1 +1,1 @@
-"""What a robot can do to a cloth: the 6-vector, trajectories, grasp candidates, sampling."""
+"""Manipulations: their representation as 6-vectors, trajectories of the hands, grasp candidates and sampling."""

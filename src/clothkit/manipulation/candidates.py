@@ -1,4 +1,4 @@
-"""Where a cloth can be grasped: convex corners of its silhouette (section 4.3)."""
+"""Detection of candidate grasp points: convex corners of a cloth's silhouette (section 4.3)."""
 
 from typing import Annotated
 
@@ -12,18 +12,18 @@ from clothkit.cloth.silhouette import pixel_centres, silhouette
 from clothkit.config import config
 
 EDGE_BLUR = 0.025
-"""Standard deviation of the blur that takes the steps off a silhouette of voxels [normalised]."""
+"""Standard deviation of the blur that smooths the steps in a silhouette of voxels [normalised]."""
 
 
 @config
 class CandidateConfig:
-    """Settings of the corner detector. Lengths in normalised units."""
+    """Settings of the corner detector. Lengths are in normalised units."""
 
     resolution: Annotated[int, Ge(256), Le(2048)] = 256
     extent: Annotated[float, Gt(1.0), Le(4.0)] = 1.1
     most: Annotated[int, Ge(1), Le(100)] = 12
     quality: Annotated[float, Gt(0), Lt(1)] = 0.08
-    """Least corner response, as a share of the strongest corner's."""
+    """Least corner response as a share of the strongest corner's."""
     spacing: Annotated[float, Gt(0), Le(1)] = 0.1
     """Least distance between two corners."""
     block: Annotated[float, Gt(0), Le(0.5)] = 0.07
@@ -31,16 +31,16 @@ class CandidateConfig:
     radius: Annotated[float, Gt(0), Le(1)] = 0.14
     """Radius of the disc that decides whether a corner is convex."""
     convex: Annotated[float, Gt(0), Lt(1)] = 0.45
-    """A corner is convex when less than this share of its disc is cloth."""
+    """A corner is convex if less than this share of its disc is cloth."""
 
 
 def candidates(
     mesh: Float[np.ndarray, "u v 3"], settings: CandidateConfig | None = None
 ) -> Float[np.ndarray, "candidates 2"]:
-    """Graspable points, xy [normalised]: convex Shi-Tomasi corners of the silhouette, strongest first.
+    """Candidate grasp points of a mesh, xy [normalised]: convex Shi-Tomasi corners of the silhouette, strongest first.
 
-    A corner is moved to the cloth's outermost vertex there: the detector finds the pixel inside the corner, a
-    fraction of the grid spacing away from the point that a hand would take.
+    Each corner is replaced by the outermost vertex near it, because the detector returns a pixel inside the corner, a
+    fraction of the grid spacing away from the cloth's corner itself.
     """
     settings = settings or CandidateConfig()
     middle = (mesh[..., :2].max((0, 1)) + mesh[..., :2].min((0, 1))) / 2
@@ -54,9 +54,9 @@ def candidates(
 def voxel_candidates(
     voxels: Bool[np.ndarray, "x y z"], settings: CandidateConfig | None = None
 ) -> Float[np.ndarray, "candidates 2"]:
-    """Graspable points of voxels over -1..1, xy [normalised]: convex corners of their projection from above.
+    """Candidate grasp points of voxels over -1..1, xy [normalised]: convex corners of their projection from above.
 
-    The middle of what is occupied if it shows no corner.
+    If there is no corner, the mean position of the occupied columns is the only candidate.
     """
     settings = settings or CandidateConfig()
     covered = np.asarray(voxels).any(axis=-1).astype(np.float32)
@@ -73,7 +73,7 @@ def voxel_candidates(
 
 
 def convex_corners(image: Bool[np.ndarray, "x y"], settings: CandidateConfig) -> Float[np.ndarray, "corners 2"]:
-    """Shi and Tomasi's corners of a silhouette without the concave ones, xy [normalised]."""
+    """Convex Shi-Tomasi corners of a silhouette, xy [normalised], strongest first."""
     pixel = 2 * settings.extent / settings.resolution
     block = max(3, round(settings.block / pixel) | 1)
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), block / 5)
@@ -81,7 +81,7 @@ def convex_corners(image: Bool[np.ndarray, "x y"], settings: CandidateConfig) ->
     axis = pixel_centres(settings.resolution, settings.extent)
     if found is None:
         return np.zeros((0, 2))
-    # cv2 answers (column, row), which are (y, x) here.
+    # cv2 returns points as (column, row), which is (y, x) here.
     cells = np.rint(found.reshape(-1, 2)[:, ::-1]).astype(int)
     corners = np.stack([axis[cells[:, 0]], axis[cells[:, 1]]], axis=-1)
     shares = [_cloth_share(image, axis, corner, settings.radius) for corner in corners]

@@ -1,4 +1,4 @@
-"""Where the hands go: geodesic to Cartesian and back, release points (eq. 1) and circular arcs (section 4.2.2)."""
+"""Geometry of manipulations: geodesic and Cartesian points, release points (eq. 1), circular arcs (section 4.2.2)."""
 
 from typing import NamedTuple
 
@@ -9,13 +9,13 @@ from jaxtyping import Array, Float
 from clothkit.cloth.grid import geodesic
 
 HEIGHT_LIMIT = 0.2
-"""A release point lies min(0.2, k / 2) above its grasp point, k their horizontal distance [normalised]."""
+"""A release point is min(0.2, k / 2) above its grasp point, where k is their horizontal distance [normalised]."""
 
 
 def to_cartesian(
     mesh: Float[Array | np.ndarray, "*batch u v 3"], uv: Float[Array | np.ndarray, "*batch 2"]
 ) -> Float[Array, "*batch 3"]:
-    """The points of the meshes at geodesic coordinates uv, bilinear between vertices; outside -1..1 is clipped."""
+    """The points on the meshes at geodesic coordinates uv, by bilinear interpolation; uv is clipped to -1..1."""
     mesh, uv = jnp.asarray(mesh), jnp.asarray(uv)
     side = mesh.shape[-2]
     position = (jnp.clip(uv, -1, 1) + 1) * ((side - 1) / 2)
@@ -34,7 +34,7 @@ def to_cartesian(
 
 
 def nearest_vertex(mesh: Float[np.ndarray, "u v 3"], xy: Float[np.ndarray, "*points 2"]) -> np.ndarray:
-    """Index (u * side + v) of the vertex nearest to each point in xy, the topmost of equals, int [*points]."""
+    """Index (u * side + v) of the vertex nearest to each point in xy, int [*points]; of equals, the topmost."""
     vertices = mesh.reshape(-1, 3)
     squared = ((vertices[:, :2] - xy[..., None, :]) ** 2).sum(-1)
     topmost_first = np.argsort(-vertices[:, 2], kind="stable")
@@ -42,7 +42,10 @@ def nearest_vertex(mesh: Float[np.ndarray, "u v 3"], xy: Float[np.ndarray, "*poi
 
 
 def topmost_vertex(mesh: Float[np.ndarray, "u v 3"], xy: Float[np.ndarray, "2"], *, within: float) -> int:
-    """Index of the topmost vertex at most `within` [mesh's unit] farther from the point in xy than the nearest is."""
+    """Index of the topmost vertex near a point in xy.
+
+    Vertices count as near if they are at most `within` [unit of the mesh] farther from the point than the nearest one.
+    """
     vertices = mesh.reshape(-1, 3)
     reach = np.linalg.norm(vertices[:, :2] - xy, axis=-1)
     close = np.flatnonzero(reach <= reach.min() + within)
@@ -55,7 +58,7 @@ def to_geodesic(mesh: Float[np.ndarray, "u v 3"], xy: Float[np.ndarray, "*points
 
 
 class Release(NamedTuple):
-    """Release points in the plane, and whether both hands lie on the same side of the line m."""
+    """Release points in the plane, and whether both grasp points lie on the same side of the line m."""
 
     points: Float[np.ndarray, "*batch 2 2"] | Float[Array, "*batch 2 2"]
     same_side: np.ndarray | Array
@@ -64,10 +67,10 @@ class Release(NamedTuple):
 def release_points(
     grasps: Float[Array | np.ndarray, "*batch 2 2"], displacement: Float[Array | np.ndarray, "*batch 2"]
 ) -> Release:
-    """Eq. (1): both grasp points (hand, xy) mirrored over the line m through p, perpendicular to the displacement.
+    """Eq. (1): the two grasp points, mirrored across the line m through p, which is perpendicular to the displacement.
 
-    One hand is the same grasp point twice: its mirror image is the point moved by the displacement. NumPy in, NumPy
-    out; JAX in, JAX out. Any one length unit.
+    A one-handed manipulation repeats its grasp point, whose mirror image is the point plus the displacement. Arrays are
+    NumPy or JAX, as the arguments are; all lengths are in one unit.
     """
     xp = jnp if isinstance(grasps, Array) or isinstance(displacement, Array) else np
     squared = xp.sum(displacement**2, axis=-1)[..., None]
@@ -78,9 +81,10 @@ def release_points(
 
 
 class Arc(NamedTuple):
-    """The circle segment from a grasp point to its release point: centre at the grasp's height, in the vertical plane.
+    """A circular arc in a vertical plane from a grasp point to a release point; its centre is at the grasp's height.
 
-    `direction` is the unit vector in xy from grasp to release, `radius` [length], `angle` [rad] the segment's sweep.
+    `direction` is the unit vector in xy from grasp to release, `radius` is a length, and `angle` [rad] is the angle
+    that the arc spans.
     """
 
     start: Float[np.ndarray, "*batch 3"]
@@ -89,7 +93,7 @@ class Arc(NamedTuple):
     angle: Float[np.ndarray, "*batch"]
 
     def at(self, progress: float) -> Float[np.ndarray, "*batch 3"]:
-        """The point after a share `progress`, 0..1, of the arc's length."""
+        """The point at a share `progress`, 0..1, of the arc's length."""
         phi = self.angle * progress
         forward = (self.radius * (1 - np.cos(phi)))[..., None] * self.direction
         return self.start + np.concatenate([forward, (self.radius * np.sin(phi))[..., None]], axis=-1)
@@ -98,16 +102,17 @@ class Arc(NamedTuple):
 def arc(
     grasp: Float[np.ndarray, "*batch 3"], release: Float[np.ndarray, "*batch 2"], *, height_limit: float = HEIGHT_LIMIT
 ) -> Arc:
-    """The hand's path of section 4.2.2: up from the grasp point, and down to min(limit, k / 2) above it, at `release`.
+    """The path of a hand (section 4.2.2): from the grasp point up, and down to the release point.
 
-    The circle is centred at the grasp's height and passes through both ends: radius (k² + h²) / 2k. All in the unit of
-    `height_limit`.
+    It ends at `release` in xy and h = min(height_limit, k / 2) above the grasp point, where k is the horizontal
+    distance. The circle's centre is at the grasp's height and its radius is (k² + h²) / 2k. All lengths are in the unit
+    of `height_limit`.
     """
     offset = release - grasp[..., :2]
     k = np.linalg.norm(offset, axis=-1)
     safe = np.maximum(k, 1e-9)
     h = np.minimum(height_limit, k / 2)
     radius = (k**2 + h**2) / (2 * safe)
-    # Both ends lie on the circle; with h <= k / 2 the release point is past the top, or at it.
+    # Since h <= k / 2, the release point is at the top of the circle or past it.
     angle = np.arctan2(h, radius - k)
     return Arc(grasp, offset / safe[..., None], np.asarray(radius), np.asarray(angle))

@@ -1,4 +1,4 @@
-"""Random manipulations under the paper's three restrictions (section 4.4)."""
+"""Random manipulations that satisfy the paper's three restrictions (section 4.4)."""
 
 from typing import Annotated, NamedTuple
 
@@ -16,36 +16,36 @@ from clothkit.manipulation.vector import SHORTEST
 
 @config
 class SamplingConfig:
-    """How manipulations are drawn. Lengths in normalised units."""
+    """Settings of random manipulations. Lengths are in normalised units."""
 
     tries: Annotated[int, Ge(1), Le(10**5)] = 400
-    """Draws before a step is given up."""
+    """Largest number of draws for one manipulation."""
     single_share: Annotated[float, Ge(0), Le(1)] = 1 / 3
-    """Share of manipulations with one hand: single to dual 1:2."""
+    """Probability of a one-handed manipulation."""
     fold_point: Annotated[float, Ge(0.1), Le(1)] = 0.8
     """The reference point q lies at this share of the displacement."""
     least_grasp_distance: Annotated[float, Ge(0), Le(2)] = 0.15
-    """Two hands need this much room."""
+    """Least distance between the grasp points of two hands."""
     least_travel: Annotated[float, Ge(0), Le(2)] = 0.1
-    """Each hand moves at least this far."""
+    """Least horizontal distance that each hand moves."""
     reach: Annotated[float, Gt(0), Le(10)] = 1.0
-    """Hands stay within -reach..reach in x and y, measured from where the flat cloth lay."""
+    """Grasp and release points are within -reach..reach in x and y, relative to the initial flat cloth's centre."""
 
 
 class Drawn(NamedTuple):
-    """A manipulation as drawn: the grasped vertices (the same twice for one hand) and the displacement [normalised]."""
+    """A random manipulation: indices of the grasped vertices (equal for one hand), and displacement [normalised]."""
 
     vertices: tuple[int, int]
     displacement: Float[np.ndarray, "2"]
 
     @property
     def single(self) -> bool:
-        """Whether one hand does it."""
+        """Whether the manipulation is one-handed."""
         return self.vertices[0] == self.vertices[1]
 
 
 def draw_hands(rng: np.random.Generator, settings: SamplingConfig) -> int:
-    """How many hands the next manipulation has: 1 or 2."""
+    """A random number of hands, 1 or 2."""
     return 1 if rng.random() < settings.single_share else 2
 
 
@@ -56,10 +56,11 @@ def sample(
     settings: SamplingConfig,
     grasping: CandidateConfig,
 ) -> Drawn | None:
-    """A random manipulation of a mesh (normalised, where it lies on the table), or None when no draw was valid.
+    """A random manipulation of a mesh at its place on the table [normalised], or None if no draw was valid.
 
-    Graspability: hands at detected corners. Fold: q lies on the silhouette. Displacement: not null. Two hands that
-    would fall on different sides of m are drawn anew (design 6.2).
+    The three restrictions of section 4.4 hold: hands grasp detected corners, q lies on the silhouette, and the
+    manipulation is not null. Draws with the hands on different sides of m are rejected (design 6.2), as are those that
+    violate the limits in `settings`.
     """
     spacing = CLOTH_SIDE / (SIDE - 1)
     points = candidates(mesh, grasping)
@@ -92,7 +93,7 @@ def _allowed(grasps: np.ndarray, displacement: np.ndarray, settings: SamplingCon
 
 
 def _covered_pixels(mesh: np.ndarray, grasping: CandidateConfig) -> np.ndarray:
-    """The centres of the silhouette's pixels, xy [normalised]."""
+    """The centres of the pixels that the cloth covers, xy [normalised]."""
     middle = (mesh[..., :2].max((0, 1)) + mesh[..., :2].min((0, 1))) / 2
     image = silhouette(mesh - np.append(middle, 0), resolution=grasping.resolution, extent=grasping.extent)
     axis = pixel_centres(grasping.resolution, grasping.extent)

@@ -1,4 +1,4 @@
-"""The manipulation as a vector of six: u1 v1 u2 v2 (geodesic) dx dy (normalised, Cartesian) (section 4.2.2)."""
+"""Manipulations as 6-vectors: u1 v1 u2 v2 (geodesic), dx dy (normalised, Cartesian) (section 4.2.2)."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
@@ -7,13 +7,13 @@ from numpy import ndarray
 from clothkit.cloth.grid import CLOTH_SIDE
 
 SHORTEST = 0.35 * CLOTH_SIDE
-"""Displacements shorter than this make a null manipulation [normalised]."""
+"""A manipulation with a shorter displacement is null [normalised]."""
 
 Manipulations = Float[Array, "*batch 6"] | Float[ndarray, "*batch 6"]
 
 
 def grasp_points(manipulation: Manipulations) -> tuple[Array | ndarray, Array | ndarray]:
-    """Both grasp points, geodesic, [*batch, 2] each; the same point twice for one hand."""
+    """The two grasp points, geodesic, [*batch, 2] each; they are equal for one hand."""
     return manipulation[..., 0:2], manipulation[..., 2:4]
 
 
@@ -23,16 +23,16 @@ def displacement(manipulation: Manipulations) -> Array | ndarray:
 
 
 def is_null(manipulation: Manipulations) -> Bool[Array, "*batch"]:
-    """Whether the displacement is too short for anything to be done (section 4.4, restriction 3)."""
+    """Whether the displacement is shorter than `SHORTEST`, so that the manipulation is null (4.4, restriction 3)."""
     return jnp.sum(jnp.asarray(displacement(manipulation)) ** 2, axis=-1) < SHORTEST**2
 
 
 def is_single(manipulation: Manipulations) -> Bool[Array, "*batch"]:
-    """Whether one hand does it: both grasp points are the same."""
+    """Whether the manipulation is one-handed: its two grasp points are equal."""
     first, second = grasp_points(manipulation)
     return jnp.all(jnp.asarray(first) == second, axis=-1)
 
 
 def swap_grasps(manipulation: Manipulations) -> Float[Array, "*batch 6"]:
-    """The same manipulation with its grasp points in the other order (section 4.6, augmentation 3)."""
+    """The same manipulation with its grasp points exchanged (section 4.6, augmentation 3)."""
     return jnp.asarray(manipulation)[..., jnp.array([2, 3, 0, 1, 4, 5])]

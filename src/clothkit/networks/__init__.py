@@ -1,1 +1,1 @@
-"""pEM*D and VtM, and what trains them."""
+"""The nets (pEM*D, the voxel EM*D and VtM), their training and their storage."""

@@ -1,6 +1,6 @@
-"""Augmentation inside the training step (sections 4.6 and 4.8): turns, mirrors, equivalents, swaps and vertex noise.
+"""Augmentation in the training step: rotation, mirroring, equivalents, swapped grasps and vertex noise (4.6 and 4.8).
 
-Null manipulations are not inserted here: they are in data/augmented.zarr already (design.md section 4).
+Null manipulations are not inserted here: data/augmented.zarr contains them already (design.md section 4).
 """
 
 from typing import NamedTuple
@@ -17,26 +17,26 @@ from clothkit.networks.canonical import frame
 
 
 class Examples(NamedTuple):
-    """Stretches of n manipulations, as pEM*D takes and predicts them [normalised]."""
+    """A batch of subsequences of n manipulations: inputs and targets of pEM*D [normalised]."""
 
     mesh: Float[Array, "batch u v 3"]
-    """The first state: the input."""
+    """The first state, centred: the input."""
     manipulations: Float[Array, "batch n 6"]
     outcomes: Float[Array, "batch n u v 3"]
     """The state after each manipulation, centred."""
     shifts: Float[Array, "batch n 2"]
-    """How far each manipulation moved the centre."""
+    """The displacement of the cloth's centre by each manipulation."""
 
 
 def random_turns(batch: int, *, key: PRNGKeyArray) -> Float[Array, "batch 2 2"]:
-    """Random isometries of the plane: a uniform angle, mirrored half of the time."""
+    """Random isometries of the plane: rotations by a uniform angle, mirrored with probability 1/2."""
     angle_key, mirror_key = jax.random.split(key)
     angle = jax.random.uniform(angle_key, (batch,), maxval=2 * jnp.pi)
     return planar(angle, jax.random.bernoulli(mirror_key, shape=(batch,)))
 
 
 def turned(examples: Examples, matrices: Float[Array, "batch 2 2"]) -> Examples:
-    """The same stretches on a turned or mirrored table."""
+    """The examples, each rotated or mirrored about z by its matrix."""
     per_step = jnp.broadcast_to(matrices[:, None], (*examples.shifts.shape, 2))
     return Examples(
         mesh=turn_mesh(examples.mesh, matrices),
@@ -47,7 +47,7 @@ def turned(examples: Examples, matrices: Float[Array, "batch 2 2"]) -> Examples:
 
 
 def relabelled(examples: Examples, k: Array) -> Examples:
-    """The same stretches under the labels of equivalent k, int [batch]: input, outcomes and grasp points alike."""
+    """The examples (inputs, outcomes and grasp points), each under the labels of its equivalent k, int [batch]."""
     return Examples(
         mesh=relabel_batch(examples.mesh, k),
         manipulations=relabel_manipulation_batch(examples.manipulations, k),
@@ -57,13 +57,17 @@ def relabelled(examples: Examples, k: Array) -> Examples:
 
 
 def examples_described(examples: Examples) -> Examples:
-    """The stretches in the canonical descriptions of their first states."""
+    """The examples, each transformed to the canonical description of its first state."""
     found = frame(examples.mesh)
     return relabelled(turned(examples, found.matrix), found.k)
 
 
 def augment(examples: Examples, *, noise: float, key: PRNGKeyArray) -> Examples:
-    """Other descriptions of the same stretches; normal noise [normalised] on the input's coordinates only."""
+    """Randomly transformed examples, with normal noise of that standard deviation [normalised] on the input mesh only.
+
+    Each example is rotated or mirrored and gets the labels of a random equivalent; the two grasp points of each
+    manipulation are swapped with probability 1/2.
+    """
     turn_key, label_key, swap_key, noise_key = jax.random.split(key, 4)
     batch, n = examples.manipulations.shape[:2]
     examples = turned(examples, random_turns(batch, key=turn_key))

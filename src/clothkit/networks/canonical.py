@@ -1,13 +1,14 @@
-"""Canonical descriptions: one for all that a turn, a mirror or other labels make of the same cloth.
+"""Canonical descriptions: rotated, mirrored and relabelled versions of one cloth state are mapped to a single one.
 
-What happens to a cloth does not depend on where north is, nor on which corner is called the first. A net that is always
-shown one and the same of these descriptions need not learn that (Kaba et al., "Equivariance with Learned
-Canonicalization Functions", ICML 2023): what augmentation teaches, it is spared.
+The behaviour of a cloth depends neither on its orientation about z nor on which corner is labelled as the first. A net
+whose input is always the canonical description need not learn this from augmentation (Kaba et al., "Equivariance with
+Learned Canonicalization Functions", ICML 2023).
 
-A mesh is turned or mirrored so that its labels lie as on the flat cloth, as nearly as can be (orthogonal Procrustes).
-That leaves eight descriptions; of these it is the one that lies widest along x, with its heavier tails at positive x
-and y. A flat cloth is the same in all eight. Voxels can only be turned by right angles: the voxel EM*D sees the one of
-these eight; VtM sees voxels that lie widest along x, and is asked about their mirror images, too.
+A mesh is rotated or mirrored to bring its vertices as close as possible to those of the flat cloth (orthogonal
+Procrustes). Eight descriptions, one for each equivalent, remain possible. The canonical one has its larger second
+moment along x, and third moments in x and y that are not negative. For a flat cloth all eight are equal. Voxels can be
+rotated by right angles and mirrored only: the input of the voxel EM*D is the canonical one of these eight versions. The
+input of VtM has its larger second moment along x; mirrored versions are covered by the views of `vtm.estimate`.
 """
 
 from typing import NamedTuple
@@ -22,24 +23,24 @@ from clothkit.cloth.mesh import Mesh, ProbabilisticMesh
 from clothkit.manipulation.turns import turn, turn_manipulation, turn_mesh
 
 GRID = np.asarray(grid.flat())[..., :2]
-"""Where the vertices of the flat cloth lie [normalised], centred."""
+"""Positions xy of the flat cloth's vertices [normalised], centred."""
 
 FRAME = 5
-"""Numbers in which a frame is written behind a canonical net's latents and traces."""
+"""Number of components that encode the frame; they are appended to a canonical net's latents and memory traces."""
 
 LEAST_FIT = 1e-5
-"""Covariances below it are none: no turn fits better than another, nor does the mirror image."""
+"""Threshold below which covariances, and differences between them, are treated as zero in `fit`."""
 
 
 class Frame(NamedTuple):
-    """How a description becomes the canonical one: turned by `matrix`, then under the labels of equivalent `k`."""
+    """The transformation to a canonical description: `matrix` is applied to x and y, then equivalent `k`."""
 
     matrix: Float[Array, "*batch 2 2"]
     k: Int[Array, "*batch"]
 
 
 def frame(mesh: Mesh) -> Frame:
-    """The frame in which a centred mesh [*batch u v 3] is described canonically."""
+    """The transformation of a centred mesh [*batch u v 3] to its canonical description."""
     fitted = fit(mesh)
     x, y, _ = jnp.moveaxis(turn_mesh(jnp.asarray(mesh), fitted), -1, 0)
     k = eighth(*(jnp.sum(c**n, axis=(-2, -1)) for n in (2, 3) for c in (x, y)))
@@ -47,12 +48,15 @@ def frame(mesh: Mesh) -> Frame:
 
 
 def fit(mesh: Mesh) -> Float[Array, "*batch 2 2"]:
-    """The isometry of the plane that brings a mesh nearest to the flat cloth; the identity where none stands out."""
+    """The rotation or reflection of the plane that brings a mesh nearest to the flat cloth.
+
+    It is the identity if no isometry fits better than the others.
+    """
     flat = jnp.asarray(GRID)
     moment = jnp.einsum("uvi,...uvj->...ij", flat, jnp.asarray(mesh)[..., :2]) / len(GRID) ** 2
     (a, b), (c, d) = ((moment[..., i, 0], moment[..., i, 1]) for i in range(2))
     turning, mirroring = jnp.hypot(a + d, b - c), jnp.hypot(a - d, b + c)
-    # Of equals, rounding aside, the turn: a cloth folded in half fits its mirror image as well.
+    # A cloth folded in half fits its mirror image equally well: the margin selects the rotation despite rounding.
     turns = turning >= mirroring - LEAST_FIT
     length = jnp.maximum(jnp.where(turns, turning, mirroring), LEAST_FIT)
     cos, sin = jnp.where(turns, a + d, a - d) / length, jnp.where(turns, b - c, b + c) / length
@@ -64,53 +68,58 @@ def fit(mesh: Mesh) -> Float[Array, "*batch 2 2"]:
 def eighth(
     wide_x: Shaped[Array, "*batch"], wide_y: Shaped[Array, "*batch"], tail_x: Array, tail_y: Array
 ) -> Int[Array, "*batch"]:
-    """Which of the eight descriptions is the canonical one, by second and third moments in x and y."""
+    """Index k of the canonical one among the eight descriptions, from the second and third moments in x and y."""
     swap = wide_y > wide_x
     tail_x, tail_y = jnp.where(swap, tail_y, tail_x), jnp.where(swap, tail_x, tail_y)
     return swap * SWAP + (tail_x < 0) * REVERSE_U + (tail_y < 0) * REVERSE_V
 
 
 def axes(k: Int[Array, "*batch"]) -> Float[Array, "*batch 2 2"]:
-    """What equivalent k does to u and v, done to x and y: the matrix that keeps labels on the flat cloth where they
-    were."""
+    """The matrix that applies to x and y what equivalent k applies to u and v.
+
+    Relabelling a flat cloth by k and transforming it by this matrix leaves it unchanged.
+    """
     plain = jnp.where((k & SWAP > 0)[..., None, None], jnp.array([[0.0, 1.0], [1.0, 0.0]]), jnp.eye(2))
     signs = jnp.stack([jnp.where(k & bit, -1.0, 1.0) for bit in (REVERSE_U, REVERSE_V)], axis=-1)
     return signs[..., None] * plain
 
 
 def _product(a: Float[Array, "*batch 2 2"], b: Float[Array, "*batch 2 2"]) -> Float[Array, "*batch 2 2"]:
-    # Written out: products of so many tiny matrices are slow, and on some devices not precise.
+    # A sum of products, because `matmul` is slow for many tiny matrices, and not precise on some devices.
     return jnp.sum(a[..., :, :, None] * b[..., None, :, :], axis=-2)
 
 
 def described(mesh: Mesh, frame: Frame) -> Mesh:
-    """A mesh [*batch u v 3] as its frame describes it."""
+    """A mesh [*batch u v 3], transformed to the canonical description."""
     return relabel(turn_mesh(jnp.asarray(mesh), frame.matrix), frame.k[..., None, None, None])
 
 
 def manipulation_described(manipulation: Float[Array, "*batch 6"], frame: Frame) -> Float[Array, "*batch 6"]:
-    """A manipulation as the frame describes it."""
+    """A manipulation with geodesic grasp points, transformed to the canonical description."""
     return relabel_manipulation(turn_manipulation(manipulation, frame.matrix), frame.k)
 
 
 def undone(predicted: ProbabilisticMesh, frame: Frame) -> ProbabilisticMesh:
-    """A prediction in a frame, as it was described before; also of every n-th vertex, if these are the same under all
-    labels. The standard deviations are those along the axes there."""
+    """A prediction, transformed from the canonical description back to the original one.
+
+    The standard deviations of the result are those along the original axes, if coordinates are independent. Predictions
+    may be thinned, provided that the same vertices are kept under all labels, as `grid.thinned` does.
+    """
     k = jnp.asarray(INVERSE)[frame.k][..., None, None, None]
     mean, std = (relabel(part, k) for part in predicted)
     back = jnp.swapaxes(frame.matrix, -1, -2)
-    # The variance along an axis of the old description: of a sum of independent ones.
+    # The variance of a weighted sum of independent coordinates.
     planar = jnp.sqrt(turn(std[..., :2] ** 2, (back**2)[..., None, None, :, :]))
     return ProbabilisticMesh(turn_mesh(mean, back), jnp.concatenate([planar, std[..., 2:]], axis=-1))
 
 
 def shift_undone(shift: Float[Array, "*batch 2"], frame: Frame) -> Float[Array, "*batch 2"]:
-    """A centre shift in a frame, as it was described before."""
+    """A centre shift, transformed from the canonical description back to the original one."""
     return turn(shift, jnp.swapaxes(frame.matrix, -1, -2))
 
 
 def voxel_frame(voxels: Shaped[Array, "*batch x y z"]) -> Frame:
-    """The frame in which centred voxels are described canonically, of the eight that right angles and mirrors make."""
+    """The transformation of centred voxels to their canonical description, one of eight by right angles and mirrors."""
     k = eighth(*_moments(voxels, 2), *_moments(voxels, 3))
     return Frame(axes(k), k)
 
@@ -118,37 +127,40 @@ def voxel_frame(voxels: Shaped[Array, "*batch x y z"]) -> Frame:
 def _moments(
     voxels: Shaped[Array, "*batch x y z"], power: int
 ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-    """Of what voxels cover seen from above, along x and along y, about the middle, [*batch] each."""
+    """Moments of order `power`, along x and along y, of the columns that hold cloth, about the grid's middle.
+
+    `[*batch]` each.
+    """
     seen = jnp.any(voxels > 0, axis=-1)
     x, y = (jnp.arange(side) - (side - 1) / 2 for side in seen.shape[-2:])
     return jnp.einsum("...xy,x->...", seen, x**power), jnp.einsum("...xy,y->...", seen, y**power)
 
 
 def voxels_described(voxels: Shaped[Array, "*batch x y z"], frame: Frame) -> Shaped[Array, "*batch x y z"]:
-    """Voxels, or any array over them, as their frame describes them."""
+    """Voxels, or any array over them, transformed to the canonical description."""
     return relabel(voxels, frame.k[..., None, None, None])
 
 
 def voxels_undone(voxels: Shaped[Array, "*batch x y z"], frame: Frame) -> Shaped[Array, "*batch x y z"]:
-    """The opposite of `voxels_described`."""
+    """The inverse of `voxels_described`."""
     return relabel(voxels, jnp.asarray(INVERSE)[frame.k][..., None, None, None])
 
 
 def cartesian_described(manipulation: Float[Array, "*batch 6"], frame: Frame) -> Float[Array, "*batch 6"]:
-    """A manipulation with Cartesian grasp points as the frame describes it."""
+    """A manipulation with Cartesian grasp points, transformed to the canonical description."""
     points = manipulation.reshape(*manipulation.shape[:-1], 3, 2)
     return turn(points, frame.matrix[..., None, :, :]).reshape(manipulation.shape)
 
 
 def framed(units: Float[Array, "*batch units"], found: Frame) -> Float[Array, "*batch units_and_frame"]:
-    """A latent or a trace with the frame that it is in."""
+    """A latent or a memory trace with the frame that it refers to appended."""
     matrix = jnp.broadcast_to(found.matrix, (*units.shape[:-1], 2, 2)).reshape(*units.shape[:-1], 4)
     k = jnp.broadcast_to(found.k, units.shape[:-1])[..., None]
     return jnp.concatenate([units, matrix, k.astype(units.dtype)], axis=-1)
 
 
 def unframed(latent: Float[Array, "*batch units_and_frame"]) -> tuple[Float[Array, "*batch units"], Frame]:
-    """The opposite of `framed`."""
+    """The inverse of `framed`: the latent without its frame, and the frame."""
     matrix = latent[..., -FRAME:-1].reshape(*latent.shape[:-1], 2, 2)
     return latent[..., :-FRAME], Frame(matrix, latent[..., -1].astype(jnp.int32))
 
@@ -156,12 +168,12 @@ def unframed(latent: Float[Array, "*batch units_and_frame"]) -> tuple[Float[Arra
 def trace_within(
     trace: Float[Array, "*batch units_and_frame"], latent: Float[Array, "*batch units_and_frame"]
 ) -> Float[Array, "*batch units"]:
-    """A trace without its frame; zero if that is not the latent's."""
+    """A memory trace without its frame, replaced by zeros if its frame differs from the latent's."""
     same = jnp.all(trace[..., -FRAME:] == latent[..., -FRAME:], axis=-1, keepdims=True)
     return jnp.where(same, trace[..., :-FRAME], 0)
 
 
 def lies_along_y(voxels: Bool[Array, "*batch x y z"]) -> Bool[Array, "*batch"]:
-    """Whether voxels, seen from above, lie wider along y than along x."""
+    """Whether the columns that hold cloth have a larger second moment along y than along x."""
     along_x, along_y = _moments(voxels, 2)
     return along_y > along_x

@@ -1,4 +1,4 @@
-"""What a killed training goes on from: one file, replaced as a whole."""
+"""Checkpoints, from which an interrupted training resumes: one file, which is replaced atomically."""
 
 import json
 import os
@@ -12,7 +12,10 @@ from jaxtyping import PyTree
 
 
 def write(path: Path, arrays: PyTree, notes: Any) -> None:
-    """Stores arrays and JSON-able notes. A kill at any moment leaves the old file or the new one."""
+    """Write a pytree of arrays, and notes that can be converted to JSON.
+
+    The file is replaced atomically: if the process is killed, either the old or the new file is there.
+    """
     leaves = {str(i): np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(arrays))}
     half_written = path.with_suffix(".new")
     half_written.write_bytes(serialization.msgpack_serialize({"leaves": leaves, "notes": json.dumps(notes)}))
@@ -20,7 +23,7 @@ def write(path: Path, arrays: PyTree, notes: Any) -> None:
 
 
 def read(path: Path, like: PyTree) -> tuple[PyTree, Any]:
-    """The arrays, nested like `like`, and the notes."""
+    """Read the arrays, as a pytree with the structure of `like`, and the notes."""
     stored = serialization.msgpack_restore(path.read_bytes())
     leaves = [stored["leaves"][str(i)] for i in range(len(stored["leaves"]))]
     return jax.tree.unflatten(jax.tree.structure(like), leaves), json.loads(stored["notes"])

@@ -1,8 +1,8 @@
-"""Convolutions over voxels by matrix products: on a CPU many times faster than XLA's own in three dimensions.
+"""3D convolutions as matrix products, which on a CPU are many times faster than XLA's own 3D convolutions.
 
-Along z a convolution is written as a banded matrix over all heights and maps at once; along x and y the kernel's
-strips are gathered side by side. Borders are zero, padded as XLA's SAME. A kernel is as wide as it is deep: three
-voxels, or as many as the volume has where that is fewer, since the other weights would only ever see the border.
+Along z the convolution is one banded matrix over all heights and feature maps; along x and y the shifted slices that
+the kernel covers are concatenated. Borders are padded with zeros, as XLA's SAME does. A kernel has three voxels along
+each axis, or the size of the volume if that is smaller, since further weights would only be multiplied by the padding.
 """
 
 from collections.abc import Sequence
@@ -20,35 +20,35 @@ KERNEL = 3
 
 
 class Axis(NamedTuple):
-    """A convolution along one axis."""
+    """The sizes of a convolution along one axis."""
 
     size: int
-    """Voxels going in."""
+    """Number of input voxels."""
     stride: int
 
     @property
     def kernel(self) -> int:
-        """Voxels under the kernel."""
+        """Number of voxels that the kernel covers."""
         return min(KERNEL, self.size)
 
     @property
     def out(self) -> int:
-        """Voxels coming out."""
+        """Number of output voxels."""
         return -(-self.size // self.stride)
 
     @property
     def low(self) -> int:
-        """Zeros before the first voxel."""
+        """Number of zeros that are padded before the first voxel."""
         return max((self.out - 1) * self.stride + self.kernel - self.size, 0) // 2
 
     def band(self) -> Float[np.ndarray, "kernel size out"]:
-        """1 where the kernel's weight k leads from voxel i to voxel o, 0 elsewhere."""
+        """1 where weight k of the kernel connects input voxel i with output voxel o, 0 elsewhere."""
         kernel, size, out = np.ogrid[: self.kernel, : self.size, : self.out]
         return (out * self.stride + kernel - self.low == size).astype(np.float32)
 
 
 def axes(size: Sequence[int], stride: Sequence[int]) -> tuple[Axis, Axis, Axis]:
-    """The convolution of a volume of that size, axis by axis."""
+    """The sizes of the convolution of a volume, for each axis."""
     x, y, z = (Axis(n, step) for n, step in zip(size, stride, strict=True))
     return x, y, z
 
@@ -58,12 +58,12 @@ def convolve(
     kernel: Float[Array | np.ndarray, "i j k c d"],
     stride: Sequence[int],
 ) -> Float[Array, "*batch xx yy zz d"]:
-    """The convolution of a volume of c maps to d maps (in the sense of neural nets: the kernel is not reversed)."""
+    """The convolution of a volume with c feature maps to d feature maps, without reversing the kernel."""
     volume, kernel = jnp.asarray(volume), jnp.asarray(kernel)
     *batch, nx, ny, nz, maps = volume.shape
     x, y, z = axes((nx, ny, nz), stride)
     flat = volume.reshape(-1, nx, ny, nz * maps)
-    # What lies past the last strip is padding that no strip reads; it keeps the slices below in bounds.
+    # The padding at the end may be more than the convolution reads; it keeps the slices below in bounds.
     padded = jnp.pad(flat, ((0, 0), (x.low, KERNEL), (y.low, KERNEL), (0, 0)))
     strips = [
         padded[:, i : i + (x.out - 1) * x.stride + 1 : x.stride, j : j + (y.out - 1) * y.stride + 1 : y.stride]
@@ -80,7 +80,7 @@ def convolve_transposed(
     stride: Sequence[int],
     size: Sequence[int],
 ) -> Float[Array, "*batch x y z c"]:
-    """The transpose of `convolve`, as a linear map: d maps to c maps over a volume of that size."""
+    """The transpose of the linear map `convolve`: from d feature maps to c feature maps over a volume of that size."""
     *batch, _, _, _, _ = volume.shape
     source = jax.ShapeDtypeStruct((*batch, *size, kernel.shape[-2]), volume.dtype)
     (out,) = jax.linear_transpose(lambda wide: convolve(wide, kernel, stride), source)(jnp.asarray(volume))
@@ -88,9 +88,10 @@ def convolve_transposed(
 
 
 def glorot(stride: Sequence[int], size: Sequence[int], scale: float = 1.0) -> nn.initializers.Initializer:
-    """Glorot uniform weights times `scale`, for `convolve` from a volume of that size or its transpose.
+    """Glorot uniform weights times `scale`, for `convolve` from a volume of that size or for its transpose.
 
-    Each unit's connections are counted as they are: a stride lets a voxel reach fewer voxels than a kernel has weights.
+    The fans are the actual numbers of connections: with a stride, an input voxel is connected to fewer output voxels
+    than the kernel has weights.
     """
     ways_out = prod(axis.kernel * axis.out / axis.size for axis in axes(size, stride))
 
@@ -103,7 +104,7 @@ def glorot(stride: Sequence[int], size: Sequence[int], scale: float = 1.0) -> nn
 
 
 class Convolution(nn.Module):
-    """A convolution with a bias per map; Glorot weights, zero biases."""
+    """A convolution with a bias per feature map; initial weights are Glorot uniform, biases zero."""
 
     maps: int
     stride: tuple[int, int, int]
@@ -118,14 +119,17 @@ class Convolution(nn.Module):
 
 
 class TransposedConvolution(nn.Module):
-    """The transpose of a convolution of a volume of `size`, with a bias per map; Glorot weights times `scale`."""
+    """The transpose of a convolution of a volume of `size`, with a bias per feature map.
+
+    Initial weights are Glorot uniform times `scale`.
+    """
 
     maps: int
     stride: tuple[int, int, int]
     size: tuple[int, int, int]
     scale: float = 1.0
     bias: float = 0.0
-    """Where the biases start."""
+    """Initial value of the biases."""
 
     @nn.compact
     def __call__(self, volume: Float[Array, "*batch xx yy zz d"]) -> Float[Array, "*batch x y z c"]:

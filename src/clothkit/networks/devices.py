@@ -1,4 +1,4 @@
-"""Training on all devices that JAX sees: each holds the weights and the data, and takes its share of a batch."""
+"""Data-parallel training: every JAX device holds all weights and data, and computes an equal part of each batch."""
 
 import jax
 import numpy as np
@@ -13,15 +13,15 @@ def _sharding(*axes: str) -> NamedSharding:
 
 
 def on_all(tree: PyTree) -> PyTree:
-    """Arrays copied to every device, whole."""
+    """The arrays, replicated on every device."""
     return tree if jax.device_count() == 1 else jax.device_put(tree, _sharding())
 
 
 def spread(examples: PyTree) -> PyTree:
-    """Examples with their first axis, the batch, cut into a piece per device; inside jit.
+    """The examples with their first axis, the batch, sharded over the devices; to be called inside jit.
 
-    Random numbers do not depend on how they are cut, so the batch is the same on any number of devices. Raises
-    InputError when the batch can't be cut evenly.
+    Random numbers do not depend on the sharding, so the batch is the same on any number of devices. Raises InputError
+    if the batch size is not a multiple of the number of devices.
     """
     devices = jax.device_count()
     if devices == 1:

@@ -1,6 +1,7 @@
-"""The voxel EM*D, baseline A2: encoder and decoder over voxels around pEM*D's manipulator (section 6.2, design 6.15).
+"""The voxel EM*D, baseline A2: encoder and decoder for voxels with pEM*D's manipulator (section 6.2, design 6.15).
 
-Its grasp points are Cartesian, relative to the centre of the state that is manipulated: there is no geodesic space.
+Grasp points are Cartesian, relative to the centre of the state that is manipulated, because voxels have no geodesic
+coordinates.
 """
 
 from functools import partial
@@ -32,13 +33,13 @@ from clothkit.networks.pemd import Manipulator, unrolled
 from clothkit.networks.settings import EMDVoxelConfig, Start
 
 MAPS = (32, 32, 64, 128, 256)
-"""Feature maps after E's first five layers at width 1; the sixth gives the latent."""
+"""Numbers of feature maps after E's first five layers at width 1; the sixth layer's output is the latent."""
 
 STRIDES = ((2, 2, 1), *((2, 2, 2),) * 5)
 
 
 def resolutions() -> list[tuple[int, int, int]]:
-    """The resolution of the voxels and after each of E's layers: 32 x 32 x 16 to 1."""
+    """The resolution of E's input and of each layer's output: from 32 x 32 x 16 down to 1 x 1 x 1."""
     found = [RESOLUTION]
     for stride in STRIDES:
         x, y, z = (axis.out for axis in axes(found[-1], stride))
@@ -47,12 +48,15 @@ def resolutions() -> list[tuple[int, int, int]]:
 
 
 def maps(config: EMDVoxelConfig) -> list[int]:
-    """The feature maps of the voxels and after each of E's layers."""
+    """The numbers of feature maps of E's input and of each layer's output."""
     return [1, *(max(1, round(count * config.width)) for count in MAPS), config.latent]
 
 
 class VoxelEncoder(nn.Module):
-    """E, eq. (2), over voxels: six convolutions, tanh between them, linear end."""
+    """E, eq. (2), for voxels: six convolutions with tanh between them and a linear output.
+
+    With `dense`, fully connected layers instead.
+    """
 
     config: EMDVoxelConfig
 
@@ -73,7 +77,10 @@ class VoxelEncoder(nn.Module):
 
 
 class VoxelDecoder(nn.Module):
-    """D, eq. (4), over voxels: E mirrored; the logits of occupancy."""
+    """D, eq. (4), for voxels: E's layers transposed and in reverse order; the output is the logits of occupancy.
+
+    With `dense`, fully connected layers instead.
+    """
 
     config: EMDVoxelConfig
     start: Start
@@ -95,7 +102,7 @@ class VoxelDecoder(nn.Module):
 
 
 class EMDVoxel(nn.Module):
-    """The three modules; `start` only decides the initial weights."""
+    """E, M and D in one module; `start` affects the initial weights only."""
 
     config: EMDVoxelConfig
     start: Start = Start()
@@ -132,22 +139,23 @@ class EMDVoxel(nn.Module):
         manipulations: Float[Array, "*batch n 6"],
         trace: Float[Array, "*batch latent"] | None = None,
     ) -> tuple[Float[Array, "n *batch latent"], Float[Array, "n *batch latent"], Float[Array, "n *batch 2"]]:
-        """Latents, memory traces and centre shifts after each manipulation: eq. (5) without its decoder."""
+        """Latents, memory traces and centre shifts after each manipulation: eq. (5) without the decoder."""
         return unrolled(self.M, self.E(voxels), manipulations, trace)
 
 
 def initial(config: EMDVoxelConfig, start: Start = Start(), *, key: PRNGKeyArray) -> PyTree:  # noqa: B008
-    """Weights to start training from."""
+    """Initial weights for training."""
     return EMDVoxel(config, start).init(key, jnp.zeros(RESOLUTION), jnp.zeros((1, 6)))["params"]
 
 
 def cartesian(
     states: Float[Array | ndarray, "*batch n u v 3"], manipulations: Float[Array | ndarray, "*batch n 6"]
 ) -> Float[Array, "*batch n 6"]:
-    """Recorded manipulations as this net takes them: m' of eq. (3), x1 y1 x2 y2 dx dy [normalised].
+    """Convert recorded manipulations to this net's input: m' of eq. (3), x1 y1 x2 y2 dx dy [normalised].
 
-    `states` are the true meshes before each manipulation, centred: a point on one is relative to its own centre, which
-    is eq. (3)'s shift by -a_i. Grasp points after the first manipulation are clipped to the viewport (design 6.15).
+    `states` are the true meshes before each manipulation. They are centred, so that points on them are relative to
+    their own centre, which is the shift by -a_i of eq. (3). Grasp points of all manipulations but the first are clipped
+    to the viewport (design 6.15).
     """
     first, second = grasp_points(manipulations)
     grasps = jnp.concatenate([to_cartesian(states, uv)[..., :2] for uv in (first, second)], axis=-1)
@@ -157,7 +165,10 @@ def cartesian(
 
 
 def encode(net: Net, voxels: Shaped[Array | ndarray, "*batch 32 32 16"]) -> Float[Array, "*batch latent"]:
-    """The latent of occluded, centred voxels (bool or 0 / 1): eq. (2). Of a canonical net it ends with their frame."""
+    """The latent of occluded, centred voxels (bool or 0 / 1): eq. (2).
+
+    If the net is canonical, the voxels' frame is appended to the latent.
+    """
     voxels, module = jnp.asarray(voxels), EMDVoxel(net.config)
     if not net.config.canonical:
         return run(module, net.params, voxels, method="encode")
@@ -171,9 +182,9 @@ def step(
     trace: Float[Array | ndarray, "*batch latent"],
     manipulation: Float[Array | ndarray, "*batch 6"],
 ) -> tuple[Float[Array, "*batch latent"], Float[Array, "*batch latent"], Float[Array, "*batch 2"]]:
-    """Latent, memory trace and centre shift [normalised] after one manipulation, Cartesian: eq. (3).
+    """Latent, memory trace and centre shift [normalised] after one manipulation with Cartesian grasp points: eq. (3).
 
-    The first trace is zero; to a canonical net, so is one from another frame.
+    The first memory trace is zero. A canonical net replaces a trace that refers to another frame by zeros.
     """
     latent, trace, manipulation = map(jnp.asarray, (latent, trace, manipulation))
     module = EMDVoxel(net.config)
@@ -186,7 +197,7 @@ def step(
 
 
 def logits(net: Net, latent: Float[Array | ndarray, "*batch latent"]) -> Float[Array, "*batch 32 32 16"]:
-    """Logits of the occupancy that a latent stands for: `decode` before its sigmoid, for losses."""
+    """The logits of occupancy for a latent: the input of the sigmoid in `decode`, used by the losses."""
     latent, module = jnp.asarray(latent), EMDVoxel(net.config)
     if not net.config.canonical:
         return run(module, net.params, latent, method="decode")
@@ -205,7 +216,7 @@ def rollout(
     manipulations: Float[Array | ndarray, "*batch n 6"],
     trace: Float[Array | ndarray, "*batch latent"] | None = None,
 ) -> tuple[Float[Array, "n *batch 32 32 16"], Float[Array, "n *batch latent"], Float[Array, "n *batch 2"]]:
-    """Predictions after each of n manipulations, Cartesian, eq. (5): occupancy 0..1, memory traces, centre shifts."""
+    """Occupancy 0..1, memory traces and centre shifts after each of n manipulations with Cartesian grasps: eq. (5)."""
     latent = encode(net, voxels)
     trace = None if trace is None else jnp.asarray(trace)
     latents, traces, shifts = unrolled(partial(step, net), latent, jnp.asarray(manipulations), trace)

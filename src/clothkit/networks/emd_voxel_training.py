@@ -1,4 +1,4 @@
-"""What the voxel EM*D learns: which voxels are occupied after recorded manipulations (section 6.2, design 6.15)."""
+"""Training of the voxel EM*D: examples, losses, validation and the training run (section 6.2, design 6.15)."""
 
 from functools import partial
 from pathlib import Path
@@ -25,20 +25,20 @@ from clothkit.networks.training import Problem, Trained, train
 
 
 class VoxelExamples(NamedTuple):
-    """Stretches of n manipulations, as the voxel EM*D takes and predicts them."""
+    """A batch of subsequences of n manipulations: inputs and targets of the voxel EM*D."""
 
     voxels: Bool[Array, "batch 32 32 16"]
-    """The first state as it is observed: the input."""
+    """The observed first state: the input."""
     manipulations: Float[Array, "batch n 6"]
     """Cartesian [normalised]."""
     outcomes: Bool[Array, "batch n 32 32 16"]
     """The state after each manipulation, centred."""
     shifts: Float[Array, "batch n 2"]
-    """How far each manipulation moved the centre [normalised]."""
+    """The displacement of the cloth's centre by each manipulation [normalised]."""
 
 
 def voxelised(examples: Examples, *, noise: float, noise_z: float, key: PRNGKeyArray) -> VoxelExamples:
-    """The same stretches in voxels: doubled and occluded, input and outcomes alike; noise is on the input alone."""
+    """The examples with meshes converted to doubled, occluded voxels; noise is added to the input only."""
     before = jnp.concatenate([examples.mesh[:, None], examples.outcomes[:, :-1]], axis=1)
     if noise:
         seen = voxels.observe_noisily(examples.mesh, noise=noise, noise_z=noise_z, key=key)
@@ -53,9 +53,10 @@ def voxelised(examples: Examples, *, noise: float, noise_z: float, key: PRNGKeyA
 
 
 def augment(examples: Examples, *, noise: float, noise_z: float, key: PRNGKeyArray) -> VoxelExamples:
-    """Other descriptions of the same stretches (section 4.6): meshes turn before they become voxels.
+    """Randomly transformed examples in voxels (section 4.6): meshes are rotated or mirrored before they are voxelised.
 
-    There are no equivalents to draw: voxels have no labels.
+    The grasp points of each manipulation are swapped with probability 1/2. No equivalents are drawn, because voxels
+    have no labels.
     """
     turn_key, swap_key, noise_key = jax.random.split(key, 3)
     batch, n = examples.manipulations.shape[:2]
@@ -66,7 +67,7 @@ def augment(examples: Examples, *, noise: float, noise_z: float, key: PRNGKeyArr
 
 
 def described(examples: VoxelExamples) -> VoxelExamples:
-    """The stretches in the canonical descriptions of their first states."""
+    """The examples, each transformed to the canonical description of its first state."""
     found = voxel_frame(examples.voxels)
     per_step = jax.tree.map(lambda part: jnp.repeat(part[:, None], examples.shifts.shape[1], axis=1), found)
     return VoxelExamples(
@@ -80,12 +81,12 @@ def described(examples: VoxelExamples) -> VoxelExamples:
 def cross_entropy(
     logits: Float[Array, "*batch x y z"], truth: Shaped[Array, "*#batch x y z"]
 ) -> Float[Array, "*batch"]:
-    """Binary cross-entropy of the truth (bool or 0 / 1) under logits of occupancy, the mean over voxels [nat]."""
+    """Binary cross-entropy between the truth (bool or 0 / 1) and logits of occupancy, averaged over voxels [nat]."""
     return jnp.mean(jax.nn.softplus(logits) - logits * truth, axis=(-3, -2, -1))
 
 
 def loss_shape(net: EMDVoxel, params: PyTree, examples: VoxelExamples) -> Float[Array, ""]:
-    """loss_s: binary cross-entropy in place of eq. (8)'s likelihood, summed over the steps, averaged over the batch."""
+    """loss_s, eq. (8) with binary cross-entropy instead of NLL, summed over the steps and averaged over the batch."""
     logits, _, _ = run(net, params, examples.voxels, examples.manipulations)
     return jnp.mean(jnp.sum(cross_entropy(logits, jnp.moveaxis(examples.outcomes, 1, 0)), axis=0))
 
@@ -99,7 +100,7 @@ def loss_position(net: EMDVoxel, params: PyTree, examples: VoxelExamples) -> Flo
 def direction(
     net: EMDVoxel, settings: TrainEMDVoxelConfig, params: PyTree, examples: VoxelExamples
 ) -> tuple[PyTree, dict[str, Float[Array, ""]]]:
-    """What the optimiser is given, and the two losses: `recipe.direction`."""
+    """The gradient (or sign sum) that the optimiser takes, and the two losses by name: see `recipe.direction`."""
     return recipe.direction(
         lambda params: loss_shape(net, params, examples),
         lambda params: loss_position(net, params, examples),
@@ -110,9 +111,9 @@ def direction(
 
 
 def task_differences(net: EMDVoxel, params: PyTree, data: Sequences) -> Float[Array, "6 sequences"]:
-    """Mean absolute voxel differences of the predictions for the six tasks of each sequence, from noise-free voxels.
+    """Mean absolute voxel differences of predictions from noise-free voxels, for the six tasks of each sequence.
 
-    Meaningless where a sequence is too short for the task.
+    The values are undefined where a sequence is too short for the task.
     """
     seen = voxels.observe(data.vertices)
     differences = {}
@@ -145,13 +146,13 @@ def _on_length(
 
 
 def problem(settings: TrainEMDVoxelConfig, validation: Sequences) -> Problem:
-    """The voxel EM*D's part of the training loop; its data are `Sequences`."""
+    """The functions that the training loop needs for the voxel EM*D; the training data are `Sequences`."""
     net = EMDVoxel(settings.net, settings.training.start)
 
     def gradient(params: PyTree, data: Sequences, key: PRNGKeyArray) -> tuple[PyTree, dict[str, Any]]:
         length_key, batch_key = jax.random.split(key)
         n = random_length(data, key=length_key)
-        # One length per batch, and only the branch that is taken runs.
+        # `switch` runs only the branch of the drawn length.
         branches = [partial(_on_length, net, settings, length) for length in range(1, STEPS + 1)]
         return jax.lax.switch(n - 1, branches, params, data, batch_key)
 
@@ -162,9 +163,9 @@ def problem(settings: TrainEMDVoxelConfig, validation: Sequences) -> Problem:
 def train_emd_voxel(
     settings: TrainEMDVoxelConfig, training: Dataset, validation: Dataset, *, work: Path, key: PRNGKeyArray
 ) -> Trained:
-    """A voxel EM*D of the best validation score, going on from `work` after a kill.
+    """Train a voxel EM*D and return the weights with the best validation score.
 
-    The score is the mean absolute voxel difference over the six tasks, of those that some validation sequence is long
-    enough for.
+    The score is the mean absolute voxel difference over the six tasks, without those that no validation sequence is
+    long enough for. An interrupted run resumes from the folder `work`.
     """
     return train(problem(settings, sequences(validation)), sequences(training), settings.training, work=work, key=key)

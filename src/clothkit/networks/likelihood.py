@@ -1,4 +1,4 @@
-"""The likelihood that training maximises: as in eqs. (8) and (12), or with uncertain vertices held in it."""
+"""The negative log likelihood for training: as in eqs. (8) and (12), or with more weight on uncertain coordinates."""
 
 import jax
 import jax.numpy as jnp
@@ -8,11 +8,12 @@ from clothkit.cloth.mesh import Mesh, ProbabilisticMesh, coordinate_nll, nll
 
 
 def held_nll(mesh: Mesh, predicted: ProbabilisticMesh, hold: float) -> Float[Array, "..."]:
-    """Negative log likelihood in which coordinates of large sigma count more, the mean over a mesh's coordinates.
+    """Negative log likelihood, averaged over a mesh's coordinates with weights that grow with sigma.
 
-    A normal's gradient for the mean is the error over sigma squared, so that what is uncertain is soon learnt no more.
-    Here each coordinate is weighted by sigma^(2 hold), without a gradient, whose mean over the mesh is one: 0 is the
-    plain likelihood, 1 gives the means the gradient of a mean squared error. Seitzer et al., "On the pitfalls of
+    The gradient of the plain likelihood with respect to a mean is the error divided by sigma squared, so that
+    coordinates with a large sigma hardly learn any more. Here each coordinate is weighted by sigma^(2 hold), without
+    gradient and scaled to a mean of one over the mesh. With hold = 0 this is the plain likelihood; with hold = 1 the
+    gradient for the means is, up to scale, that of a mean squared error. Seitzer et al., "On the pitfalls of
     heteroscedastic uncertainty estimation with probabilistic neural networks", ICLR 2022.
     """
     if hold == 0:

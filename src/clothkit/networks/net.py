@@ -1,4 +1,4 @@
-"""A trained net as one small pytree that jitted functions take."""
+"""A trained net as one pytree, which can be passed to jitted functions."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -9,7 +9,7 @@ import jax
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Net:
-    """A net's configuration and its weights: a pytree of the weights, in which the configuration is static."""
+    """A net's configuration and weights: a pytree whose leaves are the weights; the configuration is static."""
 
     config: Any = field(metadata={"static": True})
     """A PEMDConfig, an EMDVoxelConfig or a VtMConfig."""

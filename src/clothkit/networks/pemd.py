@@ -26,11 +26,11 @@ from clothkit.networks.net import Net
 from clothkit.networks.settings import PEMDConfig, Start
 
 LAYERS = 16
-"""Neuron layers of M: 0 is its input, 15 its output."""
+"""Number of M's neuron layers: layer 0 is the input, layer 15 the output."""
 
 
 class Encoder(nn.Module):
-    """E, eq. (2): tanh hidden layers, linear end."""
+    """E, eq. (2): hidden layers with tanh, linear output."""
 
     config: PEMDConfig
 
@@ -43,11 +43,11 @@ class Encoder(nn.Module):
 
 
 class Manipulator(nn.Module):
-    """M, eq. (3): 16 layers around a residual channel, the first `latent` units of every layer.
+    """M, eq. (3): 16 layers with a residual channel, which is the first `latent` units of every layer.
 
-    Every layer is dense and sees the manipulation beside the layer before it. tanh comes first, then the channel of the
-    layer before is added. Layers 2, 4, .., 12 also project into the channel of layers 4, .., 14, inside the tanh. The
-    centre shift is the raw output.
+    Every layer is dense; its input is the layer before it, with the manipulation appended. After tanh, the channel of
+    the layer before is added to that of the new layer. Layers 2, 4, .., 12 are also projected into the channel of
+    layers 4, .., 14, before the tanh. The centre shift is an output without tanh.
     """
 
     latent: int
@@ -77,12 +77,18 @@ class Manipulator(nn.Module):
         return new_latent, jnp.tanh(output[..., channel : 2 * channel]), output[..., 2 * channel :]
 
     def _widened(self, channel: Float[Array, "*batch latent"]) -> Float[Array, "*batch width"]:
-        """The channel as a hidden layer that is zero elsewhere: padding fuses where an indexed update would not."""
+        """The channel, padded with zeros to the width of a hidden layer.
+
+        XLA fuses the padding with other operations, which it does not do with an indexed update.
+        """
         wider = [(0, 0)] * (channel.ndim - 1) + [(0, self.width - self.latent)]
         return jnp.pad(channel, wider)
 
     def _writing(self, width: int, name: str) -> nn.Dense:
-        """A dense layer whose first `latent` units write into the residual channel."""
+        """A dense layer whose first `latent` outputs belong to the residual channel.
+
+        The initial weights of these outputs are scaled by `start.residual`.
+        """
         channel, factor = self.latent, self.start.residual
         glorot = nn.initializers.glorot_uniform()
 
@@ -98,7 +104,7 @@ def unrolled(
     manipulations: Float[Array, "*batch n 6"],
     trace: Float[Array, "*batch latent"] | None = None,
 ) -> tuple[Float[Array, "n *batch latent"], Float[Array, "n *batch latent"], Float[Array, "n *batch 2"]]:
-    """Latents, memory traces and centre shifts after each manipulation of a latent; the first trace is zero."""
+    """Latents, memory traces and centre shifts after each manipulation; without `trace` the first trace is zero."""
     trace = jnp.zeros_like(latent) if trace is None else trace
     steps = []
     for i in range(manipulations.shape[-2]):
@@ -109,14 +115,14 @@ def unrolled(
 
 
 class Decoder(nn.Module):
-    """D, eq. (4): tanh hidden layers, eq. (6) at the output."""
+    """D, eq. (4): hidden layers with tanh, and the output of eq. (6)."""
 
     config: PEMDConfig
     start: Start
 
     @nn.compact
     def __call__(self, latent: Float[Array, "*batch latent"]) -> ProbabilisticMesh:
-        # One batch axis: with two of them the backward pass took twice as long on CPUs.
+        # Batch axes are merged into one, because with two of them the backward pass took twice as long on CPUs.
         units = latent.reshape(-1, latent.shape[-1])
         for i, width in enumerate(self.config.decoder):
             units = jnp.tanh(dense(width, f"layer_{i + 1}")(units))
@@ -125,7 +131,7 @@ class Decoder(nn.Module):
 
 
 class PEMD(nn.Module):
-    """The three modules; `start` only decides the initial weights."""
+    """E, M and D in one module; `start` affects the initial weights only."""
 
     config: PEMDConfig
     start: Start = Start()
@@ -161,19 +167,22 @@ class PEMD(nn.Module):
         manipulations: Float[Array, "*batch n 6"],
         trace: Float[Array, "*batch latent"] | None = None,
     ) -> tuple[Float[Array, "n *batch latent"], Float[Array, "n *batch latent"], Float[Array, "n *batch 2"]]:
-        """Latents, memory traces and centre shifts after each manipulation: eq. (5) without its decoder."""
+        """Latents, memory traces and centre shifts after each manipulation: eq. (5) without the decoder."""
         return unrolled(self.M, self.E(mesh), manipulations, trace)
 
 
 def initial(config: PEMDConfig, start: Start = Start(), *, key: PRNGKeyArray) -> PyTree:  # noqa: B008
-    """Weights to start training from."""
+    """Initial weights for training."""
     mesh, manipulations = jnp.zeros((SIDE, SIDE, 3)), jnp.zeros((1, 6))
     return PEMD(config, start).init(key, mesh, manipulations)["params"]
 
 
 def encode(net: Net, mesh: Float[Array | ndarray, "*batch u v 3"]) -> Float[Array, "*batch latent"]:
-    """The latent of a centred mesh [normalised]: eq. (2). Of a canonical net it ends with the mesh's frame, so that
-    manipulations and predictions are in the description that `mesh` is in."""
+    """The latent of a centred mesh [normalised]: eq. (2).
+
+    If the net is canonical, the mesh's frame is appended to the latent. `step` and `decode` use it to convert, so that
+    manipulations and predictions are in the coordinates and labels of `mesh`.
+    """
     mesh, module = jnp.asarray(mesh), PEMD(net.config)
     if not net.config.canonical:
         return run(module, net.params, mesh, method="encode")
@@ -187,9 +196,9 @@ def step(
     trace: Float[Array | ndarray, "*batch latent"],
     manipulation: Float[Array | ndarray, "*batch 6"],
 ) -> tuple[Float[Array, "*batch latent"], Float[Array, "*batch latent"], Float[Array, "*batch 2"]]:
-    """Latent, memory trace and centre shift [normalised] after one manipulation: eq. (3). The first trace is zero.
+    """Latent, memory trace and centre shift [normalised] after one manipulation: eq. (3).
 
-    To a canonical net a trace from another frame tells nothing: it is taken for zero.
+    The first memory trace is zero. A canonical net replaces a trace that refers to another frame by zeros.
     """
     latent, trace, manipulation = map(jnp.asarray, (latent, trace, manipulation))
     module = PEMD(net.config)
@@ -202,9 +211,9 @@ def step(
 
 
 def decode(net: Net, latent: Float[Array | ndarray, "*batch latent"], every: int = 1) -> ProbabilisticMesh:
-    """The probabilistic mesh [normalised] that a latent stands for: eq. (4).
+    """The probabilistic mesh [normalised] for a latent: eq. (4).
 
-    With `every`, at the vertices that `grid.thinned` leaves, at the cost of these alone.
+    With `every` above 1, only the vertices that `grid.thinned` keeps are computed and returned.
     """
     latent = jnp.asarray(latent)
     units, found = unframed(latent) if net.config.canonical else (latent, None)
@@ -216,7 +225,11 @@ def decode(net: Net, latent: Float[Array | ndarray, "*batch latent"], every: int
 
 
 def _decode_thinned(net: Net, latent: Float[Array, "*batch latent"], every: int) -> ProbabilisticMesh:
-    """D with a narrower last layer: most of a search's arithmetic is there, and neighbours tell nearly the same."""
+    """D with an output layer for some of the vertices only.
+
+    This saves time because most of a search's arithmetic is in the output layer, while neighbouring vertices have
+    similar predictions.
+    """
     decoder = net.params["D"]
     units = latent.reshape(-1, latent.shape[-1])
     for i in range(len(net.config.decoder)):
@@ -235,7 +248,7 @@ def rollout(
     manipulations: Float[Array | ndarray, "*batch n 6"],
     trace: Float[Array | ndarray, "*batch latent"] | None = None,
 ) -> tuple[ProbabilisticMesh, Float[Array, "n *batch latent"], Float[Array, "n *batch 2"]]:
-    """Predictions after each of n manipulations, eq. (5): meshes [n *batch u v 3], memory traces, centre shifts."""
+    """Probabilistic meshes [n *batch u v 3], memory traces and centre shifts after each of n manipulations: eq. (5)."""
     latent = encode(net, mesh)
     trace = None if trace is None else jnp.asarray(trace)
     latents, traces, shifts = unrolled(partial(step, net), latent, jnp.asarray(manipulations), trace)

@@ -1,4 +1,4 @@
-"""What pEM*D learns: likely outcomes and centre shifts of recorded manipulations (section 4.6, eq. 8)."""
+"""Training of pEM*D: examples, losses, validation and the training run (section 4.6, eq. 8)."""
 
 from collections.abc import Callable
 from functools import partial
@@ -24,18 +24,18 @@ from clothkit.networks.training import Problem, Trained, train
 
 
 class Sequences(NamedTuple):
-    """Recorded sequences on the device, the longest first [normalised]."""
+    """Recorded sequences as device arrays, sorted by length, the longest first [normalised]."""
 
     vertices: Float[Array, "sequences 4 u v 3"]
     centre: Float[Array, "sequences 4 2"]
     manipulation: Float[Array, "sequences 3 6"]
     length: Int[Array, " sequences"]
     at_least: Int[Array, " lengths"]
-    """at_least[n]: how many of the sequences have n manipulations or more."""
+    """at_least[n]: number of sequences with n manipulations or more."""
 
 
 def sequences(dataset: Dataset) -> Sequences:
-    """A dataset's sequences on the device, sorted for drawing."""
+    """A dataset's sequences as device arrays, sorted by length so that `draw` can choose among the long enough ones."""
     order = np.argsort(-dataset.length, kind="stable")
     at_least = [int(np.sum(dataset.length >= n)) for n in range(STEPS + 1)]
     return Sequences(
@@ -48,7 +48,10 @@ def sequences(dataset: Dataset) -> Sequences:
 
 
 def draw(data: Sequences, n: int, batch: int, *, key: PRNGKeyArray) -> Examples:
-    """A batch of stretches of n manipulations: sequences that are long enough, a start for each (design 6.5)."""
+    """A random batch of subsequences of n manipulations (design 6.5).
+
+    Sequences are drawn uniformly among those that are long enough, and the start uniformly within each.
+    """
     sequence_key, start_key = jax.random.split(key)
     sequence = jax.random.randint(sequence_key, (batch,), 0, data.at_least[n])
     start = jax.random.randint(start_key, (batch,), 0, data.length[sequence] - n + 1)
@@ -64,13 +67,13 @@ def draw(data: Sequences, n: int, batch: int, *, key: PRNGKeyArray) -> Examples:
 
 
 def random_length(data: Sequences, *, key: PRNGKeyArray) -> Int[Array, ""]:
-    """A length for a batch, uniform from 1 to that of the longest sequence."""
+    """A random number of manipulations for a batch, uniform from 1 to the length of the longest sequence."""
     longest = jnp.sum(data.at_least[1:] > 0)
     return jax.random.randint(key, (), 1, longest + 1)
 
 
 def loss_shape(net: PEMD, params: PyTree, examples: Examples, *, hold: float = 0.0) -> Float[Array, ""]:
-    """loss_s, eq. (8): negative log likelihood, summed over the steps, averaged over the batch; `hold`: held_nll."""
+    """loss_s, eq. (8): `held_nll` with that `hold`, summed over the steps and averaged over the batch."""
     predicted, _, _ = run(net, params, examples.mesh, examples.manipulations)
     return jnp.mean(jnp.sum(held_nll(jnp.moveaxis(examples.outcomes, 1, 0), predicted, hold), axis=0))
 
@@ -84,7 +87,7 @@ def loss_position(net: PEMD, params: PyTree, examples: Examples) -> Float[Array,
 def direction(
     net: PEMD, settings: TrainPEMDConfig, params: PyTree, examples: Examples
 ) -> tuple[PyTree, dict[str, Float[Array, ""]]]:
-    """What the optimiser is given, and the two losses: `recipe.direction`."""
+    """The gradient (or sign sum) that the optimiser takes, and the two losses by name: see `recipe.direction`."""
     hold = settings.hold if settings.training.recipe == "fast" else 0.0
     return recipe.direction(
         lambda params: loss_shape(net, params, examples, hold=hold),
@@ -96,7 +99,7 @@ def direction(
 
 
 def task_errors(net: PEMD, params: PyTree, data: Sequences) -> Float[Array, "6 sequences"]:
-    """Errors of the predicted means for the six tasks of each sequence, from true meshes [cloth length].
+    """Errors of the means predicted from true meshes, for the six tasks of each sequence [cloth length].
 
     NaN where a sequence is too short for the task.
     """
@@ -128,13 +131,13 @@ def _on_length(
 
 
 def problem(settings: TrainPEMDConfig, validation: Sequences) -> Problem:
-    """pEM*D's part of the training loop; its data are `Sequences`."""
+    """The functions that the training loop needs for pEM*D; the training data are `Sequences`."""
     net = PEMD(settings.net, settings.training.start)
 
     def gradient(params: PyTree, data: Sequences, key: PRNGKeyArray) -> tuple[PyTree, dict[str, Any]]:
         length_key, batch_key = jax.random.split(key)
         n = random_length(data, key=length_key)
-        # One length per batch, and only the branch that is taken runs.
+        # `switch` runs only the branch of the drawn length.
         branches = [partial(_on_length, net, settings, length) for length in range(1, STEPS + 1)]
         return jax.lax.switch(n - 1, branches, params, data, batch_key)
 
@@ -145,8 +148,11 @@ def problem(settings: TrainPEMDConfig, validation: Sequences) -> Problem:
 def validation_of_tasks(
     errors_of_tasks: Callable[[PyTree, Sequences], Float[Array, "6 sequences"]], validation: Sequences
 ) -> Callable[[PyTree], dict[str, float]]:
-    """weights -> mean error of each task that some validation sequence is long enough for; `score`: their mean."""
-    # By the tasks' ends, not by what is finite: a net that gives NaN must not look better for it.
+    """A function from weights to the mean error of each task, by the name `length/start`, and their mean, `score`.
+
+    Tasks that no validation sequence is long enough for are left out.
+    """
+    # Sequences' lengths decide what counts, not NaN in the errors: a net that outputs NaN must not score better for it.
     counted = np.array(TASKS).sum(1)[:, None] <= np.asarray(validation.length)
     errors_of = jax.jit(
         lambda params, data: jnp.sum(jnp.where(counted, errors_of_tasks(params, data), 0), axis=1) / counted.sum(1)
@@ -154,7 +160,6 @@ def validation_of_tasks(
 
     def validate(params: PyTree) -> dict[str, float]:
         errors = np.asarray(errors_of(params, validation))
-        # A task that no sequence is long enough for has no error.
         present = counted.any(1)
         named = {f"{n}/{i}": float(e) for (i, n), e, some in zip(TASKS, errors, present, strict=True) if some}
         return {"score": float(errors[present].mean()), **named}
@@ -165,8 +170,9 @@ def validation_of_tasks(
 def train_pemd(
     settings: TrainPEMDConfig, training: Dataset, validation: Dataset, *, work: Path, key: PRNGKeyArray
 ) -> Trained:
-    """A forward model of the best validation score, going on from `work` after a kill.
+    """Train a forward model and return the weights with the best validation score.
 
-    The score is the mean error over the six tasks, of those that some validation sequence is long enough for.
+    The score is the mean error over the six tasks, without those that no validation sequence is long enough for. An
+    interrupted run resumes from the folder `work`.
     """
     return train(problem(settings, sequences(validation)), sequences(training), settings.training, work=work, key=key)

@@ -1,4 +1,4 @@
-"""How weights are updated: the paper's SignSGD, and Muon with AdamW (sections 4.6, 4.8; design 6.4)."""
+"""Optimisers: the paper's SignSGD, and Muon with AdamW (sections 4.6, 4.8; design 6.4)."""
 
 from collections.abc import Callable
 from typing import Any
@@ -13,9 +13,9 @@ from clothkit.networks.settings import TrainingConfig
 
 
 def sign_sum(shape: PyTree, position: PyTree) -> PyTree:
-    """Both losses' gradients as one direction per weight: sign(sign(g_s) + sign(g_p)) (section 4.6, design 6.4).
+    """The gradients of both losses combined to sign(sign(g_s) + sign(g_p)) (section 4.6, design 6.4).
 
-    Where the two disagree the weight stays; where one is zero (loss_p in D) the other decides.
+    Where the signs differ, the result is zero; where one gradient is zero (that of loss_p in D), the other decides.
     """
     return jax.tree.map(lambda s, p: jnp.sign(jnp.sign(s) + jnp.sign(p)), shape, position)
 
@@ -28,10 +28,10 @@ def direction(
     recipe: str,
     shift_weight: float,
 ) -> tuple[PyTree, dict[str, Float[Array, ""]]]:
-    """What the optimiser is given for a forward model's two losses of the weights, and these losses by name.
+    """The input of the optimiser for a forward model's two losses, and the losses by name.
 
-    `paper`: the sign sum of the two gradients, taken separately. `fast`: the gradient of loss_s + shift_weight loss_p,
-    in one backward pass.
+    `loss_shape` and `loss_position` are functions of the weights. For the recipe `paper` the result is the sign sum of
+    their separate gradients; for `fast` it is the gradient of loss_s + shift_weight loss_p, from one backward pass.
     """
 
     def both(params: PyTree) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
@@ -47,13 +47,16 @@ def direction(
 
 
 def optimiser(training: TrainingConfig) -> optax.GradientTransformation:
-    """The update rule of a recipe, its schedule included; `paper`'s halving of the rate is not."""
+    """The update rule of a recipe, including the learning rate schedule of `fast`.
+
+    The halvings of `paper`'s rate are not included; the training loop applies them.
+    """
     if training.recipe == "paper":
         return optax.sign_sgd(training.learning_rate)
     return muon(
         _schedule(training, training.muon_learning_rate),
         ns_steps=training.muon_iterations,
-        # With this start one iteration less makes updates as orthogonal (Boissin et al., "Turbo-Muon", 2025).
+        # With AOL preconditioning, one iteration less gives updates as orthogonal (Boissin et al., "Turbo-Muon", 2025).
         preconditioning="aol" if training.muon_iterations < 5 else "frobenius",
         weight_decay=training.weight_decay,
         adam_weight_decay=training.weight_decay,

@@ -24,9 +24,9 @@ class PEMDConfig:
     """Units of M's hidden layers, without the manipulation that is appended to each; at least `latent`."""
     decoder: Annotated[tuple[Count, ...], MinLen(1)] = (1024, 2048)
     least_std: Rate = 0.01
-    """What eq. (6) adds to every standard deviation [normalised]: errors below it can't be told to be so small."""
+    """Constant that eq. (6) adds to every standard deviation [normalised]: a lower bound of predicted uncertainty."""
     canonical: bool = False
-    """Whether the net sees every cloth in one of its many descriptions (canonical.py); the paper's does not."""
+    """Whether inputs are transformed to canonical descriptions (canonical.py); the paper's net does not do this."""
 
     def __post_init__(self) -> None:
         if self.manipulation < self.latent:
@@ -35,17 +35,17 @@ class PEMDConfig:
 
 @config
 class VtMConfig:
-    """Width of VtM, and how it is asked."""
+    """Width of VtM, and the form of its inputs."""
 
     hidden: Count = 4096
     views: Literal[1, 8] = 1
-    """Estimates are averaged over so many views of the voxels: as they are, or turned and mirrored, too."""
+    """With 8, an estimate combines those from all versions of the voxels rotated by right angles and mirrored."""
     least_std: Rate = 0.01
-    """As for the forward models."""
+    """Constant that eq. (6) adds to every standard deviation [normalised]."""
     canonical: bool = False
-    """Whether the net sees all voxels lying widest along x (canonical.py); four views of eight are left then."""
+    """Whether input voxels are turned to be widest along x (canonical.py); only four of the eight views then differ."""
     height: Rate = HEIGHT
-    """Upper end of the voxels that it sees [normalised]."""
+    """Upper end of the input voxels in z [normalised]."""
 
 
 @config
@@ -53,19 +53,19 @@ class EMDVoxelConfig:
     """Widths of the voxel EM*D."""
 
     latent: Count = 512
-    """Units of the latent, of the memory trace and of M's residual channel; E's last layer gives as many maps."""
+    """Units of the latent, of the memory trace and of M's residual channel; also E's last number of feature maps."""
     manipulation: Count = 1024
     """Units of M's hidden layers, without the manipulation that is appended to each; at least `latent`."""
     width: Rate = 1.0
-    """Factor on the feature maps of E's and D's layers, 32, 32, 64, 128 and 256; rounded, at least one each."""
+    """Factor on the numbers of feature maps of E's and D's layers, 32, 32, 64, 128 and 256; rounded, at least 1."""
     dense: bool = False
-    """Fully connected E and D, as in the mesh version, in place of convolutions."""
+    """Whether E and D are fully connected, as in the mesh version, instead of convolutional."""
     canonical: bool = False
-    """Whether the net sees all voxels in one of the eight descriptions that right angles and mirrors make."""
+    """Whether input voxels are rotated by right angles and mirrored to a canonical description (canonical.py)."""
     encoder: Annotated[tuple[Count, ...], MinLen(1)] = (2048, 1024)
-    """`dense` only."""
+    """Widths of E's hidden layers; `dense` only."""
     decoder: Annotated[tuple[Count, ...], MinLen(1)] = (1024, 2048)
-    """`dense` only."""
+    """Widths of D's hidden layers; `dense` only."""
 
     def __post_init__(self) -> None:
         if self.manipulation < self.latent:
@@ -74,21 +74,21 @@ class EMDVoxelConfig:
 
 @config
 class Start:
-    """Where training starts from: Glorot weights, zero biases (design 6.3), unless told otherwise."""
+    """Initial weights. The defaults are Glorot weights and zero biases (design 6.3)."""
 
     residual: Rate = 1.0
-    """Factor on the Glorot scale of the weights that write into the residual channel."""
+    """Factor on the initial weights whose outputs belong to M's residual channel."""
     output: Rate = 1.0
-    """Factor on the Glorot scale of the last layer's weights."""
+    """Factor on the initial weights of the output layer."""
     sigma: float = 0.0
-    """Bias of the units that give sigma: std starts near exp(sigma) + least_std [normalised]."""
+    """Initial bias of the output units for sigma: standard deviations start near exp(sigma) + least_std."""
     logit: float = 0.0
-    """Bias of the units that give voxels: they start near the sigmoid of it."""
+    """Initial bias of the output units for voxels: probabilities of occupancy start near the sigmoid of it."""
 
 
 @config
 class TrainingConfig:
-    """One training run."""
+    """Settings of one training run."""
 
     seed: Annotated[int, Ge(0)] = 0
     recipe: Literal["paper", "fast"] = "paper"
@@ -96,71 +96,71 @@ class TrainingConfig:
     iterations: Count = 1_600_000
     batch: Count = 64
     learning_rate: Rate = 5e-5
-    """Of SignSGD (`paper`), or at the peak of AdamW's schedule (`fast`)."""
+    """Initial rate of SignSGD (`paper`), or peak rate of AdamW's schedule (`fast`)."""
     muon_learning_rate: Rate = 7e-3
-    """At the peak of Muon's schedule; `fast` only."""
+    """Peak rate of Muon's schedule; `fast` only."""
     muon_width: Annotated[int, Ge(0)] = 1100
-    """Muon takes the matrices that are at most this wide on both sides, AdamW the rest; `fast` only."""
+    """Muon updates the weight matrices with at most this many rows and columns, AdamW the rest; `fast` only."""
     muon_iterations: Count = 5
-    """Newton-Schulz iterations by which Muon makes an update orthogonal; `fast` only."""
+    """Newton-Schulz iterations with which Muon orthogonalises an update; `fast` only."""
     weight_decay: NotNegative = 0.0
-    """Of all weights, times the rate; `fast` only."""
+    """Weight decay of all weights, multiplied by the learning rate; `fast` only."""
     warm_up: Share = 0.05
-    """Share of the iterations in which the rates rise; then they fall as a cosine to zero; `fast` only."""
+    """Share of the iterations in which the rates rise linearly, before a cosine decay to zero; `fast` only."""
     validate_every: Count = 10_000
-    """Iterations between validation scores; also how often a resumable checkpoint is kept."""
+    """Iterations between validations; a checkpoint is written after each validation."""
     patience: Count = 5
-    """Validations without improvement before the learning rate is halved; `paper` only."""
+    """Validations without improvement after which the learning rate is halved; `paper` only."""
     stop_below: NotNegative = 0.0
-    """Training ends once the learning rate is below this; `paper` only."""
+    """Training ends when the learning rate is below this value; `paper` only."""
     precision: Literal["default", "float32", "tensorfloat32", "bfloat16"] = "default"
-    """Of matrix products in training, on devices that have the choice; a CPU takes float32 whatever is asked for."""
+    """Precision of matrix products in training, on devices that support it; CPUs always use float32."""
     steps_per_call: Count = 50
-    """Iterations that run on the device without a word to the host."""
+    """Iterations per call of the compiled training function, from which the host gets the mean losses."""
     start: Start = Start()
 
 
 @config
 class TrainPEMDConfig:
-    """One forward model and its training."""
+    """Settings of one pEM*D net and its training."""
 
     net: PEMDConfig = PEMDConfig()
     training: TrainingConfig = TrainingConfig()
     noise: NotNegative = 0.025
     """Standard deviation of the noise on the input's vertices [normalised]."""
     shift_weight: NotNegative = 1.0
-    """Weight of loss_p beside loss_s; `recipe: fast` only, the paper's needs none."""
+    """Weight of loss_p relative to loss_s; `recipe: fast` only."""
     hold: Share = 0.0
-    """How far uncertain vertices are held in the likelihood, 0 to 1 (likelihood.py); `recipe: fast` only."""
+    """Extra weight of uncertain coordinates in the likelihood, 0 (none) to 1 (likelihood.py); `recipe: fast` only."""
 
 
 @config
 class TrainVtMConfig:
-    """VtM and its training."""
+    """Settings of VtM and its training."""
 
     net: VtMConfig = VtMConfig()
     training: TrainingConfig = TrainingConfig(stop_below=1e-7)
     noise: NotNegative = 0.025
-    """Standard deviation of the noise on the input's points, in x and y [normalised]; 0 needs no duplicates."""
+    """Standard deviation of the noise on the input's points in x and y [normalised]; 0 also omits the duplication."""
     noise_z_factor: NotNegative = 1.0
-    """The noise in z, as a multiple of that in x and y (design 6.14)."""
+    """The noise in z as a multiple of that in x and y (design 6.14)."""
     hold: Share = 0.0
-    """As for the forward models; whatever the recipe."""
+    """Extra weight of uncertain coordinates in the likelihood, 0 (none) to 1 (likelihood.py); for both recipes."""
     flat: Share = 0.05
-    """Share of flat cloths among the examples: every sequence starts with the same one."""
+    """Share of flat cloths among the training examples; the others are states that follow a manipulation."""
     rare: Share = 0.0
-    """Voxels that are occupied in no more than this share of the examples are left out: their weights are zero."""
+    """Voxels that are occupied in at most this share of the examples are not used as inputs: their weights are zero."""
 
 
 @config
 class TrainEMDVoxelConfig:
-    """One forward model of the voxel baseline and its training."""
+    """Settings of one voxel EM*D net and its training."""
 
     net: EMDVoxelConfig = EMDVoxelConfig()
     training: TrainingConfig = TrainingConfig()
     noise: NotNegative = 0.025
-    """Standard deviation of the noise on the input's points, in x and y [normalised]; 0 needs no duplicates."""
+    """Standard deviation of the noise on the input's points in x and y [normalised]; 0 also omits the duplication."""
     noise_z_factor: NotNegative = 1.0
-    """The noise in z, as a multiple of that in x and y (design 6.14)."""
+    """The noise in z as a multiple of that in x and y (design 6.14)."""
     shift_weight: NotNegative = 1.0
-    """Weight of loss_p beside loss_s; `recipe: fast` only, the paper's needs none."""
+    """Weight of loss_p relative to loss_s; `recipe: fast` only."""

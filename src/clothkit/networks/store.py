@@ -1,4 +1,4 @@
-"""How a net is stored: a folder with its weights, what it was made with, and what its training went through."""
+"""Storage of a net: a folder with its weights, its configuration and params, and its training history."""
 
 import json
 import math
@@ -23,11 +23,11 @@ WEIGHTS, ATTRIBUTES, HISTORY = "net.msgpack", "net.json", "history.parquet"
 Kind = Literal["pemd", "emd_voxel", "vtm"]
 KINDS = {"pemd": PEMDConfig, "emd_voxel": EMDVoxelConfig, "vtm": VtMConfig}
 LARGEST = 1e6
-"""No weight comes near it: what a training writes is of the order of 1."""
+"""Largest accepted absolute weight. Trained weights are of the order of 1, so a larger one indicates damage."""
 
 
 def save(folder: Path, net: Net, history: pd.DataFrame, attributes: Mapping[str, Any]) -> None:
-    """Writes a net's three files. The same net gives the same bytes."""
+    """Write a net's three files. Equal nets give equal bytes."""
     folder.mkdir(parents=True, exist_ok=True)
     kind = next(name for name, config in KINDS.items() if isinstance(net.config, config))
     weights = jax.tree.map(np.asarray, net.params)
@@ -38,9 +38,10 @@ def save(folder: Path, net: Net, history: pd.DataFrame, attributes: Mapping[str,
 
 
 def load(folder: Path, kind: Kind | None = None) -> Net:
-    """The net that a folder holds, of that kind where one is expected.
+    """Read the net in a folder.
 
-    Raises InputError for a file that is missing, truncated or of another net, and for weights that are no net's.
+    Raises InputError for a file that is missing or damaged, for a net of another kind than `kind`, and for weights with
+    unexpected names, shapes or types, or with values that are not finite or above LARGEST.
     """
     about = description(folder)
     try:
@@ -60,7 +61,7 @@ def load(folder: Path, kind: Kind | None = None) -> Net:
         found = {name: np.asarray(weight) for name, weight in flatten_dict(params, sep="/").items()}
     except OSError as error:
         raise system_error(error, path, expected="a net's weights") from error
-    except Exception as error:  # msgpack has a dozen ways to say that bytes are missing
+    except Exception as error:  # msgpack raises many types of exceptions for damaged data
         raise InputError(f"{path}: expected a net's weights, found a truncated or damaged file") from error
     for name in sorted(expected.keys() | found.keys()):
         weight = found.get(name)
@@ -78,7 +79,10 @@ def load(folder: Path, kind: Kind | None = None) -> Net:
 
 
 def description(folder: Path) -> dict[str, Any]:
-    """What a net's folder says of the net: its kind, its widths and what it was made with. Raises InputError."""
+    """Read the description of the net in a folder: its kind, configuration and attributes.
+
+    Raises InputError if the file is missing, damaged or not a JSON object.
+    """
     path = folder / ATTRIBUTES
     try:
         found = json.loads(path.read_bytes())
@@ -92,7 +96,7 @@ def description(folder: Path) -> dict[str, Any]:
 
 
 def validation_score(folder: Path) -> float:
-    """The validation score of the net that a folder holds. Raises InputError if its description has none."""
+    """Read the validation score of the net in a folder. Raises InputError if its description has no finite score."""
     score = description(folder).get("validation_score")
     if not isinstance(score, float) or not math.isfinite(score):
         found = json.dumps(score)[:60]
@@ -101,7 +105,7 @@ def validation_score(folder: Path) -> float:
 
 
 def shapes(config: PEMDConfig | EMDVoxelConfig | VtMConfig) -> Any:
-    """The shapes that a net's weights have, nested like the weights themselves."""
+    """The shapes of the weights of a net with this configuration, in the pytree structure of the weights."""
     key = jax.random.key(0)
     if isinstance(config, PEMDConfig):
         return jax.eval_shape(lambda: pemd.initial(config, key=key))

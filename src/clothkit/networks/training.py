@@ -1,4 +1,4 @@
-"""The training loop of every net: jitted runs of iterations, validation, the best net, resuming (section 4.6)."""
+"""The training loop for all nets: iterations, validation, selection of the best weights, and resuming (section 4.6)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -25,19 +25,20 @@ CHECKPOINT = "training.msgpack"
 
 @dataclass(frozen=True)
 class Problem:
-    """What is to be learnt: three pure functions."""
+    """A learning problem, as three pure functions."""
 
     initial: Callable[[PRNGKeyArray], PyTree]
     """key -> weights."""
     gradient: Callable[[PyTree, PyTree, PRNGKeyArray], tuple[PyTree, dict[str, Any]]]
-    """weights, data, key -> gradient (or a direction in its place) on a freshly drawn batch, losses by name."""
+    """weights, data, key -> gradient (or sign sum) on a random batch, losses by name."""
     validate: Callable[[PyTree], dict[str, float]]
-    """weights -> errors on the validation split [cloth length, or mean voxel difference]; `score` decides."""
+    """weights -> errors on the validation split by name [cloth length, or mean voxel difference]. The best weights are
+    those with the lowest `score`."""
 
 
 @dataclass
 class Progress:
-    """Where a training is, beside its arrays: JSON-able, so that a checkpoint can hold it."""
+    """The state of a training run besides its arrays. It can be written as JSON, for checkpoints."""
 
     iteration: int = 0
     halvings: int = 0
@@ -48,7 +49,7 @@ class Progress:
 
 @dataclass(frozen=True)
 class Trained:
-    """The weights of the best validation score, that score, and a history row per validation."""
+    """The weights with the best validation score, that score, and a history with a row per validation."""
 
     params: PyTree
     score: float
@@ -56,20 +57,19 @@ class Trained:
 
 
 def train(problem: Problem, data: PyTree, training: TrainingConfig, *, work: Path, key: PRNGKeyArray) -> Trained:
-    """Trains until the iterations are used up (or the rate is below `stop_below`), going on from `work` if it can.
+    """Train for the given number of iterations, or until the rate is below `stop_below`.
 
-    A run that was killed and started again ends with the same bytes as an unbroken one. Raises InputError when the loss
-    is no longer finite.
+    If the folder `work` has a checkpoint, training resumes from it. A run that was interrupted and resumed gives the
+    same bytes as one that was not. Raises InputError if a loss is not finite.
     """
     rule = optimiser(training)
     params = problem.initial(jax.random.fold_in(key, 0))
-    # Arrays: weights, the optimiser's state, the best weights so far.
     arrays: PyTree = (params, rule.init(params), params)
     progress = Progress()
     if (work / CHECKPOINT).exists():
         arrays, notes = checkpoint.read(work / CHECKPOINT, arrays)
         progress = Progress(**notes)
-    # Copies, because `run` reuses the memory of what it is given, and the first best weights are the initial ones.
+    # Copies, because `run` donates its arguments' memory, and the first best weights are the same arrays as `params`.
     params, state, best = on_all(jax.tree.map(jnp.array, arrays))
     del arrays
     data = on_all(data)
@@ -101,11 +101,11 @@ def _finished(progress: Progress, training: TrainingConfig) -> bool:
 def runner(
     problem: Problem, rule: optax.GradientTransformation, training: TrainingConfig, key: PRNGKeyArray
 ) -> Callable[..., Any]:
-    """A function that runs `count` iterations in one call: weights, state -> weights, state, mean losses."""
+    """A jitted function that runs `count` iterations: weights, state, .. -> weights, state, mean losses."""
 
     def iterate(data: PyTree, factor: Any, carry: tuple[PyTree, PyTree], iteration: Any) -> tuple[Any, Any]:
         params, state = carry
-        # The key follows from the iteration alone, so that a resumed run draws what an unbroken one draws.
+        # The key depends on the iteration's number only, so that a resumed run draws the same batches.
         gradient, losses = problem.gradient(params, data, jax.random.fold_in(key, iteration))
         updates, state = rule.update(gradient, state, params)
         params = jax.tree.map(lambda weight, update: weight + factor * update, params, updates)
@@ -134,7 +134,7 @@ def _judge(
     best: PyTree,
     losses: dict[str, float],
 ) -> PyTree:
-    """Validates, writes history, halves the rate if it is time to; the best weights so far, as a copy."""
+    """Validate, append to the history and halve the rate if needed; returns a copy of the best weights so far."""
     if not all(np.isfinite(value) for value in losses.values()):
         raise InputError(
             f"training, iteration {progress.iteration}: expected finite losses, got {losses}; lower the rates"
@@ -145,7 +145,7 @@ def _judge(
     progress.history.append({**row, **errors})
     if errors["score"] < progress.best:
         progress.best, progress.unimproved = errors["score"], 0
-        # A copy, because the next run may reuse the memory of `params`.
+        # A copy, because the next call of `run` donates the memory of `params`.
         return jax.tree.map(jnp.copy, params)
     progress.unimproved += 1
     if training.recipe == "paper" and progress.unimproved >= training.patience:

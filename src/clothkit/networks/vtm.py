@@ -1,4 +1,4 @@
-"""VtM, the voxel-to-mesh net: seven fully connected neuron layers, probabilistic output (section 4.7, design 6.3)."""
+"""VtM, the voxel-to-mesh net: seven fully connected layers, probabilistic output (section 4.7, design 6.3)."""
 
 import flax.linen as nn
 import jax.numpy as jnp
@@ -18,7 +18,7 @@ HIDDEN_LAYERS = 5
 
 
 class VtM(nn.Module):
-    """Five tanh layers between voxels and eq. (6); `start` only decides the initial weights."""
+    """Five hidden layers with tanh, and the output of eq. (6); `start` affects the initial weights only."""
 
     config: VtMConfig
     start: Start = Start()
@@ -32,22 +32,22 @@ class VtM(nn.Module):
 
 
 def initial(config: VtMConfig, start: Start = Start(), *, key: PRNGKeyArray) -> PyTree:  # noqa: B008
-    """Weights to start training from."""
+    """Initial weights for training."""
     return VtM(config, start).init(key, jnp.zeros(RESOLUTION))["params"]
 
 
 def seen_by(net: Net, mesh: Float[Array | ndarray, "*batch u v 3"]) -> Bool[Array, "*batch 32 32 16"]:
-    """What a camera above sees of meshes, up to the height that the net knows."""
+    """The net's input voxels for meshes: the output of `voxels.observe` up to the net's height."""
     return observe(mesh, height=net.config.height)
 
 
 def estimate(net: Net, voxels: Shaped[Array | ndarray, "*batch 32 32 16"]) -> ProbabilisticMesh:
-    """The probabilistic mesh [normalised] that occluded, centred voxels (bool or 0 / 1) show: eq. (9).
+    """Estimate the probabilistic mesh [normalised] from occluded, centred voxels (bool or 0 / 1): eq. (9).
 
-    With eight views the net sees the voxels turned by right angles and mirrored, too. What it says of each is turned
-    back, takes the labels under which it is nearest to the first, and becomes part of one mixture, of which mean and
-    standard deviation are returned: the net knows no direction, and its errors do. To a canonical net two of the eight
-    are the same each time.
+    With eight views, the net is applied to all versions of the voxels that are rotated by right angles and mirrored.
+    Each output is transformed back and relabelled to be nearest to the first one; the result has the mean and standard
+    deviation of their mixture. This averages out errors that depend on the orientation. For a canonical net the eight
+    views are equal in pairs, so only four are computed.
     """
     voxels = jnp.asarray(voxels)
     count = COUNT if net.config.views > 1 else 1
@@ -62,7 +62,7 @@ def estimate(net: Net, voxels: Shaped[Array | ndarray, "*batch 32 32 16"]) -> Pr
 
 
 def seen_as(net: Net, voxels: Shaped[Array, "*batch x y z"], k: int) -> ProbabilisticMesh:
-    """What the net says of voxels that it is shown under equivalent k of x and y; where they are as given."""
+    """The net's estimate from voxels whose axes x and y are transformed as by equivalent k, transformed back."""
     shown = relabel(voxels, k)
     if not net.config.canonical:
         return back(run(VtM(net.config), net.params, shown), k)
@@ -71,22 +71,22 @@ def seen_as(net: Net, voxels: Shaped[Array, "*batch x y z"], k: int) -> Probabil
 
 
 def back(estimated: ProbabilisticMesh, k: int | Int[Array, "*batch"]) -> ProbabilisticMesh:
-    """An estimate from voxels under equivalent k of x and y, where the cloth lies."""
+    """An estimate from voxels transformed by equivalent k, transformed back to the original orientation."""
     mean, std = estimated
     return ProbabilisticMesh(turned_back(mean, k), jnp.abs(turned_back(std, k)))
 
 
 def turned(mesh: Mesh, k: int | Int[Array, "*batch"]) -> Float[Array, "*batch u v 3"]:
-    """A mesh as equivalent k, done to x and y instead of u and v, shows it."""
+    """A mesh whose coordinates x and y are transformed as equivalent k transforms u and v."""
     return turn_mesh(jnp.asarray(mesh), axes(jnp.asarray(k)))
 
 
 def turned_back(mesh: Mesh, k: int | Int[Array, "*batch"]) -> Float[Array, "*batch u v 3"]:
-    """The opposite of `turned`."""
+    """The inverse of `turned`."""
     return turn_mesh(jnp.asarray(mesh), jnp.swapaxes(axes(jnp.asarray(k)), -1, -2))
 
 
 def relabelled_like(values: Mesh, like: Mesh, mesh: Mesh) -> Float[Array, "*batch u v 3"]:
-    """Values over a mesh's vertices, under the labels that bring the mesh nearest to another."""
+    """Values at a mesh's vertices, under the labels that bring `mesh` nearest to the mesh `like`."""
     nearest = jnp.argmin(distance(equivalents(mesh), like), axis=0)
     return jnp.take_along_axis(equivalents(values), nearest[None, ..., None, None, None], axis=0)[0]

@@ -1,7 +1,8 @@
-"""What VtM learns: a mesh, under any of its eight labellings, from noisy voxels of it (section 4.8, eq. 12).
+"""Training of VtM: the mesh, in any of its eight labellings, is learnt from its noisy voxels (section 4.8, eq. 12).
 
-The first layer is more than half of the products, and most voxels are hardly ever occupied: those far from the centre,
-and high up. Training can leave them out (`rare`); the trained net takes all voxels, and gives these weights of zero.
+The first layer takes more than half of the multiplications, but most voxels, which are far from the centre or high
+above the table, are hardly ever occupied. Training can leave these out (`rare`). The trained net takes all voxels; the
+weights of those that were left out are zero.
 """
 
 import dataclasses
@@ -30,28 +31,28 @@ from clothkit.networks.training import Problem, Trained, train
 from clothkit.networks.vtm import VtM, initial, turned
 
 EVERY = np.arange(np.prod(voxels.RESOLUTION))
-"""All voxels, by their places in a flat array."""
+"""Indices of all voxels in a flattened volume."""
 
 COUNTED = 8192
-"""Examples by which rare voxels are told, at least."""
+"""Least number of examples from which the rare voxels are determined."""
 
 
 class States(NamedTuple):
-    """Single states on the device, centred [normalised]."""
+    """Single states as device arrays, centred [normalised]."""
 
     folded: Float[Array, "states u v 3"]
     flat: Float[Array, "u v 3"]
 
 
 def states(dataset: Dataset) -> States:
-    """The states of a dataset that follow a manipulation, and the flat one."""
+    """The states of a dataset that follow a manipulation, and the flat cloth."""
     follows = np.arange(STEPS + 1) <= dataset.length[:, None]
     follows[:, 0] = False
     return States(jnp.asarray(dataset.vertices[follows]), jnp.asarray(dataset.vertices[0, 0]))
 
 
 def draw(data: States, settings: TrainVtMConfig, *, key: PRNGKeyArray) -> Float[Array, "batch u v 3"]:
-    """A batch of states, turned and mirrored at random."""
+    """A random batch of states, rotated and mirrored at random; a share `settings.flat` of them is flat."""
     state_key, flat_key, turn_key = jax.random.split(key, 3)
     batch = settings.training.batch
     chosen = data.folded[jax.random.randint(state_key, (batch,), 0, data.folded.shape[0])]
@@ -62,7 +63,7 @@ def draw(data: States, settings: TrainVtMConfig, *, key: PRNGKeyArray) -> Float[
 def observed(
     mesh: Float[Array, "batch u v 3"], settings: TrainVtMConfig, *, key: PRNGKeyArray
 ) -> Bool[Array, "batch 32 32 16"]:
-    """Training input: doubled, duplicated with noise, occluded; without noise two copies are one."""
+    """Training inputs: doubled, duplicated with noise and occluded voxels. Without noise, duplicates are not needed."""
     if settings.noise == 0:
         return voxels.observe(mesh, height=settings.net.height)
     noise_z = settings.noise * settings.noise_z_factor
@@ -72,7 +73,7 @@ def observed(
 def shown(
     mesh: Float[Array, "batch u v 3"], seen: Bool[Array, "batch x y z"], net: VtMConfig
 ) -> tuple[Float[Array, "batch u v 3"], Bool[Array, "batch x y z"]]:
-    """An example as the net is shown it: to a canonical net the voxels lie widest along x, and the mesh with them."""
+    """Examples as the net takes them. For a canonical net, voxels and mesh are turned to be widest along x."""
     if not net.canonical:
         return mesh, seen
     swap = lies_along_y(seen) * SWAP
@@ -82,35 +83,35 @@ def shown(
 def loss_vtm(
     mesh: Float[Array, "batch u v 3"], estimate: ProbabilisticMesh, *, hold: float = 0.0
 ) -> Float[Array, " batch"]:
-    """Eq. (12): the negative log likelihood under the labelling that makes it least (`hold`: held_nll)."""
-    # Choosing first keeps the eight candidates out of the backward pass; the gradient of the minimum is the same.
+    """Eq. (12): the negative log likelihood (`held_nll` with that `hold`) for the most likely labelling of the mesh."""
+    # Choosing the labelling first keeps the other seven out of the backward pass; the gradient is the same.
     likelihoods = jax.lax.stop_gradient(meshes.nll(equivalents(mesh), estimate))
     return held_nll(relabel_batch(mesh, jnp.argmin(likelihoods, axis=0)), estimate, hold)
 
 
 def among(chosen: Int[np.ndarray, " voxels"], seen: Shaped[Array, "batch x y z"]) -> Shaped[Array, "batch voxels 1 1"]:
-    """The chosen of the voxels, as the narrowed net takes them."""
+    """The chosen voxels only, in the input shape of a net with narrowed weights."""
     flat = seen.reshape(len(seen), -1)
     return (flat if len(chosen) == len(EVERY) else flat[:, chosen])[..., None, None]
 
 
 def narrowed(params: PyTree, chosen: Int[np.ndarray, " voxels"]) -> PyTree:
-    """Weights of a net that takes the chosen voxels alone."""
+    """The weights without those of the first layer for voxels that are not chosen."""
     first = params["layer_1"]
     return {**params, "layer_1": {**first, "kernel": first["kernel"][chosen]}}
 
 
 def widened(params: PyTree, chosen: Int[np.ndarray, " voxels"]) -> PyTree:
-    """A narrowed net's weights as those of a net that takes all voxels; what it did not take has weight zero."""
+    """The inverse of `narrowed`: weights for all voxels, with zeros for those that were not chosen."""
     first = params["layer_1"]
     kernel = jnp.zeros((len(EVERY), first["kernel"].shape[1])).at[chosen].set(first["kernel"])
     return {**params, "layer_1": {**first, "kernel": kernel}}
 
 
 def taken(data: States, settings: TrainVtMConfig) -> Int[np.ndarray, " voxels"]:
-    """The voxels that are not too rare: occupied in more than a share `rare` of examples such as training draws.
+    """Indices in a flattened volume of the voxels occupied in more than a share `rare` of random training examples.
 
-    As places in a flat array. Raises InputError when none is left.
+    Raises InputError if there are none.
     """
     if settings.rare == 0:
         return EVERY
@@ -130,7 +131,7 @@ def taken(data: States, settings: TrainVtMConfig) -> Int[np.ndarray, " voxels"]:
 
 
 def problem(settings: TrainVtMConfig, validation: Dataset, chosen: Int[np.ndarray, " voxels"] = EVERY) -> Problem:
-    """VtM's part of the training loop; its data are `States`, its weights those of a narrowed net."""
+    """The functions that the training loop needs for VtM; the training data are `States`, the weights are narrowed."""
     net = VtM(settings.net, settings.training.start)
 
     def estimated(params: PyTree, seen: Bool[Array, "batch x y z"]) -> ProbabilisticMesh:
@@ -168,9 +169,10 @@ def problem(settings: TrainVtMConfig, validation: Dataset, chosen: Int[np.ndarra
 def train_vtm(
     settings: TrainVtMConfig, training: Dataset, validation: Dataset, *, work: Path, key: PRNGKeyArray
 ) -> Trained:
-    """A VtM of the best validation score, going on from `work` after a kill.
+    """Train VtM and return the weights with the best validation score.
 
-    The score is the mean error over steps 1 to 3, of those that some validation sequence has.
+    The score is the mean error over the states after 1 to 3 manipulations, as far as the validation split has them. An
+    interrupted run resumes from the folder `work`.
     """
     data = states(training)
     chosen = taken(data, settings)

@@ -1,1 +1,1 @@
-"""Planning loss, epistemic uncertainty, the iRprop- search, sessions."""
+"""The planning loss, its uncertainty term, the gradient-based search for plans, and sessions of plan and execution."""

@@ -1,4 +1,4 @@
-"""Batches of one size: a program that is compiled for it serves any number of examples."""
+"""Batches of a fixed size, so that a jitted function is compiled once for any number of examples."""
 
 from collections.abc import Callable
 from typing import Any
@@ -8,9 +8,10 @@ import numpy as np
 
 
 def in_batches(function: Callable[..., Any], size: int, *trees: Any) -> Any:
-    """What `function` gives for pytrees of arrays with a leading axis of examples, `size` of them at a time, as NumPy.
+    """Apply `function` to batches of `size` examples; return the concatenated outputs as a pytree of NumPy arrays.
 
-    The last batch is filled up with copies of the last example.
+    `trees` are pytrees of arrays whose leading axis counts the examples; so are the outputs of `function`. The last
+    batch is padded with copies of the last example; the outputs of the copies are dropped.
     """
     count = len(jax.tree.leaves(trees)[0])
     parts = []

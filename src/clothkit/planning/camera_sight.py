@@ -1,4 +1,4 @@
-"""A system that plans on what a depth camera sees (section 6.5)."""
+"""Observation by a simulated depth camera, for systems that plan with meshes (section 6.5)."""
 
 import dataclasses
 from dataclasses import dataclass, field
@@ -16,14 +16,15 @@ from clothkit.planning.sight import Meshes, MeshSight, States, View
 
 @dataclass(frozen=True)
 class CameraSight(MeshSight):
-    """Meshes, estimated from pictures of the cloth instead of its own voxels."""
+    """States are meshes, estimated from depth images of the cloth instead of voxels of the true mesh."""
 
     picture: PictureConfig = field(default_factory=PictureConfig)
 
     def see(self, truth: Meshes, expected: States | None) -> View:
-        """The estimates, and where the cloths were seen; `expected` as elsewhere.
+        """The estimated meshes and the observed shifts of their centres; arguments as in `Sight.see`.
 
-        A cloth that no picture shows is taken for what was expected, or else for the flat one, in its true place.
+        If no picture shows the cloth, the voxels of the expected mesh are used instead, or those of the flat cloth if
+        `expected` is None, with a shift of zero.
         """
         assert self.vtm is not None, "a sight that estimates has a net for it"
         picture_of = for_net(self.picture, self.vtm)
@@ -40,12 +41,12 @@ class CameraSight(MeshSight):
 
 
 def for_net(picture: PictureConfig, vtm: Net) -> PictureConfig:
-    """Pictures whose clouds become voxels up to the height that the net knows."""
+    """The camera's settings with the voxel grid's height set to the height that the VtM net was trained with."""
     return dataclasses.replace(picture, cloud=dataclasses.replace(picture.cloud, height=vtm.config.height))
 
 
 def through_camera(planner: Planner, picture: PictureConfig) -> Planner:
-    """The planner with a camera for eyes. Its goals stay what they are: meshes."""
+    """The planner with its observations replaced by those of a depth camera. Goals are still given as meshes."""
     sight = planner.sight
     assert isinstance(sight, MeshSight), "a system that sees meshes"
     assert sight.vtm is not None, "a system that estimates them"

@@ -1,4 +1,4 @@
-"""What a search could have found: the recorded manipulations beside the plan, for failure rates (section 6.4)."""
+"""Diagnosis of failures: compares a search's plan with the recorded manipulations (section 6.4)."""
 
 from functools import partial
 from typing import Any
@@ -22,13 +22,15 @@ from clothkit.planning.sight import Sight
 _relabelled = jax.jit(relabel_manipulation_batch)
 
 NEAR = 0.05 * CLOTH_SIDE
-"""A recorded grasp point was offered if a candidate lies this near [normalised]."""
+"""Largest distance from a recorded grasp point to the nearest candidate at which it counts as offered [normalised]."""
 
 
 def note_recorded(sessions: Sessions, goals: np.ndarray, recorded: list[Stretch], planner: Planner) -> None:
-    """Write into new sessions what became possible: `loss_recorded` and `offered`.
+    """Fill the fields `loss_recorded` and `offered` of `sessions`, in place.
 
-    Recorded manipulations are brought under the labels of the first estimates by the truth, which no planner has.
+    `loss_recorded` is the planning loss of the recorded manipulations from the first estimate, and `offered` tells
+    whether the candidates of the first step include their grasp points. The recorded manipulations are relabelled to
+    match the first estimates. This uses the true states, which no planner has.
     """
     sight = planner.sight
     labels = sight.labels(sessions.estimate[:, 0], sessions.state[:, 0])
@@ -61,13 +63,13 @@ def note_recorded(sessions: Sessions, goals: np.ndarray, recorded: list[Stretch]
 
 def _places(sight: Sight, seen: np.ndarray, candidates: Float[np.ndarray, "c 2"]) -> Float[np.ndarray, "present 2"]:
     present = np.isfinite(candidates[:, 0])
-    # As many as there may be, so that one program serves all states.
+    # Padding is converted too, so that shapes are the same for all states and the function is compiled only once.
     pairs = np.repeat(np.nan_to_num(candidates)[:, None], 2, axis=1)
     return sight.places(np.repeat(seen[None], len(candidates), axis=0), pairs)[present, 0]
 
 
 def offered(wanted: Float[np.ndarray, "2 2"], offers: Float[np.ndarray, "c 2"]) -> Bool[np.ndarray, ""]:
-    """Whether each wanted grasp point has an offered one within NEAR; xy [normalised]."""
+    """Whether every wanted grasp point has a candidate within NEAR; both arguments are xy [normalised]."""
     distance = np.linalg.norm(wanted[:, None] - offers, axis=-1)
     return np.asarray((distance.min(axis=1) <= NEAR).all())
 
@@ -84,8 +86,10 @@ def losses(
     goals: Shaped[Array, "task *state"],
     plans: Float[Array, "task n 6"],
 ) -> Float[Array, " task"]:
-    """The planning loss of a given plan for each state and goal, the least over common equivalents, and over the goal's
-    relabellings where `relative` is UNKNOWN."""
+    """The planning loss of one given plan per task, `[task]`.
+
+    It is the minimum over the common equivalents and, where `relative` is UNKNOWN, over the goal's relabellings.
+    """
     count = forward.labels
 
     def one(state: Array, goal: Array, plan: Array) -> Array:

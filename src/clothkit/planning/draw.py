@@ -1,7 +1,7 @@
-"""Random plans: where each strain of a search starts from (section 5.1, design 6.2 and 6.9).
+"""Random plans, from which the strains of a search start (section 5.1, design 6.2 and 6.9).
 
-Grasp points are in the coordinates in which the net takes them: geodesic, or Cartesian for the voxel baseline. `xy` is
-where they lie on the table, which is what geometry is about.
+Grasp points are in the net's input coordinates: geodesic, or Cartesian for the voxel baseline. `xy` are the same points
+on the table [normalised], which geometric computations need.
 """
 
 from typing import NamedTuple
@@ -22,26 +22,32 @@ SINGLE_SHARE = 1 / 3
 """Probability of one hand."""
 
 FIRST_STEP_DRAWS = 16
-"""Draws of a first manipulation among which the first valid one is taken."""
+"""Number of draws for a first manipulation; the first valid one is used."""
 
 FOLD_POINT = SamplingConfig().fold_point
-"""Where along the displacement q lies (section 4.4)."""
+"""Share of the displacement at which the reference point q lies (section 4.4)."""
 
 RASTER, EXTENT = 64, 1.1
-"""Pixels a side, and half the side [normalised], of the square in which it is told what a cloth covers."""
+"""Pixels per side, and half the side length [normalised], of the square mask of the area that a cloth covers."""
 
 Covered = Bool[Array, "x y"] | Bool[np.ndarray, "x y"]
 
 
 class Candidates(NamedTuple):
-    """Grasp points of one state, padded to a fixed number so that every task has the same shapes."""
+    """Grasp points of one state, padded to a fixed number so that all tasks have the same shapes.
+
+    The first `present` rows of `grasps` are candidates, the rest is padding.
+    """
 
     grasps: Float[Array, "candidates 2"] | Float[np.ndarray, "candidates 2"]
     present: Int[Array, ""] | Int[np.ndarray, ""] | int
 
 
 def random_manipulations(shape: tuple[int, ...], *, key: PRNGKeyArray) -> Float[Array, "*shape 6"]:
-    """Manipulations without the restrictions of data generation; one hand is the same grasp point twice."""
+    """Random manipulations without the restrictions of data generation (design 6.9).
+
+    A one-handed manipulation repeats its grasp point.
+    """
     key_grasps, key_displacement, key_hands = jax.random.split(key, 3)
     grasps = jax.random.uniform(key_grasps, (*shape, 4), minval=-1, maxval=1)
     displacement = jax.random.uniform(key_displacement, (*shape, 2), minval=-REACH, maxval=REACH)
@@ -59,10 +65,10 @@ def random_plans(
     covered: Covered | None = None,
     key: PRNGKeyArray,
 ) -> Float[Array, "strains n 6"]:
-    """Random plans whose first grasp points are candidates; these lie at `xy`.
+    """Random plans whose first grasp points are drawn from the candidates, whose positions are `xy` [normalised].
 
-    Two hands of a first manipulation never fall on different sides of m (unless 16 draws failed). Where it is told what
-    the cloth covers, the first q is on it.
+    The two hands of a first manipulation lie on the same side of the line m, unless all 16 draws failed. If the mask
+    `covered` is given, q of the first manipulation lies on the cloth.
     """
     key_first, key_later = jax.random.split(key)
     first = _first_manipulations(strains, candidates, xy, covered, key=key_first)
@@ -103,7 +109,7 @@ def _first_valid(drawn: Float[Array, "strains draws 6"], valid: Bool[Array, "str
 
 
 def _points_on(covered: Bool[Array, "x y"], shape: tuple[int, ...], *, key: PRNGKeyArray) -> Float[Array, "*shape 2"]:
-    """Points drawn uniformly from what a cloth covers."""
+    """Points xy [normalised] drawn uniformly from the area that the mask marks as cloth."""
     key_pixel, key_within = jax.random.split(key)
     so_far = jnp.cumsum(covered.ravel())
     pixel = jnp.searchsorted(so_far, jax.random.uniform(key_pixel, shape) * so_far[-1], side="right")
@@ -115,9 +121,10 @@ def _points_on(covered: Bool[Array, "x y"], shape: tuple[int, ...], *, key: PRNG
 def folds(
     covered: Covered, places: Float[Array, "*batch 2 2"], manipulation: Float[Array, "*batch 6"]
 ) -> Bool[Array, "*batch"]:
-    """Whether manipulations of grasp points at `places` [normalised] are of the kind that the data hold (section 4.4).
+    """Whether manipulations satisfy the fold restriction of data generation (section 4.4), `[*batch]`.
 
-    The point q lies on what the cloth covers, the square -EXTENT..EXTENT; or it is a null manipulation, whatever its q.
+    This holds if the point q lies on the cloth, or if the manipulation is null, wherever its q is. `covered` is the
+    cloth's mask over the square -EXTENT..EXTENT [normalised] in x and y; `places` are the grasp points xy [normalised].
     """
     covered = jnp.asarray(covered)
     q = places.mean(-2) + FOLD_POINT * manipulation[..., 4:]
@@ -133,9 +140,9 @@ def snap(
     candidates: Candidates,
     xy: Float[Array, "candidates 2"],
 ) -> Float[Array, "6"]:
-    """The manipulation with each grasp point moved to the nearest candidate in xy (design 6.11).
+    """The manipulation with each grasp point replaced by the candidate nearest in xy (design 6.11).
 
-    Its grasp points lie at `wanted`, the candidates at `xy`.
+    `wanted` are the positions of its grasp points, `xy` those of the candidates, in one unit.
     """
     squared = jnp.sum((wanted[:, None] - xy) ** 2, axis=-1)
     nearest = jnp.argmin(jnp.where(jnp.arange(len(xy)) < candidates.present, squared, jnp.inf), axis=-1)

@@ -1,4 +1,4 @@
-"""Sessions for all tasks of a system, kept piece by piece so that an interrupted run goes on."""
+"""Runs the sessions of all tasks of a system and saves them in pieces, so that an interrupted run can resume."""
 
 import json
 from collections import defaultdict
@@ -17,7 +17,11 @@ from clothkit.planning.settings import PlanConfig
 
 
 def pieces(dataset: Dataset, settings: PlanConfig) -> list[tuple[str, list[Task]]]:
-    """All tasks of the first evaluated sequences of the test and the training split, a few sequences together."""
+    """Split name and tasks of each piece: all tasks of `settings.together` sequences.
+
+    The pieces cover the first `settings.test` test and `settings.train` training sequences that are marked for
+    evaluation. Raises InputError if the dataset has fewer.
+    """
     found = []
     for split, count in (("test", settings.test), ("train", settings.train)):
         sequences = dataset.indices(split, evaluated=True)
@@ -30,13 +34,14 @@ def pieces(dataset: Dataset, settings: PlanConfig) -> list[tuple[str, list[Task]
 
 
 def evaluate(dataset: Dataset, planner: Planner, execute: Execute, *, work: Path) -> tuple[Pieces, Clock]:
-    """The sessions of every task; those that `work` holds from an earlier run are not run again.
+    """Run the sessions of all tasks, except those that an earlier run has saved in the folder `work`.
 
-    They stay in `work`, so that memory does not grow with the number of tasks.
+    Returns all sessions, which are read from `work` piece by piece so that memory does not grow with the number of
+    tasks, and the times that searches and estimates took.
     """
     work.mkdir(parents=True, exist_ok=True)
     todo = pieces(dataset, planner.settings)
-    # Lengths without reference values are told now, not hours later.
+    # Raises InputError now, not hours later, if a plan length has no reference values.
     planner.normalisation.reference(max(task.length for _, tasks in todo for task in tasks))
     done, clock = [], defaultdict[str, list[tuple[int, float]]](list)
     with tqdm(total=sum(len(tasks) for _, tasks in todo), desc=planner.system.name, unit="session") as bar:
@@ -56,7 +61,10 @@ def evaluate(dataset: Dataset, planner: Planner, execute: Execute, *, work: Path
 def try_out(
     dataset: Dataset, sequences: list[int], split: str, planner: Planner, execute: Execute
 ) -> tuple[Sessions, Clock]:
-    """The sessions of every task of some sequences, as many together as a stage would run: for studies."""
+    """Run the sessions of all tasks of some sequences without saving them, for studies; returns sessions and times.
+
+    As in the plan stage, the tasks of `settings.together` sequences run as one batch.
+    """
     done, clock = [], defaultdict[str, list[tuple[int, float]]](list)
     for first in range(0, len(sequences), planner.settings.together):
         chosen = sequences[first : first + planner.settings.together]
@@ -69,15 +77,18 @@ def try_out(
 
 
 class Cost(TypedDict):
-    """How many, and their seconds."""
+    """Numbers of searches and estimates with their total times, as pairs of count and seconds."""
 
     plans: dict[str, tuple[int, float]]
-    """Searches, by plan length."""
+    """Searches by plan length."""
     estimates: tuple[int, float]
 
 
 def cost(clock: Clock) -> Cost:
-    """What sessions cost. The first call of a kind, which compiles, is left out where there are others."""
+    """The total counts and times of a clock.
+
+    The first call of each kind, which includes compilation, is excluded unless it is the only one.
+    """
     counted = {}
     for what, calls in clock.items():
         kept = calls[1:] or calls

@@ -1,4 +1,4 @@
-"""What a search asks of a forward model and of the states that it predicts, for any net and representation."""
+"""The interface between a search and a forward model, for any net and any representation of states."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -17,7 +17,7 @@ from clothkit.planning import loss
 
 
 def points(state: Float[Array, "u v 3"], grasps: Float[Array, "*points 2"]) -> Float[Array, "*points 2"]:
-    """Where geodesic grasp points lie on a mesh, xy [normalised]."""
+    """The positions xy [normalised] of geodesic grasp points on a mesh."""
     return to_cartesian(jnp.broadcast_to(state, (*grasps.shape[:-1], *state.shape)), grasps)[..., :2]
 
 
@@ -27,9 +27,10 @@ def relabelled(prediction: ProbabilisticMesh, k: Int[Array, ""]) -> Probabilisti
 
 
 class Forward(NamedTuple):
-    """A forward model as pure functions, and how its states are labelled and compared; by default as meshes are.
+    """A forward model as pure functions, together with the labelling and the losses of its states.
 
-    A state is what the net encodes, `[*state]`: a mesh [u v 3], or voxels [x y z]. A prediction is what it decodes.
+    The defaults are those of meshes. A state, of shape `*state`, is the net's input: a mesh [u v 3], or voxels [x y z].
+    A prediction is the output of `decode`.
     """
 
     encode: Callable[..., Any]
@@ -37,9 +38,9 @@ class Forward(NamedTuple):
     step: Callable[..., Any]
     """net, latents, traces [*b latent], manipulations [*b 6] -> latents, traces, centre shifts [*b 2], eq. (3)"""
     decode: Callable[..., Any]
-    """net, latents, every -> predictions; of meshes one of every `every` vertices along u and v, eq. (4)"""
+    """net, latents, every -> predictions, eq. (4); of a mesh only every `every`-th vertex along u and v"""
     labels: int = COUNT
-    """How many labellings describe one state: eight equivalents, or one where a state has no labels."""
+    """Number of labellings of one state: eight equivalents, or one if states have no labels."""
     equivalents: Callable[..., Any] = symmetry.equivalents
     """state -> [labels *state]"""
     relabelled: Callable[..., Any] = relabelled
@@ -47,22 +48,22 @@ class Forward(NamedTuple):
     points: Callable[..., Any] = points
     """state, grasp points [*p 2] -> xy [*p 2], normalised"""
     target: Callable[..., Any] = whiten
-    """goals, thinned or not [*g *state] -> goals as the losses take them"""
+    """goals [*g *state], thinned or not -> goals in the form that the losses take"""
     thinned: Callable[..., Any] = thinned
-    """goals, every -> what of them thinned predictions are compared with"""
+    """goals, every -> the part of the goals that predictions decoded with the same `every` are compared with"""
     accuracy: Callable[..., Any] = loss.accuracy
     """goals, predictions, span -> accuracy terms of eq. (13) [*b]"""
     accuracy_of_each: Callable[..., Any] = loss.accuracy_of_each
     """goals [g ..], predictions [b ..], span -> accuracy terms [b g]"""
     diff: Callable[..., Any] = loss.diff
-    """predictions of two nets -> how far they differ, eq. (15) [*b]"""
+    """predictions of two nets -> their difference, eq. (15) [*b]"""
 
 
 MESH = Forward(pemd.encode, pemd.step, pemd.decode)
 
 
 class Rollout(NamedTuple):
-    """Where a plan leads in latent space: latents and memory traces after each of n manipulations."""
+    """The latents and memory traces after each of a plan's n manipulations."""
 
     latents: Float[Array, "n *batch latent"]
     traces: Float[Array, "n *batch latent"]
@@ -75,11 +76,11 @@ def unroll(
     trace: Float[Array, "*batch latent"],
     plan: Float[Array, "*batch n 6"],
 ) -> Rollout:
-    """Eq. (5) without its decoder: M applied once per manipulation of the plan."""
+    """Eq. (5) without the decoder: M is applied once per manipulation of the plan."""
 
     def step(state: tuple[Array, Array], manipulation: Array) -> tuple[tuple[Array, Array], Rollout]:
         latent, trace, _ = forward.step(net, *state, manipulation)
         return (latent, trace), Rollout(latent, trace)
 
-    # A loop, not n copies: M is most of what there is to compile.
+    # A scan compiles M once instead of n times, and M takes most of the compilation time.
     return jax.lax.scan(step, (latent, trace), jnp.moveaxis(plan, -2, 0))[1]

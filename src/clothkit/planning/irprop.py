@@ -1,4 +1,4 @@
-"""iRprop-: step sizes that grow while a gradient keeps its sign and shrink when it turns (Igel and Hüsken, 2000)."""
+"""iRprop-: a step size grows while its gradient keeps its sign, and shrinks when it flips (Igel and Hüsken, 2000)."""
 
 from typing import Annotated
 
@@ -16,25 +16,25 @@ class IRpropConfig:
     """Hyperparameters of iRprop-; the defaults are the paper's (section 5.1)."""
 
     grow: Annotated[float, Gt(1)] = 1.2
-    """eta+"""
+    """eta+: factor on the step size where the gradient keeps its sign."""
     shrink: Annotated[float, Gt(0), Lt(1)] = 0.5
-    """eta-"""
+    """eta-: factor on the step size where the gradient changes its sign."""
     least: Annotated[float, Gt(0)] = 1e-3
-    """Delta_min"""
+    """Delta_min: lower bound of the step size."""
     most: Annotated[float, Gt(0)] = 0.05
-    """Delta_max"""
+    """Delta_max: upper bound of the step size."""
     initial: Annotated[float, Gt(0)] = 0.05
 
 
 def irprop_minus(
     gradient: Steps, gradient_before: Steps, rate: Steps, settings: IRpropConfig
 ) -> tuple[Steps, Steps, Steps]:
-    """One update: what to add to the variables, the gradient to remember, the new rates; all elementwise.
+    """One iRprop- step: the update to add to the variables, the gradient to store, and the new step sizes.
 
-    Where the gradient turned, the variable rests for one step and the remembered gradient is zero. Not `optax.rprop`,
-    whose update is that of the step before (optax 0.2.8).
+    All are elementwise. Where the gradient has changed sign, the update and the stored gradient are zero. `optax.rprop`
+    is not used because it returns the update of the previous step (optax 0.2.8).
     """
-    # Signs, not products: a product of two small gradients would underflow to zero.
+    # Signs are multiplied, because the product of two small gradients would underflow to zero.
     agreement = jnp.sign(gradient) * jnp.sign(gradient_before)
     grown = jnp.minimum(rate * settings.grow, settings.most)
     shrunk = jnp.maximum(rate * settings.shrink, settings.least)

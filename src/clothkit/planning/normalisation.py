@@ -1,4 +1,4 @@
-"""Reference values of the planning loss over the validation split: high, low (eq. 14), mu_v, sigma_v (eq. 15)."""
+"""Reference values of the planning loss from the validation split: high, low (eq. 14), mu_v, sigma_v (eq. 15)."""
 
 import dataclasses
 import json
@@ -23,20 +23,21 @@ from clothkit.planning.search import Reference
 from clothkit.planning.settings import NormaliseConfig
 
 LEAST_SPAN = 0.001
-"""Least high - low: nets that barely trained may find random plans as good as the recorded ones."""
+"""Least difference high - low: for nets with little training, random plans may score as well as the recorded ones."""
 
 TOGETHER = 100
-"""Tasks that are predicted as one program."""
+"""Batch size: tasks whose outcomes are predicted in one call."""
 
 LEAST_DEVIATION = 0.01
-"""Least sigma_v, as a share of mu_v: a handful of validation sequences may have none to speak of."""
+"""Least sigma_v as a share of mu_v: with few validation sequences the measured one may be close to zero."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Normalisation:
-    """Eq. (14) for each net and plan length 1, 2, 3; eq. (15)'s mu_v and sigma_v for each step 1, 2, 3.
+    """low and high of eq. (14) per net and plan length 1..3; mu_v and sigma_v of eq. (15) per step 1..3.
 
-    Where no validation sequence is that long the rows end earlier.
+    The rows end at the length of the longest validation sequence. Raises InputError unless all rows have the same
+    length, all values are finite, low is below high and sigma is positive.
     """
 
     low: tuple[tuple[float, ...], ...]
@@ -44,9 +45,9 @@ class Normalisation:
     high: tuple[tuple[float, ...], ...]
     """[net][length - 1]: median NLL of the recorded outcome under random plans."""
     mu: tuple[float, ...]
-    """[step - 1]: mean of diff between the nets' predictions."""
+    """[step - 1]: mean of `diff` between the two nets' predictions."""
     sigma: tuple[float, ...]
-    """[step - 1]: its standard deviation."""
+    """[step - 1]: standard deviation of the same."""
 
     def __post_init__(self) -> None:
         rows = (*self.low, *self.high, self.mu, self.sigma)
@@ -61,7 +62,10 @@ class Normalisation:
             raise InputError(f"normalisation: sigma is {self.sigma}, expected above 0: are the two nets the same?")
 
     def reference(self, length: int) -> Reference:
-        """What the loss of plans of one length takes. Raises InputError for lengths that validation did not have."""
+        """The reference values for plans of one length, as `search` takes them.
+
+        Raises InputError if no validation sequence is that long.
+        """
         if length > len(self.mu):
             raise InputError(
                 f"normalisation: expected reference values for plans of {length} manipulations, found them for up to "
@@ -84,7 +88,11 @@ def normalise(
     *,
     recorded: Callable[..., Recorded] = in_meshes,
 ) -> Normalisation:
-    """The reference values of two nets, up to the longest sequence. Eq. (14)'s i runs over 0..3 - n (design 6.9)."""
+    """Compute the reference values of two nets for all lengths up to that of the longest validation sequence.
+
+    For plans of length n, the start state i of eq. (14) runs over 0..3 - n (design 6.9). `recorded` converts recorded
+    manipulations to the nets' inputs.
+    """
     key = jax.random.key(settings.seed)
     low, high, mu, sigma = [], [], [], []
     for length in range(1, int(validation.length.max()) + 1):
@@ -102,12 +110,11 @@ def normalise(
                 of_net.append(scores)
         medians = [float(np.median(np.concatenate(of_net))) for of_net in losses]
         high.append([max(median, least + LEAST_SPAN) for median, least in zip(medians, low[-1], strict=True)])
-    # From a row per length to a row per net.
     return Normalisation(tuple(zip(*low, strict=True)), tuple(zip(*high, strict=True)), tuple(mu), tuple(sigma))
 
 
 def _stretches(dataset: Dataset, length: int) -> tuple[np.ndarray, np.ndarray]:
-    """True states and recorded manipulations of all subsequences of one length."""
+    """True states [task n+1 u v 3] and recorded manipulations [task n 6] of all subsequences of n manipulations."""
     pairs = [(d, i) for d in range(len(dataset)) for i in range(int(dataset.length[d]) - length + 1)]
     d, i = np.array(pairs).T
     states = i[:, None] + np.arange(length + 1)
@@ -118,7 +125,7 @@ def _stretches(dataset: Dataset, length: int) -> tuple[np.ndarray, np.ndarray]:
 def _scores(
     forward: Forward, nets: tuple[Any, Any], start: Array, goal: Array, plan: Array
 ) -> tuple[Array, Array, Array]:
-    """The accuracy terms of both nets' outcomes, and how far these differ."""
+    """The accuracy term of each net's predicted outcome, without span, and `diff` between the two outcomes."""
     a, b = (_outcomes(forward, net, start, plan) for net in nets)
     wanted = forward.target(goal)
     return forward.accuracy(wanted, a), forward.accuracy(wanted, b), forward.diff(a, b)
@@ -130,12 +137,15 @@ def _outcomes(forward: Forward, net: Any, start: Array, plan: Array) -> Any:
 
 
 def save(path: Path, normalisation: Normalisation, attributes: dict[str, Any]) -> None:
-    """Write the values and what they were made with as JSON."""
+    """Write the reference values and the attributes (the params that they were made with) as JSON."""
     path.write_text(json.dumps({**dataclasses.asdict(normalisation), "attributes": attributes}, indent=1) + "\n")
 
 
 def load(path: Path) -> Normalisation:
-    """Read the values. Raises InputError for a file that is missing, damaged, lacks a field or has none in one."""
+    """Read the reference values from JSON.
+
+    Raises InputError for a file that is missing or damaged, for missing fields and for invalid values.
+    """
     try:
         stored = json.loads(path.read_text())
         rows = {name: tuple(_numbers(row) for row in stored[name]) for name in ("low", "high")}

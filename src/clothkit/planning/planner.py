@@ -1,4 +1,4 @@
-"""A system with its nets, its eyes and its settings: what sessions are run with."""
+"""The planner: a system with its nets, its observation model, its reference values and its settings."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -24,13 +24,13 @@ from clothkit.planning.systems import System, better_net
 
 @dataclass(frozen=True)
 class Planner:
-    """A system with all that it plans with."""
+    """A system with everything that its searches and sessions need."""
 
     system: System
     sight: Sight
     nets: tuple[Any, ...]
     better: int
-    """Which of the nets has the better validation score."""
+    """Index into `nets` of the one with the better validation score."""
     normalisation: Normalisation
     weights: Weights
     settings: PlanConfig
@@ -38,7 +38,7 @@ class Planner:
 
     @property
     def sizes(self) -> Sizes:
-        """What sizes a session's record has."""
+        """The sizes of the arrays in a record of this planner's sessions."""
         found, longest = self.settings.search, self.settings.search.iterations(STEPS)
         return Sizes(
             state=self.sight.shape,
@@ -51,7 +51,7 @@ class Planner:
         )
 
     def finder(self, length: int) -> Callable[[Problem, jax.Array], Found]:
-        """The search for plans of one length: problems, keys -> what was found."""
+        """The search for plans of one length, as a function: problems, keys -> `Found`."""
         find = partial(
             search,
             self.sight.forward,
@@ -64,7 +64,10 @@ class Planner:
 
 
 def artifacts(system: System, data: Path) -> dict[str, Path]:
-    """What a system plans with, under `data`: nets a and b, reference values, and vtm where it estimates."""
+    """Paths, by name, of the artifacts under `data` that a system needs.
+
+    These are the nets a and b, the reference values and, for systems that estimate meshes, the VtM net.
+    """
     kind, net = ("voxel", "emd_voxel") if system.voxels else ("mesh", "pemd")
     found = {name: data / f"nets/{net}_{name}" for name in ("a", "b")}
     found["reference"] = data / f"normalisation/{kind}.json"
@@ -72,7 +75,7 @@ def artifacts(system: System, data: Path) -> dict[str, Path]:
 
 
 def assemble(system: System, data: Path, weights: Weights, settings: PlanConfig, grasping: CandidateConfig) -> Planner:
-    """A system's planner from the artifacts under `data`. Raises InputError for what is missing or malformed."""
+    """Load a system's planner from the artifacts under `data`. Raises InputError if one is missing or malformed."""
     found = artifacts(system, data)
     settings = settings.of(system)
     vtm = store.load(found["vtm"], "vtm") if "vtm" in found else None

@@ -1,4 +1,4 @@
-"""What the nets expect of a found plan, and the memory traces that it leaves (section 5.1)."""
+"""The nets' predictions for a plan, and the memory traces after its first manipulation (section 5.1)."""
 
 from functools import partial
 from typing import Any, NamedTuple
@@ -13,12 +13,12 @@ from clothkit.planning.forward import Forward, unroll
 
 
 class Expected(NamedTuple):
-    """What one net predicts for a plan, in the labels of the state."""
+    """One net's predictions for a plan, in the labels of the initial state."""
 
     states: Any
-    """Predictions [n ..]: after each manipulation."""
+    """Predictions [n ..] of the state after each manipulation."""
     traces: Float[Array, "labels latent"]
-    """The memory trace that the first manipulation leaves in each common equivalent."""
+    """The memory trace after the first manipulation, for each common equivalent."""
 
 
 @partial(jax.jit, static_argnames="forward")
@@ -30,7 +30,10 @@ def expect(
     plan: Float[Array | np.ndarray, "tasks n 6"],
     common: Int[Array | np.ndarray, " tasks"],
 ) -> tuple[Expected, ...]:
-    """Each net's expectation of each task's plan, predicted in the common equivalent in which the plan was found."""
+    """Each net's predictions for the plan of each task; arrays in the result have a leading axis of tasks.
+
+    The states are predicted in the common equivalent in which the search found the plan, and then relabelled back.
+    """
 
     def one(net: Any, state: Array, traces: Array, plan: Array, common: Array) -> Expected:
         latents = forward.encode(net, forward.equivalents(state))

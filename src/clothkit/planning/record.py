@@ -1,4 +1,4 @@
-"""What a session leaves: everything that tables, figures and failure analysis ask for, as plain arrays."""
+"""The record of sessions: all arrays that the tables, the figures and the failure analysis need, and their storage."""
 
 import dataclasses
 from collections.abc import Iterable, Iterator, Sequence
@@ -21,11 +21,11 @@ _LENGTHS = {**LENGTHS, "planned": STEPS, "term": 3}
 _HOLDS = "which a record of sessions holds"
 
 SHARD = 120
-"""Tasks that are written together, and that share a file of each array: what bounds the memory, and the files."""
+"""Tasks per shard file of each array: they are written together, which limits memory and the number of files."""
 
 
 class Stretch(NamedTuple):
-    """A recorded way to a goal."""
+    """A recorded subsequence, which ends at a task's goal."""
 
     states: Float[np.ndarray, "state u v 3"]
     """True states from start to goal, centred."""
@@ -33,22 +33,22 @@ class Stretch(NamedTuple):
 
 
 class Tasks(NamedTuple):
-    """A batch of tasks with what is given: where the cloth starts and what it shall become."""
+    """A batch of tasks with their start and goal states."""
 
     task: list[Task]
     split: list[str]
     start: Float[np.ndarray, "task u v 3"]
-    """True start, centred."""
+    """True start state, centred."""
     centre: Float[np.ndarray, "task 2"]
-    """Its centre."""
+    """Centre of the start state on the table."""
     goal: Float[np.ndarray, "task u v 3"]
-    """True goal, centred."""
+    """True goal state, centred."""
     recorded: list[Stretch] | None = None
-    """How the goals were reached when they were recorded, to hold what is found against: no planner sees it."""
+    """The recorded subsequences from start to goal, for diagnosis only: planners never use them."""
 
 
 def tasks_of_dataset(dataset: Dataset, tasks: list[Task], split: str) -> Tasks:
-    """The given tasks of a dataset, all of one split; `sequence` indexes the dataset."""
+    """The start and goal states of tasks of a dataset, all of one split; a task's `sequence` is an index into it."""
     sequence, start, length = np.array(tasks).T
     recorded = [
         Stretch(dataset.vertices[s, i : i + n + 1], dataset.manipulation[s, i : i + n])
@@ -61,11 +61,11 @@ def tasks_of_dataset(dataset: Dataset, tasks: list[Task], split: str) -> Tasks:
 
 @dataclasses.dataclass(frozen=True)
 class Sessions:
-    """Sessions of one system, a row per task; normalised units. Past a session's end floats are NaN, labels -1.
+    """Sessions of one system, a row per task, in normalised units. After a session's end, floats are NaN, labels -1.
 
-    A session of length n has states 0..n and, for each step before its end, one plan for the steps that are left. Plans
-    and predictions are in the labels of that step's estimate; states and goal are in the dataset's. A system that
-    plans in voxels estimates and predicts voxels (occupancy 0..1, without standard deviations), and its grasp points
+    A session of length n has states 0..n and, for each of its n steps, one plan for the remaining steps. Plans and
+    predictions are in the labels of that step's estimate; states and goal are in the dataset's labels. If the system
+    plans in voxels, estimates and predictions are voxels (occupancy 0..1, without standard deviations) and grasp points
     are Cartesian.
     """
 
@@ -78,35 +78,35 @@ class Sessions:
     """True states, centred; the last one is the outcome."""
     centre: Float[np.ndarray, "task state 2"]
     estimate: Float[np.ndarray, "task step *seen"]
-    """What was planned from."""
+    """The initial state of the search, as the system observes it: an estimate, a true mesh or voxels."""
     candidates: Float[np.ndarray, "task step candidate 2"]
-    """Grasp points on the estimate."""
+    """Candidate grasp points on the estimate."""
     plan: Float[np.ndarray, "task step planned 6"]
     loss: Float[np.ndarray, "task step"]
     terms: Float[np.ndarray, "task step term"]
-    """Accuracy terms of nets a and b, u."""
+    """Accuracy terms of nets a and b, then u."""
     common: Int8[np.ndarray, "task step"]
-    """The common equivalent in which the plan was found."""
+    """Index of the common equivalent in which the plan was found."""
     relative: Int8[np.ndarray, "task step"]
-    """The relabelling that brings the goal under the estimate's labels."""
+    """Index of the relabelling that brings the goal to the estimate's labels."""
     null: Bool[np.ndarray, "task step"]
     """Whether the plan's first manipulation was not executed."""
     cancelled: Bool[np.ndarray, "task step"]
-    """Whether that was the null check's doing, and not because the manipulation was too short to be one."""
+    """Whether the null check cancelled it. False for plans whose first manipulation is itself null."""
     error_otherwise: Float[np.ndarray, "task step"]
-    """Where it was: the error to the goal had the manipulation been executed [cloth length, aligned]."""
+    """For cancelled manipulations, the error to the goal if they had been executed [cloth length, aligned]."""
     expected: Float[np.ndarray, "task step"]
-    """How far from the goal the nets expect the plan to end, in the measure of the null check."""
+    """Predicted distance between the plan's outcome and the goal, in the measure of the null check."""
     loss_recorded: Float[np.ndarray, " task"]
-    """The planning loss of the recorded manipulations, from the first estimate."""
+    """Planning loss of the recorded manipulations, starting from the first estimate."""
     offered: Bool[np.ndarray, " task"]
-    """Whether the recorded first grasp points were among the first candidates, nearly."""
+    """Whether each recorded first grasp point is near a candidate of the first step (see `diagnosis.offered`)."""
     prediction_mean: Float16[np.ndarray, "task step planned net *seen"]
     prediction_std: Float16[np.ndarray, "task step planned net *sure"]
     refined: Float16[np.ndarray, "task step *mesh"]
     """The better net's prediction of the plan's outcome, refined."""
     progress: Float[np.ndarray, "task step iteration"]
-    """Lowest loss of any strain so far."""
+    """Lowest loss of all strains up to that iteration."""
     restarts: Float[np.ndarray, "task step strain restart"]
     """Lowest loss of each strain between restarts."""
 
@@ -115,12 +115,12 @@ class Sessions:
 
 
 class Sizes(NamedTuple):
-    """Lengths of the dimensions that settings and system decide."""
+    """Lengths of those dimensions that depend on the settings and the system."""
 
     state: tuple[int, ...]
-    """*state: of what is seen."""
+    """Shape of a state in the system's representation."""
     probabilistic: bool
-    """Whether predictions have standard deviations, and refined meshes."""
+    """Whether predictions have standard deviations and are refined to meshes."""
     candidate: int
     net: int
     iteration: int
@@ -129,11 +129,14 @@ class Sizes(NamedTuple):
 
 
 def blank(tasks: Tasks, sizes: Sizes) -> Sessions:
-    """Sessions that have not begun: state 0 is the start."""
+    """Records of sessions that have not started.
+
+    State 0 is the start state; everything later is filled with NaN, -1 or False.
+    """
     lengths = {"task": len(tasks.task), **_LENGTHS}
     lengths |= {name: getattr(sizes, name) for name in ("candidate", "net", "iteration", "strain", "restart")}
     lengths |= dict(zip(SEEN, sizes.state, strict=True))
-    # What voxels do not have is empty.
+    # Voxels have no standard deviations and no refined meshes: these arrays get dimensions of length 0.
     lengths |= {name: length * sizes.probabilistic for name, length in zip(SURE, sizes.state, strict=True)}
     kinds = {"f4": np.nan, "f2": np.nan, "i1": -1, "?": False}
     empty: dict[str, np.ndarray] = {
@@ -181,26 +184,26 @@ _FIELDS: dict[str, Declared] = {
 
 
 def join(parts: list[Sessions]) -> Sessions:
-    """Sessions of several batches, one after the other."""
+    """The sessions of several batches, concatenated along the task axis."""
     return Sessions(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in _FIELDS})
 
 
 def save_piece(path: Path, sessions: Sessions) -> None:
-    """Keep a batch's sessions in a work directory; the file appears whole or not at all."""
+    """Write a batch's sessions to a file in a work directory. The file is replaced atomically."""
     unfinished = path.with_suffix(".part.npz")
     np.savez(unfinished, **dataclasses.asdict(sessions))
     unfinished.replace(path)
 
 
 def load_piece(path: Path) -> Sessions:
-    """A batch's sessions from a work directory."""
+    """Read a batch's sessions from a file in a work directory."""
     with np.load(path) as stored:
         return Sessions(**stored)
 
 
 @dataclasses.dataclass(frozen=True)
 class Pieces:
-    """Sessions of many batches, one after the other, read from their files when they are asked for."""
+    """Sessions of many batches in order, each read from its file only when it is iterated over."""
 
     paths: Sequence[Path]
 
@@ -208,13 +211,13 @@ class Pieces:
         return map(load_piece, self.paths)
 
     def whole(self) -> Sessions:
-        """All of them."""
+        """All sessions as one record."""
         return join(list(self))
 
 
 def save(path: Path, parts: Iterable[Sessions], attributes: dict[str, Any]) -> None:
-    """Write the sessions of batches, one after the other, as a zarr v3 group: a chunk per task, SHARD tasks a shard."""
-    # Zarr has no stable type for strings: the names go to the attributes.
+    """Write the sessions of several batches as one zarr v3 group, with one task per chunk and SHARD tasks per shard."""
+    # Zarr has no stable type for strings, so the names of the splits are stored as an attribute.
     group = zarr.open_group(path, mode="w", zarr_format=3, attributes={**attributes, "splits": list(SPLITS)})
     for block in _blocks(parts, SHARD):
         for name, field in _FIELDS.items():
@@ -237,7 +240,7 @@ def save(path: Path, parts: Iterable[Sessions], attributes: dict[str, Any]) -> N
 
 
 def _blocks(parts: Iterable[Sessions], size: int) -> Iterator[Sessions]:
-    """The same sessions in blocks of `size` tasks, the last of what is left."""
+    """The same sessions in blocks of `size` tasks; the last block has the remaining ones."""
     held: Sessions | None = None
     for part in parts:
         held = part if held is None else join([held, part])
@@ -249,14 +252,14 @@ def _blocks(parts: Iterable[Sessions], size: int) -> Iterator[Sessions]:
 
 
 def _cut(sessions: Sessions, chosen: slice) -> Sessions:
-    # Copied, so that nothing holds on to the rest.
+    # A slice without a copy would keep the memory of the whole record alive.
     return Sessions(**{name: getattr(sessions, name)[chosen].copy() for name in _FIELDS})
 
 
 def load(path: Path, chosen: slice = slice(None)) -> Sessions:
-    """Read sessions back, all or a stretch of them.
+    """Read sessions from a zarr store: all of them, or the slice `chosen`.
 
-    Raises InputError for a store that is missing, damaged or not as declared, and for sessions that can't be.
+    Raises InputError for a store that is missing, damaged or not as declared, and for inconsistent sessions.
     """
     store = open_store(path, _FIELDS, lengths=_LENGTHS, holds=_HOLDS)
     arrays = {name: store.read(name, chosen) for name in _FIELDS}
@@ -266,7 +269,7 @@ def load(path: Path, chosen: slice = slice(None)) -> Sessions:
 
 
 def load_tasks(path: Path) -> list[tuple[str, int, int, int]]:
-    """Split, sequence, start and length of each recorded session. Raises InputError, as `load` does."""
+    """Read the split, sequence, start and length of each recorded session. Raises InputError, as `load` does."""
     store = open_store(path, {name: _FIELDS[name] for name in KEYS}, lengths=_LENGTHS, holds=_HOLDS)
     arrays = {name: store.read(name) for name in KEYS}
     names = check_keys(path, arrays, store.attributes)

@@ -1,4 +1,4 @@
-"""Whether the arrays of recorded sessions can be what sessions leave, and agree with one another."""
+"""Checks that the arrays of recorded sessions hold possible values and are consistent with one another."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,9 +15,9 @@ KEYS = ("split", "sequence", "start", "length")
 
 
 def check_keys(path: Path, arrays: Mapping[str, np.ndarray], attributes: Mapping[str, Any]) -> list[str]:
-    """The names that `split` numbers, which the attribute `splits` says.
+    """The list of split names, from the attribute `splits`; the array `split` holds indices into it.
 
-    Raises InputError unless KEYS name a task in each row, no task twice.
+    Raises InputError unless the KEYS of each row name a valid task and all rows name different tasks.
     """
     splits = attributes.get("splits")
     if not isinstance(splits, list) or not set(map(str, splits)) <= set(SPLITS):
@@ -41,7 +41,7 @@ def check_keys(path: Path, arrays: Mapping[str, np.ndarray], attributes: Mapping
 
 
 def check_values(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """Raises InputError unless each session has what its length asks for, and nothing past its end."""
+    """Raises InputError unless each session has valid values up to its length and only fill values after it."""
     length = arrays["length"][:, None]
     reached, acted = np.arange(STATES) <= length, np.arange(STEPS) < length
     left = np.arange(STEPS) < (length - np.arange(STEPS))[..., None]

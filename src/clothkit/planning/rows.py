@@ -1,4 +1,4 @@
-"""What became of the sessions, as tidy rows: one per task (design section 4; sections 6.3, tables 6 and 7)."""
+"""The results of sessions as tidy rows, one per task (design section 4; section 6.3, tables 6 and 7)."""
 
 from functools import partial
 
@@ -23,16 +23,22 @@ _differing = jax.jit(lambda a, b: (voxels.of_mesh(a) != voxels.of_mesh(b)).mean(
 
 
 def rows(sessions: Sessions, system: str) -> pd.DataFrame:
-    """What became of each task, and what its first plan was like. Errors in cloth lengths, aligned.
+    """The outcome of each task and the properties of its first plan, one row per task.
 
-    Columns: split, system, sequence, start, length; error, error_labelled, error_no_action; voxel_error,
-    voxel_error_no_action (mean voxel difference); layers_reversed (share of layers in another order than in the goal,
-    `cloth.layers`); nulls (manipulations not executed), nulls_fired (of these cancelled by the null check), nulls_last
-    (of these in a session's last step, where the check is about nothing but the outcome), nulls_helped (of nulls_last,
-    how many would have ended farther from the goal); of the first plan: loss, loss_recorded (of the recorded
-    manipulations), accuracy_a, accuracy_b, uncertainty (terms; with one net accuracy_a is its loss and accuracy_b is
-    missing), expected (error that the nets expect), grasp_offered, estimate_error (not aligned), and
-    estimate_layers_reversed. The estimate's and expected are missing for systems that see voxels.
+    Errors are in cloth lengths and aligned, unless stated otherwise. Columns:
+
+    - split, system, sequence, start, length.
+    - error, error_labelled, error_no_action; voxel_error, voxel_error_no_action (mean voxel difference).
+    - layers_reversed: share of overlapping vertex pairs whose order differs from the goal's (`cloth.layers`).
+    - nulls: manipulations not executed; nulls_fired: those of nulls that the null check cancelled; nulls_last: those of
+      nulls_fired in the session's last step, where the manipulation's outcome is the session's outcome; nulls_helped:
+      those of nulls_last after which the state would have been farther from the goal.
+    - Of the first plan: loss; loss_recorded (loss of the recorded manipulations); accuracy_a, accuracy_b, uncertainty
+      (terms of the loss; with one net, accuracy_a is its loss and accuracy_b is missing); expected (predicted error);
+      grasp_offered.
+    - Of the first estimate: estimate_error (not aligned), estimate_layers_reversed.
+
+    The columns of the estimate and expected are NaN for systems that plan in voxels.
     """
     task = np.arange(len(sessions))
     outcome, goal = sessions.state[task, sessions.length], sessions.goal
@@ -40,7 +46,7 @@ def rows(sessions: Sessions, system: str) -> pd.DataFrame:
     acted, last = steps < sessions.length[:, None], steps == sessions.length[:, None] - 1
     terms = sessions.terms[:, 0]
     fired = sessions.cancelled & acted
-    # Where nothing was done the state stays as it is.
+    # A step that is not executed leaves its state unchanged, so this is its error.
     staying = np.stack([np.asarray(_error(sessions.state[:, i], goal)) for i in range(acted.shape[1])], axis=1)
     meshes = sessions.estimate.shape[2:] == (SIDE, SIDE, 3)
     unknown = np.full(len(sessions), np.nan, np.float32)
@@ -80,7 +86,7 @@ def rows(sessions: Sessions, system: str) -> pd.DataFrame:
 def _layers_reversed(
     meshes: Float[np.ndarray, "task u v 3"], truths: Float[np.ndarray, "task u v 3"], labels: Int[Array, " task"]
 ) -> Float[np.ndarray, " task"]:
-    """`reversed_share` of each, under the labels of the truth that fit best."""
+    """`reversed_share` of each mesh, after relabelling the true mesh by `labels`."""
     relabelled = np.asarray(_relabelled(truths, labels))
     return np.array([reversed_share(*pair) for pair in zip(meshes, relabelled, strict=True)], np.float32)
 
@@ -88,5 +94,5 @@ def _layers_reversed(
 def voxel_error(
     outcome: Float[np.ndarray, "task u v 3"], goal: Float[np.ndarray, "task u v 3"]
 ) -> Float[np.ndarray, " task"]:
-    """Mean absolute difference of voxel values; both meshes lie with their silhouettes' centres at (0, 0)."""
+    """Mean absolute difference of voxel values, `[task]`. Both meshes must have their silhouette's centre at (0, 0)."""
     return np.asarray(_differing(outcome, goal))

@@ -1,7 +1,7 @@
-"""The search for a plan: gradient descent through the forward models, many strains at once (section 5.1).
+"""The search for a plan: gradient descent through the forward models, with many strains in parallel (section 5.1).
 
-One program per plan length: `search` is compiled once and serves every batch of tasks of that length. A strain plans in
-the labels of its own common equivalent; whatever leaves this module is back in the labels of the state.
+`search` is compiled once per plan length, for all batches of tasks of that length. During the search, each strain's
+plan is in the labels of the strain's common equivalent; the returned plan is in the labels of the initial state.
 """
 
 from functools import partial
@@ -24,86 +24,90 @@ from clothkit.planning.irprop import IRpropConfig, irprop_minus
 from clothkit.planning.loss import Range, Spread, Weights, uncertainty
 
 UNKNOWN = -1
-"""A relative labelling that is not known yet: each evaluation takes the one that fits best."""
+"""Marks a relative labelling that is not fixed: each evaluation of the loss then uses the one that fits best."""
 
 NEAR = 0.15
-"""Standard deviation of what moves a plan that begins near another, geodesic or normalised."""
+"""Standard deviation of the noise added to the best plan when a strain restarts near it [geodesic, or normalised]."""
 
 COMPOSED = np.array([[compose(j, k) for k in range(COUNT)] for j in range(COUNT)], np.int32)
 
 
 @config
 class SearchConfig:
-    """Size of a search; the defaults are the paper's."""
+    """Size and restart rules of a search; the defaults are the paper's."""
 
     strains: Annotated[int, Gt(0), MultipleOf(COUNT)] = 256
     base_iterations: Annotated[int, Ge(0)] = 25
     iterations_per_step: Annotated[int, Ge(0)] = 25
     screen: Annotated[int, Gt(0)] = 1
-    """Each strain's first start is the best of so many random plans: their losses cost no gradients."""
+    """Random plans drawn for each strain's first start, of which the one of lowest loss is used. Needs no gradients."""
     patience: Annotated[int, Gt(0)] = 5
-    """A strain that has not improved for so many iterations starts anew."""
+    """Iterations without improvement after which a strain restarts."""
     every: Annotated[int, Gt(0), Predicate(lambda every: SIDE % every == 0)] = 1
-    """The strains' losses run over one of every `every` vertices along u and v; all count in the last choice."""
+    """Stride along u and v of the vertices in the strains' losses; the final choice of a plan uses all vertices."""
     fold: bool = False
-    """Whether first manipulations must be of the kind that was recorded: with q on the cloth (section 4.4)."""
+    """Whether first manipulations must have q on the cloth, as in the training data (section 4.4), or be null."""
     near: Annotated[float, Ge(0), Le(1)] = 0.0
-    """Share of the restarts that begin near the best plan so far, in place of at random."""
+    """Share of the restarts that begin near the best plan so far, instead of at a random plan."""
     irprop: IRpropConfig = IRpropConfig()
 
     def iterations(self, length: int) -> int:
-        """Evaluations of the loss in a search for a plan of this length."""
+        """Number of iterations in a search for plans of this length; each evaluates every strain's loss once."""
         return self.base_iterations + self.iterations_per_step * length
 
 
 class Reference(NamedTuple):
-    """What normalises the loss of plans of one length: eq. (14) per net, and eq. (15)."""
+    """Reference values of the loss for plans of one length: ranges of eq. (14) per net, moments of eq. (15)."""
 
     spans: tuple[Range, ...]
     spread: Spread
 
 
 class Problem(NamedTuple):
-    """What one search is asked: all labels are those of `state`, what the current state is taken for."""
+    """The inputs of one search.
+
+    `state` is the initial state of the plan, as the system observes it: an estimate, a true mesh or voxels. The
+    candidates, `carried`, `traces` and `relative` refer to its labels.
+    """
 
     state: Shaped[Array | np.ndarray, "*state"]
     goal: Shaped[Array | np.ndarray, "*state"]
     candidates: Candidates
     traces: tuple[Float[Array | np.ndarray, "labels latent"], ...]
-    """For each net, the memory trace of each common equivalent."""
+    """For each net, the memory traces for all common equivalents of the state."""
     relative: Int[Array | np.ndarray, ""]
-    """The relabelling of the goal that fits the state's labels, or `UNKNOWN`."""
+    """Index of the relabelling that brings the goal to the state's labels, or `UNKNOWN`."""
     later: Bool[Array | np.ndarray, ""]
-    """Whether `carried` holds what is left of a session's last plan; if so each common equivalent gets an eighth of the
-    strains, of which one starts from it."""
+    """Whether this is a later search of a session, with the rest of the previous plan in `carried`. If so, the strains
+    are divided evenly among the common equivalents, and one strain of each starts from `carried`."""
     carried: Float[Array | np.ndarray, "n 6"]
     covered: Bool[Array | np.ndarray, "x y"] | None = None
-    """What the state covers, for searches with `fold`: pixels of the square that `draw.folds` tells of."""
+    """Mask of the area that the cloth covers, as `draw.folds` takes it; required if `fold` is set."""
 
 
 class Found(NamedTuple):
-    """The plan of lowest loss over all strains and iterations, in the labels of the state."""
+    """The result of a search: the plan of lowest loss, in the labels of the initial state."""
 
     plan: Float[Array, "n 6"]
     loss: Float[Array, ""]
     terms: Float[Array, "terms"]
-    """The nets' accuracy terms, then u (zero where it was not asked for)."""
+    """The nets' accuracy terms, then u (zero if it was not computed)."""
     common: Int[Array, ""]
-    """The common equivalent in which it was found."""
+    """Index of the common equivalent in which the plan was found."""
     relative: Int[Array, ""]
-    """The relabelling of the goal towards which it leads."""
+    """Index of the goal's relabelling that the loss of the plan refers to."""
     losses: Float[Array, "iterations strains"]
     restarts: Bool[Array, "iterations strains"]
-    """Where a strain started anew after that iteration: with `losses`, the best of each restart."""
+    """Whether a strain restarted after that iteration."""
 
 
 class _Strains(NamedTuple):
-    """A population of plans; every field has a row per strain."""
+    """The state of all strains; every field has a row per strain."""
 
     plan: Float[Array, "strains n 6"]
     single: Bool[Array, "strains n"]
     grasps: Float[Array, "strains 2 2"]
-    """Where the first grasp points lie, xy."""
+    """Positions of the first grasp points, xy [normalised]."""
     common: Int[Array, " strains"]
     relative: Int[Array, " strains"]
     rate: Float[Array, "strains n 6"]
@@ -123,11 +127,11 @@ class _State(NamedTuple):
     strains: _Strains
     best: _Best
     restart: Bool[Array, " strains"]
-    """Which strains start anew before the next iteration."""
+    """Which strains restart before the next iteration."""
 
 
 class Fixed(NamedTuple):
-    """What does not change during a search: for each net, latents of the equivalents; and the goal's equivalents."""
+    """Constants of a search: for each net, latents of the state's equivalents and traces; the goal's equivalents."""
 
     latents: tuple[Float[Array, "labels latent"], ...]
     traces: tuple[Float[Array, "labels latent"], ...]
@@ -147,10 +151,11 @@ def search(
     explicit: bool,
     keys: Shaped[PRNGKeyArray, " tasks"],
 ) -> Found:
-    """The best plans of a batch of problems (every field of `problems` with a leading axis of tasks).
+    """Search for the best plan of each problem of a batch; every field of `problems` has a leading axis of tasks.
 
-    Two nets plan with eq. (13), one net with the plain NLL. Without `explicit` (alpha is 0) no intermediate state is
-    decoded. A task's result depends on its own key, not on its neighbours.
+    With two nets the loss is eq. (13), with one net the plain NLL. `explicit` tells whether the uncertainty term is
+    computed; without it (alpha is 0) no intermediate state is decoded. `keys` has one key per task, so that a task's
+    result does not depend on the other tasks of the batch.
     """
     solve = partial(_search_one, forward, nets, reference, weights, length, settings, explicit)
     return jax.vmap(solve)(problems, keys)
@@ -203,7 +208,7 @@ def _search_one(
         )
     keys = jax.random.split(key_search, settings.iterations(length))
     (_, best, _), (losses, restarts) = jax.lax.scan(iterate, state, keys)
-    # Among the strains' best plans the whole mesh decides.
+    # The iterations may have used every `every`-th vertex only; the winner is chosen by the loss over all vertices.
     loss, terms, relatives = losses_of(best.plan, best.common, best.relative)
     winner = jnp.argmin(jnp.where(jnp.isinf(best.loss), jnp.inf, loss))
     plan, common, relative = best.plan[winner], best.common[winner], relatives[winner]
@@ -212,8 +217,11 @@ def _search_one(
 
 
 def _strange(strains: _Strains, problem: Problem, settings: SearchConfig) -> Bool[Array, " strains"]:
-    """Strains whose first manipulation is of a kind that was never recorded: the nets' word on it is worthless, and
-    they agree on it. Their hands are on different sides of m, or q is off the cloth. Nulls of all kinds are known."""
+    """Mask of the strains whose first manipulation is unlike those in the training data, `[strains]`.
+
+    In such a manipulation the hands lie on different sides of the line m or, if `fold` is set, q lies off the cloth.
+    The nets were not trained on these, so their predictions are not trusted. Null manipulations are never masked.
+    """
     first = strains.plan[:, 0]
     strange = ~jnp.asarray(release_points(strains.grasps, first[:, 4:]).same_side) & ~is_null(first)
     if settings.fold:
@@ -223,7 +231,7 @@ def _strange(strains: _Strains, problem: Problem, settings: SearchConfig) -> Boo
 
 
 def fix(forward: Forward, nets: tuple[Any, ...], problem: Problem) -> Fixed:
-    """What a search for a problem computes once."""
+    """Compute the quantities that are constant during the search for one problem."""
     states = forward.equivalents(problem.state)
     return Fixed(
         tuple(forward.encode(net, states) for net in nets),
@@ -245,13 +253,13 @@ def planning_loss(
     explicit: bool,
     every: int = 1,
 ) -> tuple[Float[Array, " strains"], Float[Array, "strains terms"], Int[Array, " strains"]]:
-    """Eq. (13) of each strain's plan, its terms, and the goal's relative labelling; with one net the plain NLL.
+    """Eq. (13) for each strain's plan (with one net, the plain NLL), its terms, and the goal's relative labelling.
 
-    A relative labelling that is `UNKNOWN` is the one that makes the accuracy terms least, as in eq. (12). Over one of
-    every `every` vertices along u and v.
+    Where `relative` is `UNKNOWN`, the labelling of the goal that minimises the sum of the accuracy terms is used, as in
+    eq. (12). Predictions and goals are compared at every `every`-th vertex along u and v.
     """
     explicit = explicit and len(nets) > 1
-    # Intermediate states are decoded, along with the outcome, only where the loss asks for them.
+    # Only the uncertainty term needs the intermediate states.
     decoded = slice(None) if explicit else slice(-1, None)
     states = [
         forward.decode(net, unroll(forward, net, latent[common], trace[common], plan).latents[decoded], every)
@@ -259,7 +267,7 @@ def planning_loss(
     ]
     outcomes = [jax.tree.map(lambda part: part[-1], predicted) for predicted in states]
     spans = reference.spans if len(nets) > 1 else (None,)
-    # Whitened as predictions are: by what there is of them.
+    # Goals are thinned before they are whitened, because predictions are whitened by the moments of their own vertices.
     goals = forward.target(forward.thinned(fixed.goals, every))
     each = [forward.accuracy_of_each(goals, outcome, span) for outcome, span in zip(outcomes, spans, strict=True)]
     nearest = jnp.argmin(jax.lax.stop_gradient(sum(each)), axis=1)
@@ -278,7 +286,10 @@ def planning_loss(
 def _start(
     forward: Forward, problem: Problem, length: int, settings: SearchConfig, *, draws: int = 1, key: PRNGKeyArray
 ) -> _Strains:
-    """Strains at random plans, in random common equivalents (design 6.10); `draws` in a row for each strain."""
+    """New strains with random plans in random common equivalents (design 6.10); `draws` consecutive rows per strain.
+
+    In a later search of a session the common equivalents are assigned in turn instead.
+    """
     key_plan, key_common = jax.random.split(key)
     count = settings.strains * draws
     drawn = jax.random.randint(key_common, (count,), 0, forward.labels)
@@ -292,8 +303,11 @@ def _start(
 def _some_near(
     forward: Forward, best: _Best, drawn: _Strains, problem: Problem, settings: SearchConfig, *, key: PRNGKeyArray
 ) -> _Strains:
-    """Strains of which a share begins near the best plan so far: moved a little, every other one with the first grasp
-    points that were drawn for it."""
+    """The strains `drawn`, of which a share `settings.near` is replaced by strains near the best plan so far.
+
+    Such a strain has the best plan with noise added to all components but the first grasp points. With a probability
+    of one half, its first grasp points are those that were drawn.
+    """
     key_share, key_grasps, key_noise = jax.random.split(key, 3)
     count, inverse_of = len(drawn.plan), jnp.asarray(INVERSE)
     winner = jnp.argmin(best.loss)
@@ -311,8 +325,11 @@ def _some_near(
 
 
 def _first_state(forward: Forward, problem: Problem, length: int, settings: SearchConfig) -> _State:
-    """Every strain about to start, but for the first of each common equivalent in a later search: these have the
-    carried plan, its first grasp points snapped to candidates."""
+    """The state before the first iteration, in which strains are marked to restart at random plans.
+
+    In a later search of a session, the first strain of each common equivalent is not marked: it starts from the carried
+    plan, with the first grasp points replaced by the nearest candidates.
+    """
     count = settings.strains
     carried = jnp.asarray(problem.carried)
     wanted = forward.points(problem.state, carried[0, :4].reshape(2, 2))
@@ -331,7 +348,7 @@ def _fresh(
     problem: Problem,
     settings: SearchConfig,
 ) -> _Strains:
-    """Strains at the beginning of their search, for plans in the labels of the state."""
+    """Strains in their initial condition, for plans given in the labels of the state."""
     count = len(plan)
     return _Strains(
         plan=relabel_manipulation_batch(plan, common),
@@ -347,7 +364,11 @@ def _fresh(
 
 
 def _move(strains: _Strains, gradient: Float[Array, "strains n 6"], settings: IRpropConfig) -> _Strains:
-    """One iRprop- step. First grasp points stay, one hand's two stay together, u and v stay on the cloth."""
+    """One iRprop- step on the plans.
+
+    The first grasp points do not change, the two equal grasp points of a one-handed manipulation stay equal, and all
+    grasp points are clipped to -1..1.
+    """
     grasps, displacement = gradient[..., :4], gradient[..., 4:]
     grasps = grasps.at[:, 0].set(0)
     both = grasps[..., :2] + grasps[..., 2:]
@@ -360,12 +381,12 @@ def _move(strains: _Strains, gradient: Float[Array, "strains n 6"], settings: IR
 
 
 def _least(loss: Float[Array, " draws"], drawn: _Strains, draws: int) -> _Strains:
-    """Of each `draws` in a row the one of least loss."""
+    """The strain of lowest loss among each `draws` consecutive rows."""
     best = jnp.argmin(loss.reshape(-1, draws), axis=1)
     chosen = jnp.arange(len(best)) * draws + best
     return jax.tree.map(lambda leaf: leaf[chosen], drawn)
 
 
 def _choose(condition: Bool[Array, " strains"], yes: Any, no: Any) -> Any:
-    """Row by row, the strains of `yes` where the condition holds and of `no` elsewhere."""
+    """For each strain, the row of `yes` if the condition holds, otherwise the row of `no`."""
     return jax.tree.map(lambda a, b: jnp.where(condition.reshape(-1, *(1,) * (a.ndim - 1)), a, b), yes, no)

@@ -1,4 +1,4 @@
-"""Sessions: observe, estimate, plan, execute, again until the length is used up (section 5.1, design 6.10, 6.11)."""
+"""Sessions: observe, estimate, plan and execute, once per step (section 5.1, design 6.10, 6.11)."""
 
 import contextlib
 import dataclasses
@@ -26,26 +26,29 @@ from clothkit.planning.record import Sessions, Tasks, blank
 from clothkit.planning.search import UNKNOWN, Found, Problem
 
 Execute = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
-"""Meshes [w u v 3], grasp points [w 2 2], displacements [w 2], single [w] -> outcomes [w u v 3]; where they lie on the
-table, normalised."""
+"""Executes manipulations: meshes [w u v 3], grasp points xy [w 2 2], displacements [w 2], whether one-handed [w] ->
+resulting meshes [w u v 3]. Positions are relative to the table's origin [normalised], not to the cloth's centre."""
 
 Clock = dict[str, list[tuple[int, float]]]
-"""Tasks and seconds of each call: of searches by plan length (`1`, `2`, `3`), and of `estimates`."""
+"""Number of tasks and time [s] of each call, for searches of each plan length (`1`, `2`, `3`) and for `estimates`."""
 
 
 @dataclasses.dataclass
 class _Carried:
-    """What goes from one step of a session to the next, besides its record."""
+    """The state that a session keeps from one step to the next, in addition to its record."""
 
     expected: Float[np.ndarray, "task *state"]
-    """The better net's mean for the state after the manipulation that was executed."""
+    """The better net's predicted mean of the state after the last executed manipulation."""
     traces: tuple[Float[np.ndarray, "task labels latent"], ...]
     shift: Float[np.ndarray, "task 2"]
-    """From the true centre of the current state to the observed one."""
+    """Vector from the true centre of the current state to the observed centre [normalised]."""
 
 
 def run_sessions(tasks: Tasks, planner: Planner, execute: Execute) -> tuple[Sessions, Clock]:
-    """The sessions of a batch of tasks, side by side; manipulations of all of them are executed together."""
+    """Run the sessions of a batch of tasks in parallel; returns their record and the times of searches and estimates.
+
+    At each step, the manipulations of all sessions are passed to `execute` in one call.
+    """
     sessions, clock = blank(tasks, planner.sizes), defaultdict[str, list[tuple[int, float]]](list)
     goals = planner.sight.goals(sessions.goal)
     nowhere = np.zeros((len(sessions), 2), np.float32)
@@ -71,7 +74,7 @@ def _timed(calls: list[tuple[int, float]], count: int) -> Iterator[None]:
 
 
 def no_traces(planner: Planner, count: int) -> tuple[np.ndarray, ...]:
-    """t_0, the zero vector, for every task and labelling."""
+    """The initial memory traces t_0 for each net: zeros `[count, labels, latent]`."""
     forward = planner.sight.forward
     blank_state = jnp.zeros(planner.sight.shape)
     widths = [jax.eval_shape(forward.encode, net, blank_state).shape[-1] for net in planner.nets]
@@ -81,7 +84,10 @@ def no_traces(planner: Planner, count: int) -> tuple[np.ndarray, ...]:
 def _observe(
     sessions: Sessions, carried: _Carried, acting: np.ndarray, step: int, planner: Planner, clock: Clock
 ) -> None:
-    """Estimates and candidates of the current states; where nothing was done, those of the step before."""
+    """Write the estimates and candidates of the current states into `sessions`.
+
+    Where the previous step executed no manipulation, those of the previous step are copied.
+    """
     idle = acting[sessions.null[acting, step - 1]] if step else acting[:0]
     sessions.estimate[idle, step] = sessions.estimate[idle, step - 1]
     sessions.candidates[idle, step] = sessions.candidates[idle, step - 1]
@@ -107,10 +113,10 @@ def _plan(
     planner: Planner,
     clock: Clock,
 ) -> None:
-    """Search, ask the nets what they expect, and check whether that is better than doing nothing."""
+    """Search for plans, predict their outcomes, apply the null check (section 5.1), and write all into `sessions`."""
     problems = _problems(sessions, goals, carried, chosen, step, length, planner)
     find, batch = planner.finder(length), planner.settings.batch
-    # The last batch is filled up with copies, which are nobody's plans.
+    # The last batch is padded with copies, which are not counted as tasks.
     counts = iter([min(batch, len(chosen) - first) for first in range(0, len(chosen), batch)])
 
     def timed(problems: Problem, keys: jax.Array) -> Found:
@@ -174,7 +180,7 @@ def _problems(
 
 
 def _keys(sessions: Sessions, chosen: np.ndarray, step: int, seed: int) -> jax.Array:
-    """A key for each search, from what it is about and nothing else."""
+    """A random key for each search. It depends on the seed, the task and the step only, not on the batch."""
 
     numbers = (sessions.sequence[chosen], sessions.start[chosen], sessions.length[chosen])
     return _folded(np.uint32(seed), *(np.asarray(n, np.uint32) for n in numbers), np.uint32(step))
@@ -221,8 +227,10 @@ def _note(
 def best_of_restarts(
     losses: Float[np.ndarray, "task iteration strain"], restarts: np.ndarray, most: int
 ) -> Float[np.ndarray, "task strain restart"]:
-    """The lowest loss of each strain from one restart to the next, the last one's with those after it; NaN for
-    restarts that never came, or of which nothing counted."""
+    """The lowest loss of each strain between consecutive restarts.
+
+    Periods after number `most` are merged into it. NaN where a period does not exist or has no finite loss.
+    """
     run = np.minimum(np.cumsum(restarts, axis=1) - restarts, most - 1)
     found = [np.where(run == number, losses, np.inf).min(1) for number in range(most)]
     best = np.stack(found, axis=-1).astype(np.float32)
@@ -237,7 +245,7 @@ def _carry(
     expected: tuple[Expected, ...],
     means: Float[np.ndarray, "chosen n *state"],
 ) -> None:
-    """Keep the expected next state and the memory traces of what will be executed."""
+    """Keep the predicted next state and memory traces of the sessions whose manipulation will be executed."""
     done = ~sessions.null[chosen, step]
     carried.expected[chosen[done]] = means[done, 0]
     for trace, prediction in zip(carried.traces, expected, strict=True):
@@ -247,9 +255,10 @@ def _carry(
 def _act(
     sessions: Sessions, carried: _Carried, acting: np.ndarray, step: int, planner: Planner, execute: Execute
 ) -> None:
-    """Execute what is not null: grasp points go through the estimate to where the silhouette was observed.
+    """Execute the manipulations that are not null, and write the resulting states into `sessions`.
 
-    What the null check has cancelled is executed on the side, to tell whether it was right.
+    Geodesic grasp points become Cartesian on the estimate, which is placed at the observed centre (design 6.11).
+    Manipulations that the null check cancelled are executed too, but only to compute `error_otherwise`.
     """
     idle = acting[sessions.null[acting, step]]
     sessions.state[idle, step + 1] = sessions.state[idle, step]

@@ -16,35 +16,35 @@ Seed = Annotated[int, Ge(0)]
 
 @config
 class NormaliseConfig:
-    """How the reference values of eqs. (14) and (15) are computed."""
+    """Settings of the reference values of eqs. (14) and (15)."""
 
     draws: Count = 8
-    """Random plans per validation task, for high."""
+    """Random plans per validation task, from which high of eq. (14) is computed."""
     seed: Seed = 0
 
 
 @config
 class PlanConfig:
-    """How many sequences are planned for, and how."""
+    """Settings of the plan stages: number of sequences, search and refinement."""
 
     test: Count = 100
-    """Test sequences, all six tasks of each."""
+    """Number of test sequences; sessions are run for all tasks of each."""
     train: Annotated[int, Ge(0)] = 100
-    """Training sequences, likewise."""
+    """Number of training sequences; sessions are run for all tasks of each."""
     search: SearchConfig = SearchConfig()
     refine: RefineConfig = RefineConfig()
     together: Count = 4
-    """Sequences whose sessions run side by side: what an interrupted run may lose."""
+    """Sequences whose sessions run in parallel. An interrupted run loses the unfinished sessions of so many at most."""
     batch: Count = 4
-    """Searches that run as one program. With `together` a multiple of it, none is filled up in vain."""
+    """Searches that run in parallel. Sequences of full length need no padding if `together` is a multiple of it."""
     seed: Seed = 0
     voxel_search: SearchConfig = SearchConfig()
-    """The search of systems that plan in voxels, where a strain costs many times as much."""
+    """Used instead of `search` by systems that plan in voxels, where a strain costs many times as much."""
     voxel_batch: Count = 1
-    """Likewise in place of `batch`."""
+    """Used instead of `batch` by systems that plan in voxels."""
 
     def of(self, system: System) -> "PlanConfig":
-        """The settings of a system: those for voxels in place of the others, if it sees voxels."""
+        """The settings of a system: if it plans in voxels, `search` and `batch` are those for voxels."""
         if not system.voxels:
             return self
         return dataclasses.replace(self, search=self.voxel_search, batch=self.voxel_batch)

@@ -1,6 +1,6 @@
-"""How a system sees cloths: as meshes, estimated from voxels or true, or as voxels (sections 5.1 and 6.3).
+"""Observation models: a system's states are meshes, estimated from voxels or true, or voxels (sections 5.1 and 6.3).
 
-What a system sees of a state, `[*state]`, is what its forward models encode. A sight is asked for whole batches.
+A state in a system's representation, of shape `*state`, is the input of its forward models. Most methods take batches.
 """
 
 from dataclasses import dataclass
@@ -28,10 +28,10 @@ from clothkit.planning.recorded import Recorded, in_meshes, in_voxels
 from clothkit.planning.voxel_forward import VOXEL
 
 CORNERS = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]], np.float32)
-"""The cloth's own corners: candidates of a mesh that shows none."""
+"""Geodesic coordinates of the cloth's corners: the candidates if no corner is detected in a silhouette."""
 
 TOGETHER = 24
-"""States that are estimated as one program."""
+"""Batch size of estimation and refinement."""
 
 _observe, _seen_by = jax.jit(voxels.observe), jax.jit(seen_by)
 _to_cartesian, _relabel_batch = jax.jit(to_cartesian), jax.jit(relabel_batch)
@@ -42,85 +42,91 @@ States = Shaped[np.ndarray, "task *state"]
 
 
 class View(NamedTuple):
-    """What is seen of cloths, and where."""
+    """Observed states and the errors of their observed centres."""
 
     states: States
     shift: Float[np.ndarray, "task 2"]
-    """From their true centres to those that were observed [normalised]."""
+    """Vectors from the true centres to the observed ones [normalised]."""
 
 
 @runtime_checkable
 class Sight(Protocol):
-    """What planning needs of a representation, beside a forward model."""
+    """A representation of states: how they are observed, labelled and compared, together with a forward model."""
 
     @property
     def forward(self) -> Forward:
-        """How states are encoded, predicted and compared."""
+        """The forward model's functions for this representation."""
         ...
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """*state."""
+        """The shape of one state, `*state`."""
         ...
 
     @property
     def labelled(self) -> bool:
-        """Whether states come in the labels of their goals, so that none have to be found."""
+        """Whether states have the same labels as their goals, so that a search need not find the relative labelling."""
         ...
 
     def see(self, truth: Meshes, expected: States | None) -> View:
-        """What is seen of true, centred states; `expected` are the means that were predicted for them."""
+        """Observe true, centred states; `expected` are the predicted means of these states, None at the first step."""
         ...
 
     def goals(self, meshes: Meshes) -> States:
-        """Goals as the system is given them."""
+        """Goal meshes converted to this representation."""
         ...
 
     def grasps(self, state: Shaped[np.ndarray, "*state"], settings: CandidateConfig) -> Float[np.ndarray, "c 2"]:
-        """Candidates, as the nets take grasp points."""
+        """Candidate grasp points on one state, in the coordinates of the nets' inputs."""
         ...
 
     def covered(self, state: Shaped[np.ndarray, "*state"]) -> Bool[np.ndarray, "x y"]:
-        """What a state covers, seen from above, for `draw.folds`."""
+        """Mask of the area that one state covers, seen from above, as `draw.folds` takes it."""
         ...
 
     def places(self, states: States, grasps: Float[np.ndarray, "task 2 2"]) -> Float[np.ndarray, "task 2 2"]:
-        """Where grasp points lie, xy from the observed centre [normalised]."""
+        """Positions of grasp points on the states, xy relative to the observed centre [normalised]."""
         ...
 
     def relabelled(self, states: States, k: Int[np.ndarray, " task"]) -> States:
-        """States under other labels."""
+        """The states, each under the labels of equivalent k."""
         ...
 
     def means(self, predictions: Any) -> Float[np.ndarray, "task n *state"]:
-        """What predictions say, without how sure they are."""
+        """The means of predictions, without their standard deviations; for voxels, the predicted occupancy 0..1."""
         ...
 
     def misses(self, states: States, goals: States) -> Float[np.ndarray, " task"]:
-        """How far states are from goals, by what the planner sees: for the null check (section 5.1)."""
+        """Distance of each state from its goal, for the null check (section 5.1).
+
+        For meshes it is aligned [cloth length], for voxels it is the mean absolute difference.
+        """
         ...
 
     def refined(self, outcomes: Any) -> Meshes | None:
-        """Plausible meshes of predicted outcomes, for pictures."""
+        """Predicted outcomes, refined to plausible meshes; None for voxels. Used for figures only."""
         ...
 
     def recorded(self, states: Float[np.ndarray, "task state u v 3"], plan: Float[np.ndarray, "task n 6"]) -> Recorded:
-        """Recorded manipulations as the nets take them, in the dataset's labels."""
+        """Recorded manipulations as inputs of the nets, in the dataset's labels."""
         ...
 
     def labels(self, seen: States, truth: Meshes) -> Int[np.ndarray, " task"]:
-        """The relabellings that bring true states under the labels of what is seen. Privileged: for diagnosis alone."""
+        """Relabellings k that bring true states to the labels of the observed ones.
+
+        Uses the truth, so this is for diagnosis only.
+        """
         ...
 
 
 @dataclass(frozen=True)
 class MeshSight:
-    """Meshes: refined estimates of what a camera sees, or the truth where there is no `vtm`."""
+    """States are meshes: refined estimates from voxels, or the true meshes if `vtm` is None."""
 
     vtm: Net | None
     refinement: RefineConfig
     refine: bool = True
-    """Without it estimates are VtM's means, under the labels that fit the prediction best (section 4.7)."""
+    """If False, estimates are VtM's means, in the labels that fit the prediction best (section 4.7)."""
     forward: Forward = MESH
     shape: tuple[int, ...] = (SIDE, SIDE, 3)
 
@@ -134,7 +140,7 @@ class MeshSight:
         return _well_centred(self.estimates(np.asarray(_seen_by(self.vtm, truth)), expected))
 
     def estimates(self, seen: Shaped[np.ndarray, "task x y z"], expected: Meshes | None) -> Meshes:
-        """The meshes that voxels show."""
+        """Estimate meshes from voxels; `expected` as in `Sight.see`."""
         assert self.vtm is not None, "a sight that estimates has a net for it"
         vtm, settings = self.vtm, self.refinement
         if not self.refine:
@@ -179,12 +185,12 @@ class MeshSight:
 
 @dataclass(frozen=True)
 class VoxelSight:
-    """Voxels, as a camera above sees them: doubled, occluded, free of noise."""
+    """States are voxels as a camera above the table sees them: doubled, occluded and without noise."""
 
     forward: Forward = VOXEL
     shape: tuple[int, ...] = voxels.RESOLUTION
     labelled: bool = True
-    """One labelling is all that there are."""
+    """Voxels have a single labelling."""
 
     def see(self, truth: Meshes, expected: States | None) -> View:
         return _well_centred(np.asarray(_observe(truth)))
@@ -232,7 +238,7 @@ def _if_given(expected: np.ndarray | None) -> tuple[np.ndarray, ...]:
 
 
 def mesh_candidates(mesh: Float[np.ndarray, "u v 3"], settings: CandidateConfig) -> Float[np.ndarray, "candidates 2"]:
-    """Geodesic grasp points of a mesh (section 4.3); the cloth's corners if its silhouette shows none."""
+    """Candidate grasp points of a mesh, geodesic (section 4.3); the cloth's corners if its silhouette has no corner."""
     xy = candidates(mesh, settings)
     uv = to_geodesic(mesh, xy) if len(xy) else CORNERS
     distinct = np.sort(np.unique(uv, axis=0, return_index=True)[1])

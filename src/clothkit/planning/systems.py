@@ -1,4 +1,4 @@
-"""The systems of section 6.3 by name: what each sees, and how many nets it plans with."""
+"""The systems of section 6.3 by name: the representation, the number of nets and the variations of each."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,24 +10,24 @@ from clothkit.networks.store import validation_score
 
 @dataclass(frozen=True)
 class System:
-    """One row group of table 6. All share one planner."""
+    """A variant of the planner, shown as one group of rows in table 6. All systems share the planner's code."""
 
     name: str
     true_meshes: bool = False
-    """Whether the true mesh takes the place of the estimate; then the goal's labels are known too."""
+    """Whether the true mesh is used instead of an estimate. The goal's labels are then known too."""
     voxels: bool = False
     """Whether states are voxels, for the voxel EM*D."""
     refine: bool = True
     """Whether estimates are refined. In the paper leaving that out "was observed to significantly harm planning
     performance" (section 4.7); in the `laptop` report no difference was found in mean errors by plan length."""
     nets: int = 2
-    """Two: eq. (13). One: the NLL of the net with the better validation score."""
+    """With two nets the loss is eq. (13); with one it is the NLL of the net with the better validation score."""
     alpha: float | None = None
-    """A weight of the uncertainty term that this system is about; None takes that of params.yaml."""
+    """Weight of the uncertainty term; None means the value of params.yaml."""
 
     @property
     def estimates(self) -> bool:
-        """Whether it makes meshes of voxels."""
+        """Whether the system estimates meshes from voxels."""
         return not (self.voxels or self.true_meshes)
 
 
@@ -53,9 +53,9 @@ def system(name: str) -> System:
 
 
 def better_net(folders: Mapping[str, Path]) -> str:
-    """The name of the net of the lowest validation score, the first of equals.
+    """The name of the net with the lowest validation score; of equal ones, the first in alphabetical order.
 
-    Raises InputError if a net's description can't be read or holds no score.
+    Raises InputError if a net's description can't be read or has no score.
     """
     scores = {name: validation_score(folder) for name, folder in sorted(folders.items())}
     return min(scores, key=scores.__getitem__)

@@ -1,7 +1,7 @@
 """Planning in voxels, for baselines B4 and B5: the voxel EM*D and its losses (section 6.3, design 6.15).
 
-Grasp points are Cartesian and relative to the centre of the state that they are about, there are no labels, and nothing
-is whitened. A prediction is the logits of occupancy.
+Grasp points are Cartesian, relative to the centre of the state that is manipulated. Voxels have no labels and are not
+whitened. A prediction consists of the logits of occupancy.
 """
 
 import jax
@@ -18,32 +18,32 @@ Logits = Float[Array, "*batch x y z"]
 
 
 def decode(net: Net, latent: Float[Array, "*batch latent"], every: int) -> Logits:
-    """Logits of all voxels, whatever `every` is: convolutions leave none out."""
+    """The logits of all voxels. `every` is ignored: the decoder always computes the whole volume."""
     return emd_voxel.logits(net, latent)
 
 
 def alone(state: Shaped[Array, "*state"]) -> Shaped[Array, "1 *state"]:
-    """The one description that voxels have."""
+    """The state with a leading axis of length 1, since voxels have one labelling only."""
     return jnp.asarray(state)[None]
 
 
 def as_it_is(prediction: Logits, k: Int[Array, ""]) -> Logits:
-    """Voxels have no labels."""
+    """The prediction unchanged, since voxels have no labels."""
     return prediction
 
 
 def points(state: Shaped[Array, "x y z"], grasps: Float[Array, "*points 2"]) -> Float[Array, "*points 2"]:
-    """Grasp points are where they are [normalised]."""
+    """The grasp points unchanged: they are Cartesian already [normalised]."""
     return grasps
 
 
 def target(goals: Shaped[Array, "*goals x y z"]) -> Float[Array, "*goals x y z"]:
-    """Occupancy as numbers."""
+    """Occupancy as floats, 0 or 1."""
     return jnp.asarray(goals, jnp.float32)
 
 
 def whole(goals: Shaped[Array, "*goals x y z"], every: int) -> Shaped[Array, "*goals x y z"]:
-    """All voxels."""
+    """The goals unchanged: losses always compare all voxels."""
     return goals
 
 
@@ -56,12 +56,12 @@ def accuracy(goal: Float[Array, "*#batch x y z"], outcome: Logits, span: Range |
 def accuracy_of_each(
     goals: Float[Array, "goals x y z"], outcome: Logits, span: Range | None = None
 ) -> Float[Array, "strains goals"]:
-    """`accuracy` of a batch of outcomes for each of several goals."""
+    """`accuracy` of every outcome of a batch for every one of several goals."""
     return jnp.stack([accuracy(goal, outcome, span) for goal in goals], axis=-1)
 
 
 def diff(a: Logits, b: Logits) -> Float[Array, "*batch"]:
-    """How far two predictions differ as plain arrays: the mean squared error of their occupancies."""
+    """diff of eq. (15) for voxels: the mean squared difference of the predicted occupancies."""
     return jnp.mean((jax.nn.sigmoid(a) - jax.nn.sigmoid(b)) ** 2, axis=(-3, -2, -1))
 
 
