@@ -91,8 +91,8 @@ def open_store(path: Path, declared: Mapping[str, Declared], *, lengths: Mapping
 def check_shards(array: zarr.Array, name: str, *, zeros: bool = False) -> None:
     """Raises InputError if a shard's file is missing.
 
-    `zeros` is for arrays that other programs wrote, where shards of zeros have no file: then the error is raised only if
-    the folder of shards has no files at all.
+    `zeros` is for arrays that other programs wrote, where shards of zeros have no file: then the error is raised only
+    if the folder of shards has no files at all.
     """
     parts = array.shards or array.chunks
     counts = [math.ceil(length / part) for length, part in zip(array.shape, parts, strict=True)]
