@@ -1,4 +1,4 @@
-"""ARCSim's scenes replayed in our solver: its start, its hands' motion, and what became of its cloth at the end."""
+"""Replay of ARCSim scenes in our solver, from the scene's first frame and hand motions to its end."""
 
 import time
 from pathlib import Path
@@ -15,41 +15,44 @@ from clothkit.simulation.arcsim_scene import read_end, read_paths
 from clothkit.simulation.settings import SimulationConfig
 from clothkit.simulation.world import Motion, Worlds
 
-POINTS = 257  # of a hand's path
+POINTS = 257  # on a hand's path
 HANDS = 2
 
 
 class Scene(NamedTuple):
-    """A scene of ARCSim's, its cloth seen as a grid of material points."""
+    """A scene of ARCSim, with its cloth interpolated at a grid of material points."""
 
     name: str
     start: Float[np.ndarray, "u v 3"]
-    """Metres."""
+    """The cloth in the first frame, in metres."""
     final: Float[np.ndarray, "u v 3"]
-    """Metres."""
+    """The cloth in the last frame, in metres."""
     motion: Motion
-    """In one world."""
+    """The hand motions, for one world."""
     end: float
-    """s"""
+    """End of the scene, in s."""
 
 
 class Replay(NamedTuple):
-    """What our solver makes of a scene."""
+    """The result of a scene in our solver."""
 
     times: Float[np.ndarray, " moments"]
-    """s, since the grasp."""
+    """Times since the grasp, in s."""
     states: Float[np.ndarray, "moments u v 3"]
-    """Metres. The last one is at the scene's end."""
+    """States at these times, in metres; the last one is at the scene's end."""
     cpu_seconds: float
 
     @property
     def final(self) -> Float[np.ndarray, "u v 3"]:
-        """Metres."""
+        """The last state, in metres."""
         return self.states[-1]
 
 
 def read_scene(conf: Path) -> Scene:
-    """The scene of NAME.conf.json, with NAME.start.obj and NAME.obj beside it. Raises InputError for other scenes."""
+    """Read the scene of NAME.conf.json, with NAME.start.obj and NAME.obj in the same folder.
+
+    Raises InputError if the hands do not hold at most two nodes from 0 s to one common release.
+    """
     name = conf.name.removesuffix(".conf.json")
     start, final = (read_frame(conf.with_name(f"{name}{kind}.obj")) for kind in (".start", ""))
     release = max(handle.end for handle, _ in read_paths(conf, np.zeros(1)))
@@ -67,7 +70,7 @@ def read_scene(conf: Path) -> Scene:
 
 
 def replay(scene: Scene, settings: SimulationConfig) -> Replay:
-    """Run a scene to its end, `settings.settling` after the release; CPU seconds are the solver's own."""
+    """Simulate a scene until `settings.settling` ends it; the CPU seconds are those of the solver only."""
     worlds = Worlds(1, settings)
     state = scene.start[None]
     times, states, spent = [], [], 0.0

@@ -1,9 +1,9 @@
-"""What do plain folds look like?  python benchmarks/folds.py [--picture PNG] [--csv FOLDER]
+"""What do simple folds look like?  python benchmarks/folds.py [--picture PNG] [--csv FOLDER]
 
-A cloth of each material is folded in half by two hands, watched for ten more seconds, and folded again into a quarter
-by hands that take all layers. Lengths in mm: crest, distance of touching layers (ideally the material's thickness),
-how far any vertex moved in the ten seconds; and how far the half fold lies, on average over the cloth, from that with
-half the time step, and with half the time step and half the grid spacing.
+A cloth of each material is folded in half by two hands, simulated for ten more seconds, and folded again into a quarter
+by hands that grasp all layers. The table has lengths in mm: the height of the crest; the distance of touching layers
+(ideally the material's thickness); the largest motion of a vertex in the ten seconds; and the mean distance between the
+half fold and the one simulated with half the time step, and with half the time step and half the grid spacing.
 """
 
 import argparse
@@ -25,13 +25,13 @@ from clothkit.simulation.world import Motion, Outcome, Worlds, arcs
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
-MOVE = 0.37  # m: the edge comes to lie a little inside the one below
-WATCHED = 10.0  # s
+MOVE = 0.37  # m, so that the moved edge ends slightly inside the edge below
+WATCHED = 10.0  # s, simulated after the half fold
 NOTHING = Motion(np.full((1, 2, 1), -1), np.zeros((1, 2, int(PATH), 3)), np.array([1e-3]))
 
 
 def half_fold(settings: SimulationConfig) -> Outcome:
-    """Two hands bring one edge of the flat cloth over the other, along x."""
+    """Fold the flat cloth with two hands, which move one edge along x over the opposite edge."""
     flat = flat_state(settings)
     held = np.array([[[0], [settings.side - 1]]])
     releases = flat[None, 0, [0, -1], :2] + [MOVE, 0.0]
@@ -39,7 +39,7 @@ def half_fold(settings: SimulationConfig) -> Outcome:
 
 
 def quarter_fold(half: np.ndarray, settings: SimulationConfig) -> Outcome:
-    """Hands near the half fold's edge and near its ridge bring all layers over, along y."""
+    """Fold the half fold again along y with two hands that grasp all layers, near its free edges and near its ridge."""
     settings = dataclasses.replace(settings, grasp="all")
     hands = place_hands(half, half[[1, 12], 0, :2].astype(float), np.array([0.0, MOVE]), False, settings)
     return Worlds(1, settings).execute(
@@ -48,12 +48,12 @@ def quarter_fold(half: np.ndarray, settings: SimulationConfig) -> Outcome:
 
 
 def millimetres(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Distance of each vertex."""
+    """Return the distance of each vertex between two states, in mm."""
     return np.linalg.norm(a - b, axis=-1) * 1e3
 
 
 def measure(name: str, material: Material) -> tuple[dict, np.ndarray, np.ndarray]:
-    """A row, and the two states."""
+    """Return a material's row of the table and the states of its half and quarter fold."""
     settings = SimulationConfig(material=material)
     started = time.process_time()
     half = half_fold(settings)
@@ -82,7 +82,7 @@ def measure(name: str, material: Material) -> tuple[dict, np.ndarray, np.ndarray
 
 
 def draw(path: Path, folds: dict[str, tuple[np.ndarray, np.ndarray]]) -> None:
-    """A row per material: profile of the half fold, half and quarter fold from above by height; mm."""
+    """Draw, per material, profiles and heights from above of the half fold and the quarter fold, in mm."""
     figure, axes = plt.subplots(len(folds), 4, figsize=(14, 3.1 * len(folds)), squeeze=False, layout="constrained")
     for row, (name, states) in zip(axes, folds.items(), strict=True):
         for side, above, state, fold in zip(row[::2], row[1::2], states, ("half fold", "quarter fold"), strict=True):
@@ -97,7 +97,7 @@ def draw(path: Path, folds: dict[str, tuple[np.ndarray, np.ndarray]]) -> None:
 
 
 def main() -> None:
-    """Print the table."""
+    """Print the table, and write the picture and the CSV file if asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--picture", type=Path)
     parser.add_argument("--csv", type=Path)

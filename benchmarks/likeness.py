@@ -1,9 +1,10 @@
-"""How like ARCSim's are our folds?  python benchmarks/likeness.py FOLDER [--picture PNG] [--vary] [--csv FOLDER]
+"""How similar are our folds to ARCSim's?  python benchmarks/likeness.py FOLDER [--picture PNG] [--vary] [--csv FOLDER]
 
-FOLDER holds scenes NAME.conf.json with NAME.start.obj (frame 0) and NAME.obj (the last frame). Their hands' motion is
-replayed at 32 x 32 with a material like ARCSim's gray-interlock and with the default one. Distances are per material
-point; `aligned` ones without the mean translation. --vary changes the material one setting at a time. CPU seconds of
-ARCSim, MuJoCo and Newton were measured once, on another day: trust ratios only.
+FOLDER holds scenes NAME.conf.json with NAME.start.obj (frame 0) and NAME.obj (the last frame). The hand motions are
+replayed on a 32 x 32 grid with a material like ARCSim's gray-interlock and with the default material. Distances are
+between equal material points; `aligned` distances are computed after subtracting the mean translation. --vary changes
+the material one setting at a time. The CPU seconds of ARCSim, MuJoCo and Newton were measured once, on another day, so
+only their ratios are meaningful.
 """
 
 import argparse
@@ -24,7 +25,7 @@ import matplotlib.pyplot as plt
 
 GRAY_INTERLOCK = FABRICS["jersey"]
 LIKE_ARCSIM = SimulationConfig(material=GRAY_INTERLOCK, top_speed=5.0)
-"""No faster vertex is seen in the scenes."""
+"""Settings like ARCSim's; no vertex in the scenes is faster than this top speed."""
 
 PEERS = {  # mean distance [mm], CPU seconds of one core
     "half_04m_fix32": {"ARCSim 0.2.1": (0.0, 26.0), "MuJoCo 4.0": (11.0, 82.0), "Newton 1.8 VBD": (15.0, 260.0)},
@@ -45,13 +46,13 @@ VARIED: dict[str, tuple[float, ...]] = {
 
 
 def until_the_end(settings: SimulationConfig, scene: Scene) -> SimulationConfig:
-    """The settings, but as long as ARCSim's scene runs, whether the cloth rests or not."""
+    """Return the settings with a simulated time equal to that of ARCSim's scene, whether the cloth rests or not."""
     rest = scene.end - float(scene.motion.seconds[0])
     return dataclasses.replace(settings, settling=Settling(longest=rest, rest_time=2 * rest))
 
 
 def compare(ours: str, scene: Scene, got: Replay) -> dict:
-    """A row: how far what we got is from ARCSim's final shape, and how far the edges slid."""
+    """Return a row with the distances of our final shape to ARCSim's and the positions of the edges."""
     away = (got.final - scene.final) * 1e3
     distance = np.linalg.norm(away, axis=-1)
     aligned = np.linalg.norm(away - away.mean((0, 1)), axis=-1)
@@ -69,7 +70,7 @@ def compare(ours: str, scene: Scene, got: Replay) -> dict:
 
 
 def _edges(when: str, state: np.ndarray, scene: Scene) -> dict:
-    """The mean x [mm] of the edge that is held (u = -1) and of the one that is not."""
+    """Return the mean x [mm] of the held edge (u = -1) and of the opposite edge."""
     return {
         f"held x {when}": round(float(state[0, :, 0].mean()) * 1e3),
         f"other x {when}": round(float(state[-1, :, 0].mean()) * 1e3),
@@ -77,7 +78,7 @@ def _edges(when: str, state: np.ndarray, scene: Scene) -> dict:
 
 
 def peers(scene: Scene) -> list[dict]:
-    """Rows of what others do."""
+    """Return the rows of the other simulators for a scene."""
     rows = []
     for name, (distance, seconds) in PEERS.get(scene.name, {}).items():
         row: dict = {"solver": name, "mean mm": distance, "CPU s": seconds}
@@ -88,13 +89,13 @@ def peers(scene: Scene) -> list[dict]:
 
 
 def with_ratios(rows: list[dict]) -> list[dict]:
-    """The rows with their speed as a multiple of ARCSim's, where that was measured."""
+    """Return the rows with their speed as a multiple of ARCSim's, if that was measured."""
     arcsim = next((row["CPU s"] for row in rows if row["solver"].startswith("ARCSim")), None)
     return [row | ({"ARCSim / CPU s": round(arcsim / row["CPU s"], 1)} if arcsim else {}) for row in rows]
 
 
 def draw(path: Path, pairs: list[tuple[Scene, Replay]]) -> None:
-    """A row of panels per scene: profiles at mid-width, then ARCSim's and our cloth from above; mm."""
+    """Draw, per scene, profiles through the middle and ARCSim's and our cloth from above, in mm."""
     figure, axes = plt.subplots(len(pairs), 3, figsize=(13, 3.6 * len(pairs)), squeeze=False, layout="constrained")
     for row, (scene, got) in zip(axes, pairs, strict=True):
         clothes = {"ARCSim": scene.final * 1e3, "clothkit": got.final * 1e3}
@@ -114,7 +115,7 @@ def draw(path: Path, pairs: list[tuple[Scene, Replay]]) -> None:
 
 
 def main() -> None:
-    """Print a table per scene."""
+    """Print a table per scene, and write the picture and the CSV files if asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--picture", type=Path)

@@ -1,20 +1,20 @@
-"""How many faults would the tests notice? Small changes of the code, one at a time, against the tests of its module.
+"""How many faults would the tests notice? Mutation testing: small changes of a module, run against its tests.
 
 python benchmarks/mutants.py [PACKAGE|PACKAGE/MODULE ..] [--each N] [--seed N] [--limit SECONDS] [--list]
 
 Cosmic Ray finds the places where a module can be changed and makes the changes: an operator, a sign, a comparison, a
-condition, a number, a loop that is never entered. Of every PACKAGE, all that pyproject.toml names under
-[tool.clothkit.mutants] unless some are given, or of a single MODULE of it, a sample of `--each` places that is drawn
-with `--seed` is changed, each in one way. Each changed module, a mutant, is tried with its mirror tests,
-tests/<package>/test_<module>.py and what pyproject.toml names beside them. A test that fails kills the mutant, and so
-does a run that takes longer than `--limit`. Printed are every mutant, with the change, and per package the share of
-killed ones. A mutant that survives either means the same as the original, or shows that a test is missing. `--list`
-prints the sample without running a test.
+condition, a number, a loop that is never entered. For each PACKAGE (default: all that pyproject.toml names under
+[tool.clothkit.mutants]) or single MODULE, the script draws a sample of `--each` places with the seed `--seed` and makes
+one change at each place. Each changed module is a mutant. It is run with its mirror tests,
+tests/<package>/test_<module>.py, and the tests that pyproject.toml adds. A mutant is killed if a test fails or if the
+run takes longer than `--limit`. The script prints every mutant with its change, and the fraction of killed mutants per
+package. A mutant that survives is either equivalent to the original or shows that a test is missing. `--list` prints
+the sample without running tests.
 
-Annotations and the strictness of `zip` are no places to change. Comparisons are negated, and never made strict or lax:
-nearly all of them compare floats, which are hardly ever equal. Tests run one after the other, in a copy of the checkout
-with what is not committed, so that no mutant is left behind. With JAX_COMPILATION_CACHE_DIR set, compiled programs are
-kept for the next run.
+Annotations and the `strict` argument of `zip` are not changed. Comparisons are negated, but `<` is not replaced by `<=`
+or the reverse: nearly all compare floats, which are hardly ever equal. The tests run one after the other in a copy of
+the checkout, including uncommitted changes, so that no mutant is left in the checkout. If JAX_COMPILATION_CACHE_DIR is
+set, compiled programs are kept for the next run.
 """
 
 import argparse
@@ -43,15 +43,16 @@ from cosmic_ray.plugins import get_operator, operator_names
 
 ROOT = Path(__file__).parents[1]
 COPIED = ("src", "tests", "docs", "stages", "params.yaml", "pyproject.toml")
-"""What tests need of the checkout."""
+"""The parts of the checkout that tests need."""
 
 IMPORTED = ("jax", "flax", "optax", "scipy.stats", "pandas", "cv2")
-"""What is imported once, before tests run in forks of this process: imports take longer than most tests. Plugins of
-pytest are not among them: these it imports itself."""
+"""Modules imported once before the tests run in forks of this process, since imports take longer than most tests.
 
-_PAUSE = 0.2  # seconds between looks at a running test
+pytest's plugins are not included, because pytest imports them itself."""
+
+_PAUSE = 0.2  # s, between two checks whether a test run has ended
 _NO_FAILURE, _FAILURES, _INTERRUPTED, _INTERNAL = range(4)
-"""pytest's exit statuses; an import that fails interrupts the collection."""
+"""pytest's exit statuses; a failing import gives _INTERRUPTED, since it interrupts the collection."""
 
 
 class Mutant(NamedTuple):
@@ -65,12 +66,12 @@ class Mutant(NamedTuple):
 
     @property
     def path(self) -> Path:
-        """Where the module is in a checkout."""
+        """The module's path in a checkout."""
         return Path("src/clothkit") / f"{self.module}.py"
 
 
 class Outcome(NamedTuple):
-    """What the tests make of a mutant."""
+    """The result of the tests of a mutant."""
 
     killed: bool
     late: bool
@@ -81,16 +82,16 @@ class Outcome(NamedTuple):
 
 
 def settings() -> dict[str, Any]:
-    """The table of pyproject.toml."""
+    """Return the table [tool.clothkit.mutants] of pyproject.toml."""
     return tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["clothkit"]["mutants"]
 
 
 Change = tuple[str, int]
-"""An operator's name, and which of the places where it could change a module."""
+"""An operator's name, and the index of a place among those where it can change the module."""
 
 
 def places(module: str, operators: Iterable[str]) -> list[tuple[str, tuple[int, int], list[Change]]]:
-    """The places of a module, line and column, where it could be changed, and how."""
+    """Return (module, (line, column), changes) for every place where a module can be changed."""
     nodes = list(ast_nodes(get_ast(source_of(module))))
     found: dict[tuple[int, int], list[Change]] = {}
     for name in operators:
@@ -101,13 +102,15 @@ def places(module: str, operators: Iterable[str]) -> list[tuple[str, tuple[int, 
 
 
 def source_of(module: str) -> str:
-    """The code of a module, <package>/<module>."""
+    """Return the source of a module, <package>/<module>."""
     return (ROOT / "src/clothkit" / f"{module}.py").read_text()
 
 
 def meant(code: str) -> str | None:
-    """The syntax tree as text, without what no caller that is right can notice: annotations, which arguments have to be
-    named, whether `zip` is strict. None if it isn't Python."""
+    """Return the syntax tree as text without differences that correct callers can't notice, or None if it isn't Python.
+
+    Left out are annotations, which arguments are keyword-only or positional-only, and the `strict` argument of `zip`.
+    """
     try:
         tree = ast.parse(code)
     except SyntaxError:
@@ -129,7 +132,7 @@ def meant(code: str) -> str | None:
 
 
 def sample(package: str, modules: Iterable[str], operators: list[str], each: int, seed: int) -> list[Mutant]:
-    """So many mutants of a package, each at another place, in the order of modules and lines."""
+    """Return up to `each` mutants of a package, each at a different place, sorted by module and line."""
     chance = random.Random(f"{seed} {package}")
     every = [place for module in modules for place in places(f"{package}/{module}", operators)]
     found: list[Mutant] = []
@@ -139,14 +142,14 @@ def sample(package: str, modules: Iterable[str], operators: list[str], each: int
         name, occurrence = chance.choice(changes)
         code = source_of(module)
         changed = mutate_code(code, get_operator(name)(), occurrence)
-        # What Cosmic Ray takes for a product may be the star of keyword arguments.
+        # The check is needed because Cosmic Ray may read the star of keyword-only arguments as a product.
         if changed and meant(changed) not in (None, meant(code)):
             found.append(Mutant(module, line, name.removeprefix("core/"), changed))
     return sorted(found, key=lambda mutant: (mutant.module, mutant.line))
 
 
 def mirrors(module: str, beside: dict[str, list[str]]) -> list[str]:
-    """The tests of a module."""
+    """Return the paths of a module's tests: the mirror test, if there is one, and those in `beside`."""
     package, name = module.split("/")
     own = f"tests/{package}/test_{name}.py"
     return [*([own] if (ROOT / own).exists() else []), *beside.get(module, [])]
@@ -164,13 +167,13 @@ def run_tests(copy: Path, tests: list[str], limit: float) -> Outcome:
             except Exception:
                 os.write(output.fileno(), traceback.format_exc().encode())
             finally:
-                # The copy is the parent's to clear away.
+                # Exit without cleaning up: the parent removes the temporary copy.
                 os._exit(status)
         late = False
         while not (ended := os.waitpid(process, os.WNOHANG))[0]:
             time.sleep(_PAUSE)
             if time.perf_counter() - started > limit and not late:
-                # Tests may have started processes of their own.
+                # The whole process group, since tests may have started processes.
                 late = True
                 os.killpg(process, signal.SIGKILL)
         output.seek(0)
@@ -182,7 +185,7 @@ def run_tests(copy: Path, tests: list[str], limit: float) -> Outcome:
 
 
 def _run_here(copy: Path, tests: list[str], output: int) -> int:
-    """pytest in this process: in a group of its own, for tests of the copy."""
+    """Run pytest in this process, in a new session, on the tests of the copy; return its exit status."""
     os.setsid()
     os.dup2(output, 1)
     os.dup2(output, 2)
@@ -194,7 +197,7 @@ def _run_here(copy: Path, tests: list[str], output: int) -> int:
 
 
 def change(original: str, mutant: Mutant) -> Iterator[str]:
-    """The lines that a mutant takes away and brings."""
+    """Yield the lines that a mutant removes and adds, for printing."""
     for line in difflib.unified_diff(original.splitlines(), mutant.code.splitlines(), lineterm="", n=0):
         if not line.startswith(("---", "+++", "@@")):
             yield f"      {line[0]} {line[1:].strip()}"
@@ -212,13 +215,13 @@ def main() -> None:
     options = parser.parse_args()
     wanted = re.compile(f"core/({'|'.join(table['operators'])})")
     operators = [name for name in operator_names() if wanted.fullmatch(name)]
-    # JAX minds forks once it has threads; here it has none.
+    # JAX warns of forks because of its threads, but here it has not started any.
     warnings.filterwarnings("ignore", message="os.fork")
     shares = []
     with tempfile.TemporaryDirectory(prefix="clothkit-mutants-") as folder:
         copy = Path(folder) / "checkout"
         copy.mkdir()
-        # JAX reads its environment when it is imported.
+        # Set before the imports below, since JAX reads its environment when it is imported.
         os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", f"{folder}/compiled")
         os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
         for name in () if options.list else IMPORTED:
@@ -237,7 +240,7 @@ def main() -> None:
                 if options.list:
                     continue
                 if tuple(tests) not in sound:
-                    # What fails anyway would kill every mutant.
+                    # Tests that fail without a mutant would kill every mutant.
                     plain = run_tests(copy, tests, 10 * options.limit)
                     if plain.killed:
                         raise SystemExit(f"{plain.said}\n{' '.join(tests)}: fails without a mutant")

@@ -1,13 +1,13 @@
-"""What does `clothkit plan` take from a point cloud, and what comes of it?
+"""How long does `clothkit plan` take on a point cloud, and how good are its plans?
 
 python benchmarks/plan_on_clouds.py [--sequences N] [--length L]
 
-For a task of each of the first test sequences (5 if not said; plans of one manipulation, the starts in turn, if no
-length is said), the start is given to `clothkit plan` as a user has it: as the point cloud of a tilted, noisy depth
-camera with a mask of the cloth, as noise-free voxels, and as the true mesh. Each plan is executed by `clothkit
-simulate` on the true start, as it stands, without a second look. Prints, for each of the three, seconds from command to
-plan (the first plan, which compiles what no earlier one has, and the mean of the others) and the mean error of the
-outcomes, beside what the plans expected and what there is if nothing is done. Needs data/ (`dvc repro`).
+For one task of each of the first test sequences (default: 5 sequences, plans of one manipulation, with the starts in
+turn), the script gives the start to `clothkit plan` in three forms: as the point cloud of a tilted, noisy depth camera
+with a mask of the cloth, as noise-free voxels, and as the true mesh. Each plan is executed by `clothkit simulate` from
+the true start, without replanning. The script prints, for each form, the seconds from command to plan (of the first
+plan, which may compile programs, and the mean of the others) and the mean error of the outcomes, beside the expected
+error and the error without any action. Needs data/ (`dvc repro`).
 """
 
 import argparse
@@ -35,7 +35,7 @@ SCALE = PICTURE.side / CLOTH_SIDE
 
 
 def clothkit(*arguments: object) -> str:
-    """What a command says; a failed one ends the benchmark with its message."""
+    """Run a command and return what it prints; if it fails, exit with its message."""
     ended = subprocess.run(
         [sys.executable, "-m", "clothkit", *map(str, arguments)], capture_output=True, text=True, check=False
     )
@@ -45,7 +45,10 @@ def clothkit(*arguments: object) -> str:
 
 
 def give(folder: Path, start: np.ndarray, goal: np.ndarray) -> dict[str, Path]:
-    """The start in three forms, and the goal; in metres where the form has any."""
+    """Write the start in three forms, and the goal; return the paths of the start's files by form.
+
+    Clouds and meshes are in metres.
+    """
     files = {name: folder / file for name, file in (("cloud", "cloud.npz"), ("voxels", "voxels.npy"))}
     cloud = back_project(take(start, PICTURE).image)
     np.savez(files["cloud"], points=cloud.points, cloth=np.asarray(cloud.cloth))
@@ -53,14 +56,14 @@ def give(folder: Path, start: np.ndarray, goal: np.ndarray) -> dict[str, Path]:
     files["mesh"] = folder / "start.obj"
     write_mesh(files["mesh"], start.astype(float) * SCALE)
     write_mesh(folder / "goal.obj", goal.astype(float) * SCALE)
-    # The table's frame of a camera's cloud has its origin below the camera.
+    # For a camera's cloud, the origin of the table's frame is below the camera.
     below = np.append(PICTURE.camera.position()[:2], 0)
     write_mesh(folder / "start_below_camera.obj", start.astype(float) * SCALE - below)
     return files
 
 
 def main() -> None:
-    """Plan, execute, print."""
+    """Plan, execute and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sequences", type=int, default=5)
     parser.add_argument("--length", type=int, default=1, choices=(1, 2, 3))

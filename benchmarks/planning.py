@@ -1,16 +1,17 @@
-"""What does a plan cost, and how much of the machine's matrix-product rate does the search reach?
+"""How long does a plan take, and which fraction of the machine's matrix-product rate does the search reach?
 
 python benchmarks/planning.py [SYSTEM ..] [options]
 
-SYSTEM is main, b2, b3, b4 or b5 (the first three if none is named). For plans of one, two and three manipulations:
-seconds per plan, beside the paper's (table 8, RTX 2080 Ti, 256 strains), and, for systems that plan on meshes, how
-these stand to the time that the search's matrix products take by themselves, on the same shapes in the same run: for
-every weight matrix that the loss needs the forward product and the backward one for its input; weights need no
-gradient. The encoder, run once, is not counted. With `main` go seconds per estimate of a mesh, without and with its
-refinement, beside those of section 6.1.
+SYSTEM is main, b2, b3, b4 or b5 (default: main, b2, b3). For plans of one, two and three manipulations, the script
+prints the seconds per plan, beside the paper's (table 8, RTX 2080 Ti, 256 strains). For systems that plan on meshes, it
+also prints the time of the search's matrix products alone, with the same shapes and in the same run, as a fraction of
+the search's time. Counted are, for every weight matrix in the loss, the forward product and the backward product for
+its input, since weights need no gradient. The encoder, which runs once, is not counted. For `main`, the script also
+prints the seconds per estimate of a mesh, without and with refinement, beside those of section 6.1.
 
-`--scale NAME` takes the sizes of a scale (the one in force), `--strains`, `--batch` and `--every` change its settings,
-`--rounds N` (3) repeat and take the least of each time. Nets are untrained: values do not matter for the time.
+`--scale NAME` selects the sizes of a scale (default: that of params.yaml); `--strains`, `--batch` and `--every` change
+its settings; `--rounds N` (default: 3) is the number of repetitions, of which the shortest time counts. The nets are
+untrained, since the values of the weights do not affect the time.
 """
 
 import argparse
@@ -43,11 +44,11 @@ from clothkit.report import paper
 LENGTHS = (1, 2, 3)
 CANDIDATES = 12
 ESTIMATION = {"VtM": 0.0037, "refined": 0.5737}
-"""The paper's seconds per estimate (section 6.1) [s]."""
+"""The paper's time per estimate (section 6.1), in s."""
 
 
 def problems(system: System, nets: tuple[Net, ...], forward: Any, length: int, batch: int) -> Problem:
-    """Flat cloths that shall stay as they are."""
+    """Return a batch of problems whose state and goal are the flat cloth."""
     state = np.asarray(observe(flat())) if system.voxels else flat()
     grasps = np.zeros((CANDIDATES, 2), np.float32)
     grasps[: len(CORNERS)] = 0.7 * CORNERS if system.voxels else CORNERS
@@ -67,10 +68,10 @@ def problems(system: System, nets: tuple[Net, ...], forward: Any, length: int, b
 
 @partial(jax.jit, static_argnames="repeats")
 def products(x: jax.Array, weights: jax.Array, gradient: jax.Array, *, repeats: int) -> tuple[jax.Array, jax.Array]:
-    """A dense layer's forward product and the one that takes a gradient back to its input, over and over.
+    """Compute a dense layer's forward product and the backward product for its input, `repeats` times.
 
-    Each is the other's input in the next round, so that none can be left out; and one program, since what it takes to
-    start one is more than the products take on a GPU.
+    Each product is the other's input in the next round, so that the compiler can't remove one. All rounds are one
+    program, since starting a program takes longer on a GPU than the products.
     """
 
     def both(_: int, arrays: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
@@ -81,7 +82,7 @@ def products(x: jax.Array, weights: jax.Array, gradient: jax.Array, *, repeats: 
 
 
 def products_alone(params: Any, rows: int, length: int, explicit: bool, every: int, rounds: int) -> tuple[float, float]:
-    """Seconds and FLOPs of one net's products in one evaluation of the loss."""
+    """Return the seconds and FLOPs of one net's matrix products in one evaluation of the loss."""
     seconds = flops = 0.0
     for path, weights in jax.tree_util.tree_leaves_with_path({part: params[part] for part in "MD"}):
         if weights.ndim != 2:
@@ -90,9 +91,9 @@ def products_alone(params: Any, rows: int, length: int, explicit: bool, every: i
         wide, out = weights.shape
         if names[:2] == ["D", "mesh"]:
             out = out // every**2
-        # M runs once a step; D for the outcome alone, or for every state where their difference counts.
+        # M runs once per step; D runs for the outcome only, or for every state if the loss has an uncertainty term.
         times, count = (length, rows) if names[0] == "M" else (1, rows * (length if explicit else 1))
-        # Ones stay of the order of one.
+        # The weights are scaled so that the products stay of the order of one.
         arrays = (jnp.ones((count, wide)), jnp.full((wide, out), (wide * out) ** -0.5), jnp.ones((count, out)))
         repeats = min(1000, max(1, int(2e9 / (4 * count * wide * out))))
         seconds += times * least(partial(products, *arrays, repeats=repeats), rounds) / repeats
@@ -101,7 +102,7 @@ def products_alone(params: Any, rows: int, length: int, explicit: bool, every: i
 
 
 def measure(system: System, stages: Any, settings: SearchConfig, batch: int, rounds: int) -> list[dict]:
-    """A row of the table for each plan length."""
+    """Return a row of the table for each plan length."""
     net: Any = stages.train_emd_voxel if system.voxels else stages.train_pemd
     build: Any = emd_voxel.initial if system.voxels else pemd.initial
     nets = tuple(Net(net.net, build(net.net, key=jax.random.key(seed))) for seed in range(system.nets))
@@ -113,7 +114,7 @@ def measure(system: System, stages: Any, settings: SearchConfig, batch: int, rou
         keys = jax.random.split(jax.random.key(0), batch)
         reference = Reference((Range(0.0, 1.0),) * 2, Spread(np.ones(length, np.float32), np.ones(length, np.float32)))
         given = (nets, asked, reference, Weights(float(explicit), 5.0, 1.25))
-        # Compiled ahead: at table 1's sizes one search takes minutes on a CPU.
+        # Compiled ahead of time, without a first run: at table 1's sizes one search takes minutes on a CPU.
         program = search.lower(
             forward, *given, length=length, settings=settings, explicit=explicit, keys=keys
         ).compile()
@@ -136,14 +137,14 @@ def measure(system: System, stages: Any, settings: SearchConfig, batch: int, rou
 
 
 def published(system: str, length: int) -> float | None:
-    """The paper's seconds per plan, of 256 strains [s]; none where table 8 has no row."""
+    """Return the paper's time per plan with 256 strains, in s, or None if table 8 has no row for the system."""
     rows = paper.table_of(8, [system])
     rows = rows[rows["machine"].str.contains("2080")]
     return float(rows[str(length)].iloc[0]) if len(rows) else None
 
 
 def estimates(stages: Any, batch: int, rounds: int) -> list[dict]:
-    """Seconds per estimate, of VtM alone and refined: one at a time, as the paper's are, and many."""
+    """Return rows of seconds per estimate, by VtM alone and refined, one at a time (as in the paper) and in a batch."""
     settings = stages.train_vtm.net
     net = Net(settings, vtm.initial(settings, key=jax.random.key(0)))
     found = []

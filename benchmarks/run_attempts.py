@@ -1,10 +1,11 @@
-"""Attempted sequences of whichever clothkit is on the path, nothing thrown away: the other half of simulation.py.
+"""Runs attempts at sequences with the clothkit on PYTHONPATH, without rejecting states; used by simulation.py.
 
     PYTHONPATH=CHECKOUT/src python benchmarks/run_attempts.py OUT.npz [--count 16] [--first 0] [--workers 1] [--side 32]
         [--device cpu] [--block 4]
 
-Runs attempts of seed 0 with that checkout's default settings, and writes their states, when and how they came to rest,
-CPU and wall seconds (compiling left out) and peak memory. It uses only what every version of the simulation has.
+The script runs attempts of seed 0 with the checkout's default settings, and writes their states, their settling times,
+whether they came to rest, CPU and wall seconds (without compilation) and peak memory. It uses only functions that
+exist in every version of the simulation.
 """
 
 import argparse
@@ -23,12 +24,15 @@ from clothkit.simulation import attempts
 from clothkit.simulation.processes import make_pool
 from clothkit.simulation.settings import Limits, SimulateConfig, SimulationConfig
 
-WARM_UP = 900_000  # number of the attempt that a process begins with, so that nothing is compiled later
+WARM_UP = 900_000  # number of an extra attempt that a process runs first, so that nothing is compiled later
 OPEN = Limits(height=9.0, residual_speed=9.0, strain_p99=9.0, strain_worst=9.0, intersections=10**6)
 
 
 class Watch:
-    """Takes the places of `perform` and `reason` in the attempts: notes CPU seconds and rest, lets every state pass."""
+    """Replacements of `perform` and `reason` in the attempts, which record CPU seconds and rest and accept all states.
+
+    States that aren't finite are still rejected, since no simulation can start from them.
+    """
 
     def __init__(self) -> None:
         self.perform = attempts.perform
@@ -36,7 +40,7 @@ class Watch:
         self.rested: list[np.ndarray] = []
 
     def timed(self, *arguments):  # type: ignore[no-untyped-def]
-        """As `perform`, with its CPU seconds noted."""
+        """Call `perform` and record its CPU seconds and which worlds came to rest."""
         started = time.process_time()
         taken, outcome = self.perform(*arguments)
         self.seconds.append(time.process_time() - started)
@@ -44,13 +48,13 @@ class Watch:
         return taken, outcome
 
     def lenient(self, quality, outcome, limits, index) -> str:  # type: ignore[no-untyped-def]
-        """As `reason`, but only what can't go on is rejected."""
+        """Return a reason to reject a state like `reason`, but only for states that aren't finite."""
         return "" if quality.finite[index] else "not finite"
 
 
 def settings(side: int, device: str, changes: str) -> SimulateConfig:
-    """The default settings at so many vertices a side, on a device, with a JSON object of changes to the material."""
-    # Not every version knows devices.
+    """Return the default settings for a grid side and a device, with a JSON object of changes to the material."""
+    # The device is given only if it is not the default, since older versions have no such setting.
     world: dict[str, Any] = {"side": side} | ({} if device == "cpu" else {"device": device})
     simulation = SimulationConfig(**world)
     if changes:
@@ -60,7 +64,11 @@ def settings(side: int, device: str, changes: str) -> SimulateConfig:
 
 
 def run_block(first: int, count: int, side: int, device: str, changes: str) -> dict[str, np.ndarray]:
-    """A block of attempts: their arrays, `rested` [attempts 3], `solver_seconds` [3], and what the process used."""
+    """Run a block of attempts; return their arrays and measurements.
+
+    The measurements are `rested` [attempts 3], `solver_seconds` [1 3], and the process's CPU seconds, id and peak
+    memory.
+    """
     warm_up(side, device, changes)
     watch = Watch()
     attempts.perform, attempts.reason = watch.timed, watch.lenient  # type: ignore[assignment]
@@ -80,13 +88,13 @@ def run_block(first: int, count: int, side: int, device: str, changes: str) -> d
 
 @functools.cache
 def warm_up(side: int, device: str, changes: str) -> None:
-    """Load or compile the kernels, once a process."""
+    """Load or compile the kernels, once per process."""
     cv2.setNumThreads(1)
     attempts.attempt_sequences(range(WARM_UP, WARM_UP + 1), settings(side, device, changes))
 
 
 def main() -> None:
-    """Run the attempts and write what they gave."""
+    """Run the attempts and write their arrays."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path)
     for name, default in (("first", 0), ("count", 16), ("workers", 1), ("side", 32), ("block", 4)):

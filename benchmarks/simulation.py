@@ -1,15 +1,19 @@
-"""What does the simulation cost, and how good are its states?  python benchmarks/simulation.py [WHAT ..] [options]
+"""How long does the simulation take, and how good are its states?  python benchmarks/simulation.py [WHAT ..] [options]
 
-WHAT is `vertices` (cost against vertices a side), `sequences` (against their number, on one worker and two), `steps`
-(cost and quality of steps 1, 2, 3); all of them if not said. `--against PATH` puts another checkout of this repository
-beside this one on the same attempts. `--count N` attempts (16) for steps and --against, `--sizes 16 64 1024` for
-sequences, `--csv FOLDER` for csv files. `--material '{"shear_stiffness": 20.0}'` changes this checkout's material.
-`--device cuda` runs this checkout on a GPU, in one process and `--block` (4) attempts at a time: a GPU wants hundreds.
+WHAT is `vertices` (cost against vertices per side), `sequences` (cost against their number, with one worker and two) or
+`steps` (cost and quality of steps 1, 2, 3); default: all of them. Options:
 
-States are judged alike whoever made them, and nothing is thrown away, so step 3 starts from bad states too. `sound`:
-no intersection, nothing below the table, gap at least half the thickness, strain p99 <= 3 % and worst <= 10 %, height
-<= 0.125, at rest by its own solver's word (means over 50 ms in the first version, over 10 ms in
-later ones). CPU seconds of one core, with drawing and checking, without compiling.
+`--against PATH` compares this checkout with another checkout of this repository on the same attempts.
+`--count N` is the number of attempts (default: 16) for `steps` and `--against`, `--sizes 16 64 1024` those for
+`sequences`. `--csv FOLDER` writes CSV files. `--material '{"shear_stiffness": 20.0}'` changes this checkout's material.
+`--device cuda` runs this checkout on a GPU, in one process with `--block` (default: 4) attempts at a time; a GPU needs
+hundreds to be busy.
+
+The same checks are applied to both checkouts, and no state is rejected, so step 3 starts from bad states, too. A
+sequence is `sound` if its states have no intersection, nothing below the table, a gap of at least half the thickness,
+strain p99 <= 3 % and worst <= 10 %, a height <= 0.125, and are at rest according to the solver that made them (by
+means over 50 ms in the first version, over 10 ms in later ones). CPU seconds are those of one core, including sampling
+and checks, without compilation.
 """
 
 import argparse
@@ -31,14 +35,14 @@ THICKNESS = SimulationConfig().material.thickness
 VIEWPORT = 0.125  # normalised
 STRAIN_P99, STRAIN_WORST, RESIDUAL_SPEED = 0.03, 0.1, 0.01
 SIDES = (16, 32, 48, 64)
-ON_EACH_SIDE = 4  # attempts; 64 a side take minutes
+ON_EACH_SIDE = 4  # attempts per grid side; few, since a side of 64 takes minutes
 FAULTS = ("crossed", "high", "p99", "worst", "thin", "below", "restless")
 
 
 def run(count: int, *, workers: int = 1, side: int = 32, source: Path | None = None, how: dict | None = None) -> dict:
-    """What run_attempts.py writes, of the clothkit in a source folder (of this one if not said).
+    """Run run_attempts.py with the clothkit in a source folder (default: this one) and return the arrays it writes.
 
-    `how` are the options of run_attempts.py that stay the same for a whole table.
+    `how` holds further options of run_attempts.py, which are the same for a whole table.
     """
     source = source or Path(clothkit.__file__).parents[1]
     with tempfile.TemporaryDirectory() as folder:
@@ -52,12 +56,12 @@ def run(count: int, *, workers: int = 1, side: int = 32, source: Path | None = N
 
 
 def manipulations(got: dict) -> int:
-    """How many were executed."""
+    """Return how many manipulations were executed."""
     return int((got["reached"] - 1).clip(0).sum())
 
 
 def peak_mib(got: dict) -> float:
-    """Of all processes together."""
+    """Return the sum of the peak memory of all processes, in MiB."""
     peaks = {int(got["own_process"]): float(got["own_mib"])}
     for process, peak in zip(got["process"].tolist(), got["peak_mib"].tolist(), strict=True):
         peaks[process] = max(peaks.get(process, 0.0), peak)
@@ -65,7 +69,10 @@ def peak_mib(got: dict) -> float:
 
 
 def judge(got: dict, side: int) -> dict[str, np.ndarray]:
-    """What is wrong with each state after a manipulation, bool [attempts 3]; states that weren't reached are not."""
+    """Return the faults of each state after a manipulation, bool [attempts 3] by name.
+
+    `there` is True for states that were reached; all faults but `bad` are False for the others.
+    """
     there = got["reached"][:, None] > np.arange(1, 4)
     found = {
         name: np.zeros(there.shape, bool) for name in ("crossed", "high", "p99", "worst", "thin", "below", "restless")
@@ -85,7 +92,7 @@ def judge(got: dict, side: int) -> dict[str, np.ndarray]:
 
 
 def quality_rows(name: str, got: dict, side: int = 32) -> list[dict]:
-    """A row per step, and one for the sequences."""
+    """Return a row per step and one for the whole sequences."""
     judged = judge(got, side)
     rows = []
     for step in range(3):
@@ -118,7 +125,7 @@ def quality_rows(name: str, got: dict, side: int = 32) -> list[dict]:
 
 
 def vertices_rows(how: dict) -> list[dict]:
-    """A row per number of vertices."""
+    """Return a row per number of vertices."""
     rows = []
     for side in SIDES:
         got = run(ON_EACH_SIDE, side=side, how=how)
@@ -141,7 +148,7 @@ def vertices_rows(how: dict) -> list[dict]:
 
 
 def sequences_rows(sizes: list[int], how: dict) -> list[dict]:
-    """A row per number of sequences and workers."""
+    """Return a row per number of sequences and workers."""
     rows = []
     for count in sizes:
         for workers in (1, 2) if how["device"] == "cpu" else (1,):

@@ -1,4 +1,4 @@
-"""How benchmarks print: plain aligned text, and csv where it is asked for."""
+"""Output of benchmarks: tables as aligned text, and as CSV files if asked for."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ import pandas as pd
 
 
 def show(title: str, rows: list[dict], *, csv: Path | None = None) -> None:
-    """Print rows as a table under a title; with a folder, write them to a file named after the title's first words."""
+    """Print rows as a table under a title; with a folder, also write a CSV file named after the title's first words."""
     table = pd.DataFrame(rows)
     print(f"\n{title}\n{table.to_string(index=False, na_rep='')}", flush=True)
     if csv:

@@ -1,4 +1,4 @@
-"""How benchmarks time what JAX runs."""
+"""Timing of JAX programs for benchmarks."""
 
 import time
 from collections.abc import Callable
@@ -8,7 +8,7 @@ import jax
 
 
 def least(call: Callable[[], Any], rounds: int, *, compiled: bool = False) -> float:
-    """Seconds of the quickest of some calls, after one that compiles unless they are `compiled`."""
+    """Return the shortest time of `rounds` calls, in s; a first call, which compiles, is excluded unless `compiled`."""
     if not compiled:
         jax.block_until_ready(call())
     times = []
@@ -20,5 +20,5 @@ def least(call: Callable[[], Any], rounds: int, *, compiled: bool = False) -> fl
 
 
 def in_a_row(call: Callable[[], Any], repeats: int) -> list[Any]:
-    """The results of so many calls."""
+    """Return the results of `repeats` calls."""
     return [call() for _ in range(repeats)]

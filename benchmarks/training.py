@@ -1,13 +1,14 @@
-"""How much of the machine's matrix-product rate does training reach?  python benchmarks/training.py [NET ..] [options]
+"""Which fraction of the machine's matrix-product rate does training reach?  python benchmarks/training.py [NET ..] [..]
 
-NET is pemd or vtm (both if not said). A training step's time (drawing, augmentation, voxels, products, update: all) is
-held against the time that its matrix products take by themselves, on the same shapes in the same run: for every weight
-matrix the forward product and the two of the backward pass; one for a first layer, whose input needs no gradient. What
-the optimiser multiplies is not counted as required. Steps have the lengths that training draws. Beside that: what the
-optimiser's update takes by itself, and the gradient with its drawing.
+NET is pemd or vtm (default: both). The time of a whole training step (sampling, augmentation, voxels, products, update)
+is compared with the time of its matrix products alone, with the same shapes and in the same run. Counted are, for every
+weight matrix, the forward product and the two of the backward pass (one for a first layer, whose input needs no
+gradient). Products in the optimiser are not counted. Steps have the random lengths of training. The script also
+prints the time of the optimiser's update alone, and that of the gradient including the sampling of batches.
 
-`--scale NAME` takes the sizes of a scale (the one in force), `--recipe` and `--batch` change its settings, `--steps N`
-(12) run in a call, `--rounds N` (5) repeat and take the least of each time. Data are made up: values do not matter.
+`--scale NAME` selects the sizes of a scale (default: that of params.yaml); `--recipe` and `--batch` change its
+settings; `--steps N` (default: 12) is the number of steps per call; `--rounds N` (default: 5) is the number of
+repetitions, of which the shortest time counts. The data are synthetic, since their values do not affect the time.
 """
 
 import argparse
@@ -30,12 +31,12 @@ from clothkit.networks.training import runner
 from clothkit.networks.vtm_training import EVERY
 from clothkit.params import load_params
 
-SEQUENCES = 64  # made up ones
-SHARE = 0.4  # of the voxels, what `rare: 0.001` leaves of folded cloths; made-up ones are flat
+SEQUENCES = 64  # number of synthetic sequences
+SHARE = 0.4  # fraction of voxels that `rare: 0.001` keeps for folded cloths; the synthetic cloths are flat
 
 
 def made_up() -> Dataset:
-    """Flat cloths with noise."""
+    """Return a synthetic dataset of flat cloths with noise."""
     random = np.random.default_rng(0)
     vertices = flat() + 0.01 * random.standard_normal((SEQUENCES, STATES, *flat().shape))
     vertices[..., 2] = np.abs(vertices[..., 2])
@@ -52,17 +53,20 @@ def made_up() -> Dataset:
 
 @partial(jax.jit, static_argnames="first")
 def products(x: jax.Array, weights: jax.Array, gradient: jax.Array, *, first: bool) -> tuple[jax.Array, ...]:
-    """The forward product of a dense layer, and those of its backward pass."""
+    """Compute the forward product of a dense layer and the products of its backward pass."""
     forward, of_weights = x @ weights, x.T @ gradient
     return (forward, of_weights) if first else (forward, of_weights, gradient @ weights.T)
 
 
 def products_alone(shapes: dict[tuple[int, int, int, bool], int], rounds: int) -> tuple[float, float]:
-    """Seconds and FLOPs of what a step requires; shapes are (rows, in, out, first), with how often they come."""
+    """Return the seconds and FLOPs of a step's matrix products.
+
+    `shapes` maps (rows, in, out, first) to the number of layers with this shape; `first` marks first layers.
+    """
     seconds = flops = 0.0
     for (rows, wide, out, first), count in shapes.items():
         x, weights, gradient = (jnp.ones(shape) for shape in ((rows, wide), (wide, out), (rows, out)))
-        # Each call by itself is short: many in a row.
+        # A single call is too short to be timed, so many calls in a row are.
         repeats = max(1, int(2e9 / (6 * rows * wide * out)))
         row = partial(in_a_row, partial(products, x, weights, gradient, first=first), repeats)
         seconds += count * least(row, rounds) / repeats
@@ -71,7 +75,7 @@ def products_alone(shapes: dict[tuple[int, int, int, bool], int], rounds: int) -
 
 
 def shapes_of(params: Any, batch: int, n: int) -> dict[tuple[int, int, int, bool], int]:
-    """The matrix products of a step over n manipulations (VtM: 1), by the weights' places in the net."""
+    """Return the shapes of the matrix products of a step over n manipulations (1 for VtM), with their counts."""
     found: dict[tuple[int, int, int, bool], int] = {}
     for path, weights in jax.tree_util.tree_leaves_with_path(params):
         if weights.ndim != 2:
@@ -86,13 +90,13 @@ def shapes_of(params: Any, batch: int, n: int) -> dict[tuple[int, int, int, bool
 
 
 def lengths_drawn(key: jax.Array, steps: int) -> list[int]:
-    """The lengths of pEM*D's first batches, drawn as its training draws them."""
+    """Return the lengths of pEM*D's first batches, with the same random draws as in its training."""
     keys = [jax.random.split(jax.random.fold_in(key, i))[0] for i in range(steps)]
     return [int(jax.random.randint(k, (), 1, STEPS + 1)) for k in keys]
 
 
 def measure(name: str, settings: Any, rounds: int, steps: int) -> dict:
-    """A row of the table."""
+    """Return a net's row of the table."""
     dataset, key = made_up(), jax.random.key(1)
     if name == "pemd":
         data: Any = pemd_training.sequences(dataset)

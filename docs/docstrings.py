@@ -1,7 +1,7 @@
-"""The reference's docstrings and annotations, as they stand in the source.
+"""A griffe extension that shows docstrings and annotations in the reference as they are in the source.
 
-Docstrings are plain text, whose equations become links. Where a setting has none, the comment behind it takes its
-place. Strings in annotations are shapes: `"n *batch"` is no product.
+Docstrings are plain text in which equation numbers become links. A setting without a docstring gets the comment at the
+end of its line. Strings in annotations are shapes, not expressions: `"n *batch"` is not a product.
 """
 
 import ast
@@ -17,15 +17,15 @@ _COMMENT = re.compile(r"^[^#\"']*?\s{2}# (.*)$")
 
 
 class Docstrings(griffe.Extension):
-    """Loaded by mkdocstrings, see mkdocs.yml."""
+    """The extension, which mkdocstrings loads (see mkdocs.yml)."""
 
     def on_object(self, *, obj: griffe.Object, **_: Any) -> None:
-        """Escape what Markdown would take for emphasis, links or tags; link equations."""
+        """Escape characters that Markdown would read as emphasis, links or tags, and link equations."""
         if obj.docstring:
             obj.docstring.value = as_markdown(obj.docstring.value)
 
     def on_function_instance(self, *, node: Any, func: griffe.Function, **_: Any) -> None:
-        """Annotations with their shapes."""
+        """Replace the annotations of parameters and of the result by annotations with shapes."""
         every = node.args
         for given in (*every.posonlyargs, *every.args, *every.kwonlyargs, every.vararg, every.kwarg):
             if given is not None and given.annotation is not None:
@@ -34,7 +34,7 @@ class Docstrings(griffe.Extension):
             func.returns = annotation(node.returns, func)
 
     def on_attribute_instance(self, *, node: Any, attr: griffe.Attribute, **_: Any) -> None:
-        """Likewise; and a setting's unit stands in a comment behind it."""
+        """Replace the annotation of an attribute, and use the comment on its line if it has no docstring."""
         if isinstance(node, ast.AnnAssign) and isinstance(attr.parent, griffe.Class | griffe.Module):
             attr.annotation = annotation(node.annotation, attr.parent)
         if attr.docstring or attr.lineno is None or attr.lineno != attr.endlineno:
@@ -46,13 +46,16 @@ class Docstrings(griffe.Extension):
 
 
 def annotation(node: Any, parent: Any) -> Any:
-    """An annotation whose strings are shapes, unless it is nothing but a string: the name of a class to come."""
+    """Return an annotation whose strings are kept as shapes.
+
+    An annotation that is only a string is the name of a class (a forward reference) and is parsed.
+    """
     named = isinstance(node, ast.Constant) and isinstance(node.value, str)
     return griffe.get_expression(node, parent=parent, parse_strings=named)
 
 
 def as_markdown(text: str) -> str:
-    """A docstring as Markdown that shows it as it is."""
+    """Return a docstring as Markdown that renders to the same text, with equation numbers as links."""
     parts = _CODE.split(text)
     for i in range(0, len(parts), 2):
         plain = re.sub(r"([*<\[\]$])", r"\\\1", parts[i])

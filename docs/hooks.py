@@ -1,8 +1,8 @@
-"""What mkdocs does for this site beside rendering its pages.
+"""Hooks by which mkdocs builds this site.
 
-A line `{{ source clothkit.planning.loss.diff }}` becomes the source of that function, class or constant, as it is now.
-Equations between dollars become MathML, which browsers draw by themselves. Every module of src/clothkit gets its place
-in the reference, and the pictures are those that the pipeline has made.
+A line `{{ source clothkit.planning.loss.diff }}` is replaced by the current source of that function, class or constant.
+Equations between dollars become MathML, which browsers render without scripts. Every module of src/clothkit is listed
+in the reference, and the figures are those of the laptop report.
 """
 
 import ast
@@ -25,14 +25,14 @@ _TAG = re.compile(r"\\tag\{(\w+)\}")
 
 
 def on_config(config: Any) -> Any:
-    """The reference's pages as the last entry of the navigation."""
+    """Add the reference's pages as the last entry of the navigation."""
     pages = [{name: path} for name, path, _ in reference_pages()]
     config.nav.append({"Reference": pages})
     return config
 
 
 def on_files(files: Files, config: Any) -> Files:
-    """The reference's pages and the pipeline's pictures."""
+    """Add the reference's pages and the laptop report's figures."""
     for _, path, text in reference_pages():
         files.append(File.generated(config, path, content=text))
     for picture in sorted(FIGURES.glob("*.png")):
@@ -41,18 +41,18 @@ def on_files(files: Files, config: Any) -> Files:
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """The page with the sources that it asks for."""
+    """Return the page with its `{{ source ... }}` lines replaced by the sources."""
     return _INCLUDE.sub(lambda found: included(found[1]), markdown)
 
 
 def on_page_content(content: str, **_: Any) -> str:
-    """The page with its equations as MathML."""
+    """Return the page with its equations as MathML."""
     return _EQUATION.sub(lambda found: equation(html.unescape(found[2]), block=found[1] == "div"), content)
 
 
 @functools.cache
 def reference_pages() -> list[tuple[str, str, str]]:
-    """Name, path and Markdown of a page for each package under clothkit, and for the modules beside them."""
+    """Return (name, path, Markdown) of a page for the top-level modules and of one for each package of clothkit."""
     top = SOURCE / "clothkit"
     folders = [top, *sorted(folder for folder in top.iterdir() if (folder / "__init__.py").exists())]
     return [_reference_page(folder, folder == top) for folder in folders]
@@ -73,31 +73,31 @@ def _reference_page(folder: Path, flat: bool) -> tuple[str, str, str]:
 
 
 def _tree() -> list[str]:
-    """Every package and what it is for."""
+    """Return a table of all packages with their summaries, as lines of Markdown."""
     folders = sorted(init.parent for init in (SOURCE / "clothkit").glob("*/__init__.py"))
     rows = [f"| [clothkit.{folder.name}]({folder.name}.md) | {summary(folder / '__init__.py')} |" for folder in folders]
     return ["| package | |", "|---|---|", *rows]
 
 
 def _listed(modules: list[Path]) -> list[str]:
-    """Every module of a package and what it is for."""
+    """Return a table of a package's modules with their summaries, as lines of Markdown."""
     rows = [f"| [{name_of(file)}][{name_of(file)}] | {summary(file)} |" for file in modules]
     return ["| module | |", "|---|---|", *rows]
 
 
 def summary(file: Path) -> str:
-    """The first paragraph of a module's docstring, as a cell of a table; empty if it has none."""
+    """Return the first paragraph of a module's docstring as a table cell, empty if there is none."""
     text = ast.get_docstring(ast.parse(file.read_text())) or ""
     return " ".join(text.split("\n\n")[0].split()).replace("|", "\\|")
 
 
 def name_of(file: Path) -> str:
-    """A source file's module."""
+    """Return the module name of a source file."""
     return ".".join(file.relative_to(SOURCE).with_suffix("").parts)
 
 
 def included(name: str) -> str:
-    """The source of what has that name, as a block of code with a link to the reference."""
+    """Return the source of the named object as a code block with a link to the reference."""
     file, first, code = find_source(name)
     place = f"{file.relative_to(ROOT)}, line {first}"
     link = "" if ".__" in name or "._" in name else f"\n[`{name}`][{name}]{{ .source }}\n"
@@ -105,7 +105,10 @@ def included(name: str) -> str:
 
 
 def find_source(name: str) -> tuple[Path, int, str]:
-    """File, first line and text of a function, class, method or constant. Raises LookupError if there is none."""
+    """Return the file, first line and text of a function, class, method or constant.
+
+    Raises LookupError if there is none of that name.
+    """
     parts = name.split(".")
     for count in range(len(parts) - 1, 0, -1):
         file = SOURCE.joinpath(*parts[:count]).with_suffix(".py")
@@ -121,7 +124,7 @@ def find_source(name: str) -> tuple[Path, int, str]:
             raise LookupError(f"{name}: not in {file}")
         position, node = found[0]
         last = node.end_lineno
-        # What stands below a constant tells what it is.
+        # A constant's docstring is the string below it, which is included.
         after = body[position + 1] if position + 1 < len(body) else None
         if isinstance(node, ast.Assign | ast.AnnAssign) and isinstance(after, ast.Expr):
             last = after.end_lineno
@@ -140,7 +143,7 @@ def _names(node: ast.stmt) -> list[str]:
 
 
 def equation(tex: str, *, block: bool) -> str:
-    """MathML of an equation; its number, if it has a tag, stands at the right."""
+    """Return an equation as MathML, with its number at the right if it has a tag."""
     tag = _TAG.search(tex)
     drawn = convert(_TAG.sub("", tex).strip(), display="block" if block else "inline")
     if not block:

@@ -1,4 +1,4 @@
-"""The training split with nulls inserted, rotated and mirrored.  python stages/augment.py"""
+"""Inserts null manipulations into the training split, and rotates and mirrors it: `python stages/augment.py`."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Describes the raw artifacts to a stranger, reports/<scale>/dataset/: `python stages/card.py`."""
+"""Writes the dataset card of the raw artifacts, reports/<scale>/dataset/: `python stages/card.py`."""
 
 import shutil
 from pathlib import Path
@@ -12,7 +12,7 @@ OUTS = ("tables", "figures", "README.md")
 
 
 def main() -> None:
-    """Write the card, each of its parts an out of its own."""
+    """Write the card and publish each of its parts as a DVC out."""
     with stage("card") as s:
         card = s.work(inputs=[RAW / part for part in PARTS]) / "card"
         shutil.rmtree(card, ignore_errors=True)

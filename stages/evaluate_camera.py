@@ -1,4 +1,4 @@
-"""Looks at test cloths through depth cameras, plans on what they show: `python stages/evaluate_camera.py`."""
+"""Evaluates estimates and plans from depth pictures of the test cloths: `python stages/evaluate_camera.py`."""
 
 import hashlib
 from functools import partial

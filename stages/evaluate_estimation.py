@@ -1,4 +1,4 @@
-"""Estimates the evaluated sequences' states from voxels, and scores that: `python stages/evaluate_estimation.py`."""
+"""Estimates the evaluated sequences' states and computes their errors: `python stages/evaluate_estimation.py`."""
 
 from pathlib import Path
 

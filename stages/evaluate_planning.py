@@ -1,4 +1,4 @@
-"""Holds planners against one another, and looks for why plans fail: `python stages/evaluate_planning.py`."""
+"""Compares the planners and determines why plans fail: `python stages/evaluate_planning.py`."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Predicts every task of the evaluated sequences, and scores that: `python stages/evaluate_prediction.py`."""
+"""Predicts all tasks of the evaluated sequences and computes the errors: `python stages/evaluate_prediction.py`."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Keeps dvc.lock beside the report that it re-derives, reports/<scale>/dvc.lock: `python stages/lock.py`."""
+"""Copies dvc.lock to the report that it can re-derive, reports/<scale>/dvc.lock: `python stages/lock.py`."""
 
 import re
 import sys
@@ -11,12 +11,12 @@ from clothkit.errors import system_error
 LOCK = Path("dvc.lock")
 
 OWN = re.compile(r"^  lock:\n(?:   .*\n)*", re.MULTILINE)
-"""What a lock says of this stage: its name and the lines below it that are further in."""
+"""Matches this stage's own entry in the lock: its name and the more indented lines below it."""
 
 
 def main() -> None:
-    """Copy it but for this stage, which is not done yet: what stands there of it is an earlier run's."""
-    # The scale alone: every stage before this one has read and checked the params.
+    """Copy the lock without this stage's own entry, which is an earlier run's while this stage is running."""
+    # Only the scale is read: the stages before this one have read and checked the params.
     copy = Path("reports") / YAML(typ="safe").load(Path("params.yaml"))["scale"] / LOCK.name
     try:
         whole = LOCK.read_text()

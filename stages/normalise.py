@@ -1,4 +1,4 @@
-"""Reference values of the planning loss: `python stages/normalise.py mesh` (or voxel)."""
+"""Computes the planning loss's reference values, eqs. (14) and (15): `python stages/normalise.py mesh` (or voxel)."""
 
 import sys
 from pathlib import Path

@@ -7,7 +7,7 @@ from clothkit.stage import stage
 
 
 def main() -> None:
-    """Write README.md, index.html and budgets.csv from what the report stage left, be it in git alone."""
+    """Write README.md, index.html and budgets.csv from the report stage's outputs, which may come from git."""
     with stage("pages") as s:
         report = Path("reports") / s.shared.scale
         work = s.work(inputs=[report / name for name in pages.INPUTS if (report / name).exists()])

@@ -1,4 +1,4 @@
-"""Plans and executes every task with one of the systems: `python stages/plan.py main` (or b1, b2, ..)."""
+"""Plans and executes all tasks with one of the systems: `python stages/plan.py main` (or b1, b2, ..)."""
 
 import hashlib
 import sys
@@ -30,7 +30,7 @@ def main(name: str) -> None:
         weights = Weights(s.shared.alpha, s.shared.beta, s.shared.gamma)
         simulate = s.shared.stages.simulate
         planner = assemble(system, DATA, weights, s.params, simulate.candidates)
-        # Pieces of a run with other weights or another world are not this run's.
+        # The name contains a hash, so that pieces of a run with other weights or another simulator are not reused.
         made_with = (planner.weights, planner.grasping, simulate.simulation)
         pieces = work / hashlib.sha256(repr(made_with).encode()).hexdigest()[:16]
         simulator = partial(execute, settings=simulate.simulation, workers=simulate.workers)

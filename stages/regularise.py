@@ -1,4 +1,4 @@
-"""From raw states to normalised, centred meshes with splits.  python stages/regularise.py"""
+"""Converts raw states to normalised, centred meshes with splits: `python stages/regularise.py`."""
 
 from pathlib import Path
 

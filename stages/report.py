@@ -1,4 +1,4 @@
-"""Writes tables, figures and metrics, reports/<scale>/; stage pages shows them: `python stages/report.py`."""
+"""Writes the tables, figures and metrics of reports/<scale>/, which stage pages shows: `python stages/report.py`."""
 
 import shutil
 from pathlib import Path
@@ -15,7 +15,7 @@ OUTS = ("tables", "figures", "plots", "metrics.json", "metrics.csv", "params.yam
 
 
 def main() -> None:
-    """Write the tables and pictures of reports/<scale>/, each an out of its own."""
+    """Write the tables and figures of reports/<scale>/ and publish each part as a DVC out."""
     with stage("report") as s:
         report = s.work(inputs=paths(DATA, s.params)) / "report"
         shutil.rmtree(report, ignore_errors=True)

@@ -1,4 +1,4 @@
-"""Record sequences of random manipulations in the simulator, or take those of ARCSim's runs: data/raw/."""
+"""Records sequences of random manipulations in the simulator, or imports ARCSim runs, as data/raw/."""
 
 import shutil
 from pathlib import Path

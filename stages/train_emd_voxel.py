@@ -1,4 +1,7 @@
-"""Trains one of the voxel baseline's two nets: `python stages/train_emd_voxel.py a` (or b, independent by its seed)."""
+"""Trains one of the voxel baseline's two nets, a or b, which differ in their random keys.
+
+Usage: `python stages/train_emd_voxel.py a`.
+"""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Trains one of the two forward models: `python stages/train_pemd.py a` (or b, independent of it by its seed)."""
+"""Trains one of the two forward models, a or b, which differ in their random keys: `python stages/train_pemd.py a`."""
 
 import sys
 from pathlib import Path

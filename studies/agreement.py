@@ -1,16 +1,17 @@
-"""From which agreement on does an estimate explain what was seen?  python studies/agreement.py [SEQUENCES] [options]
+"""At which agreement does an estimate explain its observation?  python studies/agreement.py [SEQUENCES] [options]
 
-Estimates the states of the first validation sequences (all if not said) as `clothkit estimate` does, and holds each
-estimate against what it was made of (`estimation.agreement`). A row per condition and state goes to
-reports/<scale>/studies/agreement.csv: silhouette and heights, intersection over union, and the estimate's error. What
-is there already is not done again, unless it was made with another net, other data or other settings (`made_with`),
-whose rows are dropped.
+Estimates the states of the first validation sequences (default: all) as `clothkit estimate` does, and compares each
+estimate with the observation that it was made from (`estimation.agreement`). A row per condition and state goes to
+reports/<scale>/studies/agreement.csv: the intersection over union of silhouettes and of heights, and the estimate's
+error. Existing rows are not computed again; rows made with another net, other data or other settings (`made_with`) are
+dropped.
 
-The conditions `voxels` (what training shows, without noise) and `camera` (pictures of evaluate_camera, noise x 1) are
-those of states that the net knows. The thresholds that are proposed (`app.agreement`) warn of at most the share
-`--alarms` of them (0.02), whichever of the two is worse. `heights x 2` and `heights x 4` show cloths that are thicker
-than any in the data: of these a warning is right. What is printed tells how many get one, and the mean errors of states
-with and without one. Needs the dataset and VtM (`dvc repro train_vtm`), under `--data FOLDER` (data).
+The conditions `voxels` (voxels as in training, without noise) and `camera` (pictures as in evaluate_camera, noise x 1)
+show states like those in the training data. The proposed thresholds (`app.agreement`) give warnings for at most the
+fraction `--alarms` (default: 0.02) of the states in each of these two conditions. The conditions `heights x 2` and
+`heights x 4` show cloths that are thicker than any in the data, for which a warning is right. The study prints how many
+states get a warning, and the mean errors of states with and without one. Needs the dataset and VtM
+(`dvc repro train_vtm`) in the folder `--data FOLDER` (default: data).
 """
 
 import argparse
@@ -41,7 +42,7 @@ Shower = Callable[[np.ndarray], np.ndarray | None]
 
 
 def conditions(net: Net, pictures: PictureConfig) -> dict[str, Shower]:
-    """How a mesh is shown, as voxels; None where the camera does not find its cloth."""
+    """Return, per condition, the function from a mesh to its observed voxels; None if the camera finds no cloth."""
     height = net.config.height
 
     def camera(mesh: np.ndarray) -> np.ndarray | None:
@@ -57,7 +58,7 @@ def conditions(net: Net, pictures: PictureConfig) -> dict[str, Shower]:
 
 
 def main() -> None:
-    """Do what is asked, print how often each threshold warns, and propose some."""
+    """Run the study, print the agreements and the fractions of warnings, and propose thresholds."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sequences", type=int, nargs="?")
     parser.add_argument("--alarms", type=float, default=0.02)
@@ -67,7 +68,7 @@ def main() -> None:
     refine, pictures = params.stages.plan.refine, params.stages.evaluate_camera.picture
     paths = asked.data / "meshes.zarr", asked.data / "nets/vtm"
     dataset, net = meshes.load(paths[0]), store.load(paths[1])
-    # As evaluate_camera has them: tilted, its noise as measured, the viewport that of the net.
+    # Pictures as in evaluate_camera: a tilted view, noise x 1, the net's viewport.
     pictures = dataclasses.replace(
         pictures,
         camera=dataclasses.replace(pictures.camera, tilt=0.35),
@@ -87,7 +88,7 @@ def main() -> None:
             truth = np.stack([dataset.vertices[place] for place in places[start : start + BATCH]])
             shown = [show(mesh) for mesh in truth]
             kept = [i for i, seen in enumerate(shown) if seen is not None]
-            # A last batch that is filled up needs no compilation of its own.
+            # The last batch is padded to the same size, which avoids another compilation.
             filled = np.stack([np.asarray(shown[kept[min(i, len(kept) - 1)]]) for i in range(BATCH)])
             estimated = np.asarray(estimate(net, filled, refine).mesh)[: len(kept)]
             agreed = agreement(estimated, filled[: len(kept)], height=net.config.height)

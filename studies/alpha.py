@@ -1,14 +1,15 @@
-"""How much should planning avoid what the nets do not know?  python studies/alpha.py [SEQUENCES] [options]
+"""Which weight alpha of the uncertainty term is best?  python studies/alpha.py [SEQUENCES] [options]
 
-Plans and executes every task of the first validation sequences (10 if not said) with a system, for each of the weights
-of the uncertainty term, and, at the weight in force, for other values of beta and gamma (eqs. 13 and 15). A row per
-setting and task goes to reports/<scale>/studies/alpha.csv; what is there already is not done again, unless it was made
-with other nets or other settings (`made_with`), whose rows are dropped. Draws error against alpha, beta and gamma for
-each start and plan length, mean and 95 % bootstrap interval over sequences, to alpha.png. Needs the nets, the
-normalisation and the dataset (`dvc repro normalise`).
+Plans and executes all tasks of the first validation sequences (default: 10) with one system, for several values of
+alpha, and, with alpha from params.yaml, for other values of beta and gamma (eqs. 13 and 15). A row per setting and task
+goes to reports/<scale>/studies/alpha.csv. Existing rows are not computed again; rows made with other nets or other
+settings (`made_with`) are dropped. The figure alpha.png shows the error against alpha, beta and gamma for each start
+and plan length, as mean and 95 % bootstrap interval over sequences. Needs the nets, the normalisation and the dataset
+(`dvc repro normalise`).
 
-`--alphas A ..` (0 0.003 0.01 0.03 0.1 1 10), `--betas B ..` (2.5 10), `--gammas G ..` (0 2.5). `--system NAME` (main)
-takes another, b1 for instance, whose rows and figure go to alpha_b1.csv and .png. `--draw` draws what is there.
+Options with defaults: `--alphas A ..` (0 0.003 0.01 0.03 0.1 1 10), `--betas B ..` (2.5 10), `--gammas G ..` (0 2.5),
+`--system NAME` (main). The rows and the figure of another system, for instance b1, go to alpha_b1.csv and alpha_b1.png.
+`--draw` only draws the existing rows.
 """
 
 import argparse
@@ -34,12 +35,12 @@ NAMES = ("alpha", "beta", "gamma")
 
 
 def known(table: pd.DataFrame, weights: Weights) -> pd.DataFrame:
-    """The rows of a table that were made with these weights."""
+    """Return the rows of a table that were made with these weights."""
     return table[np.all([np.isclose(table[name], value) for name, value in weights._asdict().items()], axis=0)]
 
 
 def main() -> None:
-    """Do what is asked and print the mean errors."""
+    """Run the study and print the mean errors."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sequences", type=int, nargs="?", default=10)
     parser.add_argument("--alphas", type=float, nargs="+", default=[0, 0.003, 0.01, 0.03, 0.1, 1, 10])

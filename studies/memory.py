@@ -1,13 +1,13 @@
-"""What is the memory trace worth, which canonical nets drop at each observation?  python studies/memory.py [SEQUENCES]
+"""Does the memory trace help, which canonical nets reset at each observation?  python studies/memory.py [SEQUENCES]
 
-A forward model's memory trace goes on from one plan of a session to the next (section 5.1). Where nets are canonical a
-trace is in the frame of the description in which it was made, an observation has another, and the trace starts from
-zero. This study predicts the recorded manipulations of the first validation sequences (100 if not said) from their true
-states 1 and 2, after which a session would have a trace, in three ways:
+In section 5.1 a forward model's memory trace is carried over from one plan of a session to the next. A trace of a
+canonical net refers to the frame in which the mesh was described; a new observation has another frame, so sessions
+reset the trace to zero. This study predicts the results of the recorded manipulations of the first validation sequences
+(default: 100) from their true states 1 and 2, at which a session could have a trace, in three ways:
 
-none     the trace is zero: what sessions do with canonical nets
-carried  the trace that the manipulations before have left, in the new state's frame as if it were made there
-frame    the same trace; the new state is described in the frame of the sequence's start, in which the trace is true
+none     the trace is zero, as in sessions with canonical nets
+carried  the trace left by the previous manipulations, with its frame replaced by the new state's
+frame    the same trace, with the new state described in the frame of the sequence's start, to which the trace refers
 
 A row per way, net and task goes to reports/<scale>/studies/memory_tasks.csv; means and paired comparisons with `none`
 (difference, 95 % bootstrap interval and p over sequences) to memory.csv. Needs the nets and the dataset
@@ -43,7 +43,7 @@ WAYS = ("none", "carried", "frame")
 def encoded_like(
     net: Net, mesh: Float[Array, "batch u v 3"], latent: Float[Array, "batch latent"]
 ) -> Float[Array, "batch latent"]:
-    """The latent of a mesh in the frame of another latent; the usual one where nets are not canonical."""
+    """Return the latent of a mesh in the frame of another latent; for nets that are not canonical, the usual latent."""
     if not net.config.canonical:
         return pemd.encode(net, mesh)
     _, frame = unframed(latent)
@@ -53,7 +53,7 @@ def encoded_like(
 def moved(
     net: Net, trace: Float[Array, "batch latent"], latent: Float[Array, "batch latent"]
 ) -> Float[Array, "batch latent"]:
-    """A trace's units in the frame of a latent, as they are."""
+    """Return a trace with its frame replaced by that of a latent and its units unchanged."""
     return framed(unframed(trace)[0], unframed(latent)[1]) if net.config.canonical else trace
 
 
@@ -64,9 +64,9 @@ def predicted(
     start: int,
     way: str,
 ) -> Float[Array, "step batch u v 3"]:
-    """The means that a net predicts for the states after `start`, the trace of the steps before treated in one way.
+    """Return the means that a net predicts for the states after `start`, with the trace treated in one of the WAYS.
 
-    As in a session, every state before is encoded anew and leaves its trace to the next.
+    As in a session, every earlier state is encoded anew, and the trace of each step is passed to the next.
     """
     first = pemd.encode(net, states[:, 0])
     trace = jnp.zeros_like(first)
@@ -83,7 +83,7 @@ def predicted(
 
 
 def rows(dataset: Dataset, nets: dict[str, Net], sequences: list[int]) -> pd.DataFrame:
-    """A row per way, net and task: labelled error of the predicted mean [cloth length]."""
+    """Return a row per way, net and task with the labelled error of the predicted mean [cloth length]."""
     chosen = [s for s in sequences if dataset.length[s] == dataset.manipulation.shape[1]]
     states, manipulations = jnp.asarray(dataset.vertices[chosen]), jnp.asarray(dataset.manipulation[chosen])
     found = []
@@ -102,7 +102,7 @@ def rows(dataset: Dataset, nets: dict[str, Net], sequences: list[int]) -> pd.Dat
 
 
 def summary(tidy: pd.DataFrame) -> pd.DataFrame:
-    """Means over both nets by way and column of the tables, and their paired comparisons with `none`."""
+    """Return means over both nets, by way and column of the tables, with their paired comparisons with `none`."""
     both: pd.DataFrame = tidy.groupby(["system", "split", "sequence", "start", "length"])["error"].mean().reset_index()
     labelled = both.assign(column=both["length"].astype(str) + "/" + both["start"].astype(str))
     means = labelled.groupby(["system", "column"], as_index=False)["error"].mean()
@@ -112,7 +112,7 @@ def summary(tidy: pd.DataFrame) -> pd.DataFrame:
 
 
 def main() -> None:
-    """Predict, compare, print."""
+    """Run the study and print the summary."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sequences", type=int, nargs="?", default=100)
     asked = parser.parse_args()

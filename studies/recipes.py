@@ -1,12 +1,13 @@
-"""What trains a net best in the same time?  python studies/recipes.py NET MINUTES [VARIANT ..] [--seeds 0 1 2]
+"""Which training recipe is best for the same CPU time?  python studies/recipes.py NET MINUTES [VARIANT ..] [--seeds ..]
 
-NET is pemd, vtm or emd_voxel. Every variant (all of VARIANTS[NET] if none is named) changes BASES[NET], which changes
-the settings of the scale in force: what a study compares does not move when the settings do. It is given as many
-iterations as fit into so many CPU minutes by a measurement of its own, and is trained with its schedule over them. The
-validation score after each tenth goes to reports/<scale>/studies/recipes_<net>.csv beside iterations and CPU minutes
-(compilation and validation left out), with the variant, its settings and its seed; what is there already is not done
-again, unless it was made with other data or another base (`made_with`), whose rows are dropped. recipes_<net>.png shows
-them. Scores of pemd and vtm are in cloth lengths, those of emd_voxel mean voxel differences. Needs `dvc repro augment`.
+NET is pemd, vtm or emd_voxel. A variant (default: all of VARIANTS[NET]) is the settings of the current scale with the
+changes of BASES[NET] and then its own; BASES fixes the settings that variants change, so that a comparison stays the
+same when params.yaml changes. For each variant the study measures its time per iteration, computes how many iterations
+fit into MINUTES CPU minutes, and trains it with its schedule over them. The validation score after each tenth goes to
+reports/<scale>/studies/recipes_<net>.csv with the iterations, the CPU minutes (without compilation and validation), the
+variant, its settings and its seed. Existing rows are not computed again; rows made with other data or another base
+(`made_with`) are dropped. The figure is recipes_<net>.png. Scores of pemd and vtm are in cloth lengths, those of
+emd_voxel are mean voxel differences. Needs `dvc repro augment`.
 """
 
 import argparse
@@ -30,7 +31,7 @@ from clothkit.publish import unfinished
 from clothkit.report.figures.studies import recipes as draw
 
 CHECKS = 10
-TIMED = 30  # iterations by which a variant's pace is measured
+TIMED = 30  # iterations over which a variant's time per iteration is measured
 BASE: dict[str, Any] = {"hold": 0.0, "training.muon_iterations": 5, "net.canonical": False, "net.least_std": 0.01}
 BASES: dict[str, dict[str, Any]] = {
     "pemd": BASE,
@@ -39,7 +40,7 @@ BASES: dict[str, dict[str, Any]] = {
 }
 HELD = {"training.muon_iterations": 3, "hold": 0.5}
 OWN: dict[str, Any] = {"training.iterations": 1, "training.validate_every": 1, "training.seed": 0}
-"""What a study chooses by itself, whatever the scale says."""
+"""Settings that the study chooses itself; their values in params.yaml have no effect."""
 TUNED = {"training.muon_iterations": 3, "training.learning_rate": 3e-3}
 FAST = {"training.batch": 512, "training.muon_iterations": 3}
 VARIANTS: dict[str, dict[str, dict[str, Any]]] = {
@@ -114,15 +115,15 @@ VARIANTS: dict[str, dict[str, dict[str, Any]]] = {
 
 
 FORWARD: dict[str, Any] = {"pemd": pemd_training, "emd_voxel": emd_voxel_training}
-"""The modules of forward models, which learn from sequences; VtM learns from states."""
+"""The training modules of forward models, which are trained on sequences; VtM is trained on states."""
 
 
 class Enough(Exception):
-    """Ends a training that was only to be timed."""
+    """Raised to end a training that only measures the time per iteration."""
 
 
 def changed(settings: Any, changes: Mapping[str, Any]) -> Any:
-    """Settings with some of them changed, by dotted names."""
+    """Return the settings with changes applied, given by dotted names."""
     for name, value in changes.items():
         head, _, rest = name.partition(".")
         given = changed(getattr(settings, head), {rest: value}) if rest else value
@@ -131,7 +132,10 @@ def changed(settings: Any, changes: Mapping[str, Any]) -> Any:
 
 
 def learn(settings: Any, problem: Problem, data: Any, *, stop: int = 0) -> list[dict[str, float]]:
-    """A row per validation: iteration, CPU minutes since the first one that did not compile, errors by name."""
+    """Train a net and return a row per validation: iteration, CPU minutes without compilation, errors by name.
+
+    With `stop`, the training ends after that many validations.
+    """
     rows: list[dict[str, float]] = []
     spent, since = 0.0, None
     every = settings.training.validate_every
@@ -139,7 +143,7 @@ def learn(settings: Any, problem: Problem, data: Any, *, stop: int = 0) -> list[
     def timed(params: Any) -> dict[str, float]:
         nonlocal spent, since
         now = time.process_time()
-        # The first stretch holds the compilation: it is taken to last as long as the mean of the others.
+        # The first interval includes compilation, so its time is replaced by the mean of the others (below).
         if since is not None:
             spent += now - since
         errors = problem.validate(params)
@@ -160,7 +164,7 @@ def learn(settings: Any, problem: Problem, data: Any, *, stop: int = 0) -> list[
 
 
 def posed(net: str, settings: Any, training: Any, validation: Any) -> tuple[Problem, Any]:
-    """The problem and its data."""
+    """Return a net's training problem and training data."""
     if net in FORWARD:
         sequences = pemd_training.sequences
         return FORWARD[net].problem(settings, sequences(validation)), sequences(training)
@@ -169,7 +173,7 @@ def posed(net: str, settings: Any, training: Any, validation: Any) -> tuple[Prob
 
 
 def study(net: str, settings: Any, minutes: float) -> list[dict[str, Any]]:
-    """The rows of one variant and seed, trained for so many CPU minutes."""
+    """Train one variant with one seed for `minutes` CPU minutes, and return its rows."""
     meshes = store.load(Path("data/meshes.zarr"))
     learnt = store.load(Path("data/augmented.zarr")) if net in FORWARD else meshes.of_split("train")
     short = changed(settings, {"training.validate_every": TIMED, "training.steps_per_call": 10})
@@ -182,7 +186,7 @@ def study(net: str, settings: Any, minutes: float) -> list[dict[str, Any]]:
 
 
 def main() -> None:
-    """Do what is asked and print each variant's score as it comes."""
+    """Run the study and print each variant's best score as soon as it is known."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("net", choices=list(VARIANTS))
     parser.add_argument("minutes", type=float)
@@ -215,7 +219,7 @@ def main() -> None:
                 f"{best['minutes']:.1f} CPU minutes",
                 flush=True,
             )
-    # Budgets are not to be compared: the one that was asked for.
+    # Only rows of this budget are drawn, since scores of different budgets are not comparable.
     unit = "mean voxel difference" if asked.net == "emd_voxel" else "cloth length"
     draw(table[table["budget"] == asked.minutes], path.with_suffix(".png"), unit=unit)
 

@@ -1,18 +1,20 @@
 """How much search does a plan need?  python studies/search.py [SEQUENCES] [options]
 
-Plans and executes every task of the first validation sequences (5 if not said) with system main and searches of
-different sizes: numbers of strains; and, at the strains in force, numbers of iterations, vertices that the loss runs
-over, restarts near the best plan, and first manipulations that need not fold the cloth. A row per search and task goes
-to reports/<scale>/studies/search.csv, with the seconds per plan of that length, and what each restart of a search found
-to search_restarts.csv; what is there already is not done again, unless it was made with other nets or other settings
-(`made_with`), whose rows are dropped. search.png shows, for each plan length, error, search failures (the recorded plan
-has the lower loss) and the first plan's loss against evaluations of the loss per plan (strains times iterations), and,
-for the search in force, the best of each restart. Seconds leave out the first call of a length, which compiles, so
-there are none (NaN) where no more sequences are tried than are planned together. `--draw` draws what is there. Needs
-the nets, the normalisation and the dataset (`dvc repro normalise`).
+Plans and executes all tasks of the first validation sequences (default: 5) with system main and searches of different
+sizes: different numbers of strains; and, with the strains of params.yaml, different numbers of iterations, strides over
+the vertices in the loss, fractions of restarts near the best plan, and the other value of `fold` (whether a first
+manipulation must fold the cloth). A row per search and task goes to reports/<scale>/studies/search.csv, with the
+seconds per plan of that length, and the results of the restarts to search_restarts.csv. Existing rows are not computed
+again; rows made with other nets or other settings (`made_with`) are dropped.
 
-`--strains N ..` (16 32 64 128 256 512), `--iterations F ..` (0.5 2: multiples of those in force), `--every N ..` (1 4),
-`--near SHARE ..` (0 0.8).
+The figure search.png shows, for each plan length, the error, the search failures (the recorded plan has the lower loss)
+and the first plan's loss against the number of loss evaluations per plan (strains times iterations), and, for the
+search of params.yaml, the best loss of each restart. Seconds exclude the first call of each length, which compiles; if
+all sequences are planned in one call, they are NaN. Needs the nets, the normalisation and the dataset
+(`dvc repro normalise`).
+
+Options with defaults: `--strains N ..` (16 32 64 128 256 512), `--iterations F ..` (0.5 2, factors of the iterations in
+params.yaml), `--every N ..` (1 4), `--near SHARE ..` (0 0.8). `--draw` only draws the existing rows.
 """
 
 import argparse
@@ -43,7 +45,7 @@ KEYS = ["strains", "base_iterations", "iterations_per_step", "every", "near", "f
 
 
 def searches(usual: SearchConfig, asked: argparse.Namespace) -> list[SearchConfig]:
-    """The searches that are compared, the one in force first."""
+    """Return the searches to compare, the one of params.yaml first."""
     found = [usual, *(dataclasses.replace(usual, strains=count) for count in asked.strains)]
     for factor in asked.iterations:
         base, more = round(factor * usual.base_iterations), round(factor * usual.iterations_per_step)
@@ -54,10 +56,10 @@ def searches(usual: SearchConfig, asked: argparse.Namespace) -> list[SearchConfi
 
 
 def by_restart(sessions: Sessions) -> pd.DataFrame:
-    """What restarts find, of first plans: a row per length and restart (1, 2, ..).
+    """Return the results of the restarts in the searches for first plans, a row per length and restart (1, 2, ..).
 
-    best: mean of the lowest loss that any strain found from that restart to the next; least: of the lowest up to then.
-    Restarts that strains of only some of the tasks came to are left out.
+    best: the lowest loss that any strain found between this restart and the next, as a mean over tasks; least: the
+    lowest up to then, as a mean. Restarts that were not reached in all tasks are left out.
     """
     best = np.nan_to_num(sessions.restarts[:, 0], nan=np.inf).min(axis=1)
     found = []
@@ -71,7 +73,10 @@ def by_restart(sessions: Sessions) -> pd.DataFrame:
 
 
 def seconds_per_plan(clock: Clock) -> dict[int, float]:
-    """Seconds of search by plan length, without the first call of each, which compiles; none where it is alone."""
+    """Return the seconds per plan by length, without each length's first call, which compiles.
+
+    Lengths with a single call are left out.
+    """
     found = {}
     for length, calls in clock.items():
         if length != "estimates" and len(calls) > 1:
@@ -81,12 +86,12 @@ def seconds_per_plan(clock: Clock) -> dict[int, float]:
 
 
 def _same(table: pd.DataFrame, of_search: dict[str, Any]) -> np.ndarray:
-    """Which rows are of this search."""
+    """Return a mask of the rows of this search."""
     return np.all([table[name] == value for name, value in of_search.items()], axis=0)
 
 
 def main() -> None:
-    """Do what is asked and print what each size reaches."""
+    """Run the study and print the mean errors of each search."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sequences", type=int, nargs="?", default=5)
     parser.add_argument("--strains", type=int, nargs="*", default=[16, 32, 64, 128, 256, 512])
@@ -117,7 +122,7 @@ def main() -> None:
     for size in searches(plan.search, asked):
         of_search = {name: getattr(size, name) for name in KEYS}
         done = set(table.loc[_same(table, of_search), "sequence"])
-        # All of a size at once: what restarts find is told of all of them.
+        # All sequences of a search are planned at once, since the results of restarts are means over all of them.
         known = done.issuperset(sequences) and _same(restarts, of_search).any()
         missing = [] if known else sorted(done.union(sequences))
         if missing:

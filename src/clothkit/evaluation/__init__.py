@@ -1,1 +1,1 @@
-"""One module per question: estimation, prediction, planning; each answers in tidy rows."""
+"""Evaluation of estimation, prediction and planning, one module per question; each returns tidy rows."""

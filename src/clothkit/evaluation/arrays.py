@@ -1,4 +1,4 @@
-"""Evaluation results as a zarr store: named arrays over evaluated sequences, one shard each."""
+"""Evaluation results as a zarr store: named arrays over the evaluated sequences, one shard per array."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -47,7 +47,7 @@ class Named(NamedTuple):
 
 
 def save(path: Path, arrays: Mapping[str, Named], attributes: Mapping[str, Any]) -> None:
-    """Writes a zarr v3 group, a chunk per sequence, one shard per array; the same arrays give the same bytes."""
+    """Write a zarr v3 group with a chunk per sequence and one shard per array; equal arrays give equal bytes."""
     group = zarr.open_group(path, mode="w", zarr_format=3, attributes=dict(attributes))
     for name, (values, dimensions) in arrays.items():
         group.create_array(
@@ -61,11 +61,11 @@ def save(path: Path, arrays: Mapping[str, Named], attributes: Mapping[str, Any])
 
 
 def load(path: Path, declared: Mapping[str, Declared], names: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
-    """The declared arrays, or those of `names` alone.
+    """Read the declared arrays, or only those in `names`.
 
-    Raises InputError if the store or one of them is missing, damaged or not as declared, or holds NaN or infinity,
-    numbers that can't be, or a sequence twice. Along a dimension `state` or `step`, what lies past a sequence's end is
-    NaN throughout; that is no error.
+    Raises InputError if the store or an array is missing, damaged or not as declared, if it holds NaN, infinity or
+    values out of range, or if a sequence occurs twice. Along a dimension `state` or `step`, entries past a sequence's
+    end are NaN, which is no error.
     """
     chosen = {name: declared[name] for name in names or declared}
     store = open_store(path, chosen, lengths=_LENGTHS, holds="a result of an evaluation")
@@ -79,7 +79,7 @@ def load(path: Path, declared: Mapping[str, Declared], names: tuple[str, ...] = 
 
 
 def _check_values(path: Path, found: Mapping[str, np.ndarray]) -> None:
-    """Raises InputError for sequences, states, labels and standard deviations that can't be."""
+    """Raise InputError for sequences, states, labels and standard deviations that are out of range."""
     sequence = found.get("sequence", np.arange(0))
     if len(np.unique(sequence)) < len(sequence) or np.any(sequence < 0):
         raise InputError(f"{path}: array sequence: expected another sequence in each row, from 0 on")
@@ -96,7 +96,7 @@ def _check_values(path: Path, found: Mapping[str, np.ndarray]) -> None:
 
 
 def _ends_whole(values: np.ndarray) -> bool:
-    """Whether each sequence's entries are finite up to some entry, the first at least, and NaN throughout after it."""
+    """Return whether each sequence has at least one finite entry first, and only NaN after its last finite entry."""
     flat = values.reshape(*values.shape[:2], -1)
     present = np.isfinite(flat).all(-1)
     whole = present | np.isnan(flat).all(-1)

@@ -1,4 +1,4 @@
-"""Whether stated uncertainty is the actual one: coverage curves of predictions and estimates (sections 6.1 and 6.2)."""
+"""Calibration of the standard deviations of predictions and estimates: coverage curves (sections 6.1 and 6.2)."""
 
 import math
 from collections.abc import Mapping
@@ -18,17 +18,18 @@ LEVELS = np.round(np.arange(1, 31) * 0.1, 1)
 """z: the multiples of sigma at which coverage is measured."""
 
 AXES = {"all": slice(0, 3), "xy": slice(0, 2), "z": slice(2, 3)}
-"""Coordinates that are counted."""
+"""The coordinates counted for each value of the column `axis`."""
 
 ESTIMATE = "estimate"
-"""The system of the rows that are about VtM's estimates."""
+"""The system name in the rows of VtM's estimates."""
 
 
 def curve(deviation: Float[np.ndarray, "n u v 3"]) -> pd.DataFrame:
-    """Coverage of n probabilistic meshes from their coordinates' abs(error) / sigma: axis, z, expected, coverage.
+    """Return the coverage of n probabilistic meshes, from abs(error) / sigma of their coordinates.
 
-    A row per axis (all, xy, z) and level z. coverage: the share of coordinates with abs(error) < z sigma; expected:
-    that of a normal distribution, which well calibrated meshes have too.
+    Returns a row per axis (all, xy, z) and level z, with the columns axis, z, expected and coverage. coverage: the
+    fraction of coordinates with abs(error) < z sigma; expected: this fraction for a normal distribution, and so for
+    well calibrated meshes.
     """
     rows = []
     for axis, counted in AXES.items():
@@ -46,10 +47,11 @@ def rows(
     estimates: Mapping[str, np.ndarray],
     settings: EvaluatePredictionConfig,
 ) -> pd.DataFrame:
-    """Tidy rows: split, system, length, axis, z, expected, coverage (`curve`).
+    """Return tidy rows with the columns split, system, length, axis, z, expected and coverage (see `curve`).
 
-    main and a1: the net's predictions after `length` manipulations, from every start. estimate: what VtM gives for
-    the state after `length` manipulations (arrays mean and std of estimates.zarr, in the order of `given.sequence`).
+    Systems main and a1: the net's predictions after `length` manipulations, over all starts. System estimate: VtM's
+    estimate of the state after `length` manipulations (arrays mean and std of estimates.zarr, in the order of
+    `given.sequence`).
     """
     split = dataset.split[given.sequence]
     found: dict[tuple[int, str, int], list[np.ndarray]] = {}
@@ -63,7 +65,7 @@ def rows(
             long = np.flatnonzero(dataset.length[given.sequence] > start)
             if not len(long):
                 continue
-            # One rollout answers every length from this start; what lies past a sequence's end is not counted.
+            # One rollout covers all lengths from this start; steps past a sequence's end are not counted.
             manipulations = np.nan_to_num(dataset.manipulation[given.sequence[long], start:])
             predicted, _ = predict(net, meshes[long, start], manipulations, settings.batch)
             for step in range(STEPS - start):

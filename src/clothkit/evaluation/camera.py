@@ -1,4 +1,4 @@
-"""What a depth camera's view and noise cost estimates, against noise-free voxels of the true mesh (section 6.5)."""
+"""Effect of a depth camera's view and noise on estimates, compared to noise-free voxels of the mesh (section 6.5)."""
 
 import dataclasses
 from typing import NamedTuple
@@ -25,35 +25,35 @@ from clothkit.planning.batches import in_batches
 from clothkit.planning.camera_sight import for_net
 
 NO_CAMERA = Condition(name="voxels")
-"""What all other evaluations look at."""
+"""The condition without a camera: noise-free voxels, the input of all other evaluations."""
 
 TOGETHER = 24
-"""States that are estimated as one program."""
+"""Batch size of the estimation, in states."""
 
 
 class Looked(NamedTuple):
-    """States as they were seen under one condition."""
+    """Observations of states under one condition."""
 
     voxels: Bool[np.ndarray, "states 32 32 16"]
-    """None is occupied where no picture showed a cloth."""
+    """All False where no picture showed a cloth."""
     off: Float[np.ndarray, " states"]
-    """How far the observed centre is from the true one [cloth length]."""
+    """Distance of the observed centre from the true one, in cloth lengths."""
     iou: Float[np.ndarray, " states"]
-    """Of what the points cover and the true silhouette."""
+    """Intersection over union of the points' silhouette and the true one."""
     kept: list[Picture | None]
-    """Pictures of the states that were asked for."""
+    """Pictures of the states in `keep`; None where no picture showed a cloth."""
 
 
 class Estimation(NamedTuple):
-    """How well cloths are seen and estimated under every condition."""
+    """Results of the evaluation of estimates under every condition."""
 
     rows: pd.DataFrame
     arrays: dict[str, Named]
-    """Some states as every condition shows them, for pictures."""
+    """Pictures, voxels and estimates of some states under every condition, for figures."""
 
 
 def pictured(settings: EvaluateCameraConfig, condition: Condition) -> PictureConfig:
-    """How pictures are taken under a condition."""
+    """Return the picture settings of a condition."""
     noise = settings.picture.noise
     return dataclasses.replace(
         settings.picture,
@@ -63,7 +63,10 @@ def pictured(settings: EvaluateCameraConfig, condition: Condition) -> PictureCon
 
 
 def look(meshes: Float[np.ndarray, "states u v 3"], settings: PictureConfig, *, keep: list[int], what: str) -> Looked:
-    """Normalised, centred meshes before a camera."""
+    """Take a picture of each mesh (normalised, centred) and return the observations.
+
+    `keep` lists the indices whose pictures are returned; `what` labels the progress bar.
+    """
     seen = np.zeros((len(meshes), *voxels.RESOLUTION), bool)
     off, overlap = np.full((2, len(meshes)), np.nan)
     kept: dict[int, Picture | None] = dict.fromkeys(keep)
@@ -81,19 +84,19 @@ def look(meshes: Float[np.ndarray, "states u v 3"], settings: PictureConfig, *, 
 
 
 def estimation(dataset: Dataset, vtm: Net, settings: EvaluateCameraConfig, refinement: RefineConfig) -> Estimation:
-    """Every state of the first test sequences, but the flat one, under every condition and without a camera.
+    """Estimate every state except the flat one of the first test sequences, under every condition and without a camera.
 
-    Tidy rows: condition, tilt [rad], noise, sequence, state, seen (whether some picture showed a cloth), voxel_error
-    (mean difference to the noise-free voxels), centre_error [cloth length], iou (of the points' silhouette and the true
-    one), error (of the refined estimate [cloth length], not aligned beyond the centring). The last four are missing of
-    what was not seen.
+    Columns of the tidy rows: condition, tilt [rad], noise, sequence, state, seen (whether a picture showed a cloth),
+    voxel_error (mean difference to the noise-free voxels), centre_error [cloth length], iou (of the points' silhouette
+    and the true one), error (of the refined estimate [cloth length], not aligned beyond the centring). The last four
+    are NaN where seen is false.
     """
     chosen = dataset.indices("test", evaluated=True)[: settings.estimated]
     place = [(s, state) for s in chosen.tolist() for state in range(1, min(STATES, int(dataset.length[s]) + 1))]
     sequence, state = np.array(place).T
     truth = dataset.vertices[sequence, state]
     clean = np.asarray(seen_by(vtm, truth))
-    # In turn after one, two and three manipulations, if a sequence is that long.
+    # Stored states are alternately those after one, two and three manipulations, or the last of a shorter sequence.
     stored = [
         place.index((s, min(1 + number % (STATES - 1), int(dataset.length[s]))))
         for number, s in enumerate(chosen[: settings.stored].tolist())
@@ -132,7 +135,7 @@ def estimation(dataset: Dataset, vtm: Net, settings: EvaluateCameraConfig, refin
 def _heights(
     pictures: list[Picture | None], settings: EvaluateCameraConfig
 ) -> Float[np.ndarray, "sequence row column"]:
-    """What each pixel shows, by its height above the table [m]; UNMEASURED where nothing was measured."""
+    """Return each pixel's height above the table, in metres; UNMEASURED where the camera measured nothing."""
     camera = settings.picture.camera
     found = np.full((len(pictures), camera.rows, camera.columns), UNMEASURED, np.float32)
     for number, picture in enumerate(pictures):

@@ -1,4 +1,4 @@
-"""What a depth camera's view and noise cost plans, against planning on noise-free voxels (section 6.5)."""
+"""Effect of a depth camera's view and noise on plans, compared to planning on noise-free voxels (section 6.5)."""
 
 import contextlib
 import dataclasses
@@ -32,12 +32,13 @@ def planning(
     *,
     work: Path,
 ) -> pd.DataFrame:
-    """Sessions of the first test sequences under every condition, as tidy rows of planning with more columns.
+    """Run sessions of the first test sequences under every condition; return tidy rows of planning with extra columns.
 
-    condition, tilt [rad], noise; iou (of the outcome's true silhouette and the goal's), iou_no_action, iou_seen (of
-    what a last picture's points cover and the goal's silhouette, missing where it shows no cloth). `without`: the same
-    planner's sessions without a camera; searches draw alike, so tasks are paired. `work` holds what an interrupted run
-    has done. Raises InputError where `without` has fewer test sequences than are asked for.
+    The extra columns are condition, tilt [rad], noise, iou (of the outcome's true silhouette and the goal's),
+    iou_no_action (of the start's silhouette and the goal's) and iou_seen (of the silhouette of the points in a final
+    picture and the goal's, NaN if the picture shows no cloth). `without` holds the same planner's sessions without a
+    camera, whose searches use the same random draws, so that tasks can be compared in pairs. `work` stores finished
+    parts, from which an interrupted run resumes. Raises InputError if `without` lacks one of the test sequences.
     """
     chosen = dataset.indices("test", evaluated=True)[: settings.planned]
     missing = np.setdiff1d(chosen, without.sequence[without.split == "test"])
@@ -57,7 +58,7 @@ def planning(
 
 
 def comparisons(tidy: pd.DataFrame) -> pd.DataFrame:
-    """`comparisons.compare` of every condition's errors with those without a camera."""
+    """Compare the errors of every condition with those without a camera, by `comparisons.compare`."""
     named = tidy.assign(system=tidy["condition"])
     conditions = [name for name in tidy["condition"].unique() if name != NO_CAMERA.name]
     found = [compare(named, "error", condition, NO_CAMERA.name) for condition in conditions]
@@ -65,7 +66,7 @@ def comparisons(tidy: pd.DataFrame) -> pd.DataFrame:
 
 
 def _of(sessions: Sessions, sequences: np.ndarray) -> Sessions:
-    """The sessions of some sequences."""
+    """Return the sessions of the given sequences."""
     chosen = np.isin(sessions.sequence, sequences)
     return Sessions(**{name: values[chosen] for name, values in vars(sessions).items()})
 

@@ -1,4 +1,4 @@
-"""Settings of the evaluation of what depth cameras see."""
+"""Settings of the evaluation with depth cameras."""
 
 from typing import Annotated
 
@@ -8,23 +8,23 @@ from clothkit.config import config
 from clothkit.observation.picture import PictureConfig
 
 UNMEASURED = -1.0
-"""In stored pictures [m], of what was not measured."""
+"""Height in stored pictures [m] of pixels without a measurement."""
 
 
 @config
 class Condition:
-    """How a camera looks, and how well."""
+    """A camera's tilt and noise level."""
 
     name: Annotated[str, MinLen(1)]
     tilt: Annotated[float, Ge(0), Lt(1.5)] = 0.0
-    """Of the view from straight down [rad]."""
+    """Angle between the view and straight down [rad]."""
     noise: Annotated[float, Ge(0)] = 0.0
-    """Multiple of `picture.noise`."""
+    """Factor applied to `picture.noise`."""
 
 
 @config
 class EvaluateCameraConfig:
-    """What is looked at, and under which conditions."""
+    """The evaluated sequences and the camera conditions."""
 
     conditions: Annotated[tuple[Condition, ...], MinLen(1)] = (
         Condition(name="above"),
@@ -35,8 +35,8 @@ class EvaluateCameraConfig:
     )
     picture: PictureConfig = PictureConfig()
     estimated: Annotated[int, Gt(0)] = 100
-    """Test sequences whose states are looked at."""
+    """Number of test sequences whose states are estimated."""
     planned: Annotated[int, Gt(0)] = 10
-    """Of these, how many are planned for, all six tasks of each; no more than plan.test."""
+    """Number of the first of these that are planned for, with all six tasks of each; at most plan.test."""
     stored: Annotated[int, Gt(0)] = 2
-    """Of these, how many have their pictures kept."""
+    """Number of the first sequences of which a state's pictures are stored."""

@@ -1,6 +1,6 @@
-"""Whether one system is better than another on the same tasks: intervals and paired tests of mean differences.
+"""Paired comparisons of systems on the same tasks: intervals and tests of mean differences.
 
-Tasks of one sequence share its states, so sequences are what is resampled and what is independent, not tasks.
+The tasks of a sequence share its states, so sequences, not tasks, are treated as independent and are resampled.
 """
 
 from typing import NamedTuple
@@ -12,25 +12,26 @@ from jaxtyping import Float, Int
 from clothkit.dataset.store import STEPS
 
 DRAWS = 10_000
-"""Resamples of a bootstrap, and random sign flips of a test."""
+"""Number of bootstrap resamples, and of random sign flips of a test."""
 
 CONFIDENCE = 0.95
 
 LEAST = 10
-"""Sequences without which there is neither an interval nor a p: fewer tell too little."""
+"""Fewest sequences for which an interval or a p is computed."""
 
 KEYS = ["sequence", "start", "length"]
 
 COLUMNS = ("split", "measure", "system", "against", "column", "sequences", "difference", "low", "high", "p")
-"""Of a paired comparison."""
+"""Columns of the rows of `compare`."""
 
 
 def interval(
     total: Float[np.ndarray, " n"], count: np.ndarray, *, seed: int = 0, draws: int = DRAWS
 ) -> tuple[float, float]:
-    """The 95 % bootstrap interval (percentiles) of sum(total) / sum(count): a mean over tasks, drawn by sequences.
+    """Return the 95 % percentile bootstrap interval of sum(total) / sum(count), the mean over tasks.
 
-    `total` and `count` are each sequence's sum and number of differences. NaN below `LEAST` sequences.
+    `total` and `count` are each sequence's sum and number of values; sequences are resampled. Returns NaN for fewer
+    than `LEAST` sequences.
     """
     if len(total) < LEAST:
         return float("nan"), float("nan")
@@ -41,30 +42,31 @@ def interval(
 
 
 def sign_flip(total: Float[np.ndarray, " n"], *, seed: int = 0, draws: int = DRAWS) -> float:
-    """Two-sided p of the paired permutation test: how often random signs give a sum as far from zero as the sum found.
+    """Return the two-sided p of a paired permutation test by random sign flips.
 
-    `total` is each sequence's sum of differences; under the null hypothesis its sign is as likely either way. Never
-    below 1 / (draws + 1). NaN below `LEAST` sequences.
+    `total` is each sequence's sum of differences; under the null hypothesis both signs are equally likely. p is the
+    fraction of random signs whose sum is at least as far from zero as the observed one, and at least 1 / (draws + 1).
+    Returns NaN for fewer than `LEAST` sequences.
     """
     if len(total) < LEAST:
         return float("nan")
     signs = np.random.default_rng(seed).integers(2, size=(draws, len(total))) * 2.0 - 1
     found = abs(total.sum())
-    # Sums that are equal but for rounding count as equal.
+    # The tolerance counts sums that differ only by rounding as equal.
     as_far = np.abs(signs @ total) >= found * (1 - 1e-9)
     return float((1 + as_far.sum()) / (draws + 1))
 
 
 class Totals(NamedTuple):
-    """What a column of the tables sums up of one split, sequence by sequence."""
+    """Sums per sequence for one split and one column of the tables."""
 
     split: str
     column: str
-    """length/start, `all` for every start."""
+    """length/start, with `all` in place of the start for all starts together."""
     total: Float[np.ndarray, " n"]
     """Each sequence's sum of a measure over its tasks."""
     tasks: Int[np.ndarray, " n"]
-    """How many it has."""
+    """Each sequence's number of tasks."""
 
     @property
     def mean(self) -> float:
@@ -73,9 +75,9 @@ class Totals(NamedTuple):
 
 
 def totals(tidy: pd.DataFrame, measure: str) -> list[Totals]:
-    """`measure` of tidy rows, per split and column of the tables."""
+    """Return the sums of the column `measure` of tidy rows, per split and column of the tables."""
     length = tidy["length"].astype(str)
-    # Three manipulations have one start only: the tables call it all.
+    # Tasks of three manipulations have a single start, which the tables call `all`.
     labels = ((length + "/" + tidy["start"].astype(str)).where(tidy["length"] < STEPS), length + "/all")
     found = []
     for label in labels:
@@ -87,11 +89,11 @@ def totals(tidy: pd.DataFrame, measure: str) -> list[Totals]:
 
 
 def compare(tidy: pd.DataFrame, measure: str, system: str, against: str, *, seed: int = 0) -> pd.DataFrame:
-    """Paired comparisons of two systems by a column of tidy rows, a row per split and column of the tables.
+    """Compare two systems by a column of tidy rows, in pairs; return a row per split and column of the tables.
 
-    split, measure, system, against, column (length/start, `all` for every start), sequences, difference (mean of
-    `measure` of `system` minus that of `against`, over the tasks that both have), low, high (95 % bootstrap interval),
-    p (two-sided sign-flip test). The last three are NaN below `LEAST` sequences.
+    The columns are split, measure, system, against, column (length/start, or length/all), sequences, difference (mean
+    of `measure` of `system` minus that of `against`, over the tasks that both have), low, high (95 % bootstrap
+    interval), p (two-sided sign-flip test). The last three are NaN for fewer than `LEAST` sequences.
     """
     one, other = (
         tidy.loc[tidy["system"] == name, ["split", *KEYS, measure]].set_index(["split", *KEYS])[measure]
@@ -108,6 +110,8 @@ def compare(tidy: pd.DataFrame, measure: str, system: str, against: str, *, seed
 
 
 def of_predictions(tidy: pd.DataFrame) -> pd.DataFrame:
-    """The comparisons that table 4 is about: main, as a camera would see its predictions, against a2, whose are of that
-    kind, by voxel difference, the better net of each."""
+    """Return the comparisons for table 4: system main_occluded against a2, by voxel_error, with the better net of each.
+
+    Both predict voxels as a camera above would see them.
+    """
     return compare(tidy[tidy["better"]], "voxel_error", "main_occluded", "a2")

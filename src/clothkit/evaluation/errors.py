@@ -1,4 +1,4 @@
-"""How estimates and predictions are scored against the truth, whatever labels they come in (section 6, design 2)."""
+"""Errors of estimates and predictions against the truth, for any of the 8 labellings (section 6, design 2)."""
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +9,7 @@ from clothkit.cloth.equivalents import INVERSE, relabel_batch
 from clothkit.cloth.mesh import ProbabilisticMesh, best_label, distance, error
 
 IDEAL_SIGMA_RATIO = float(np.sqrt(2 / np.pi))
-"""The sigma ratio of a perfectly calibrated prediction: mean deviation over standard deviation of a normal."""
+"""Sigma ratio of a calibrated prediction: mean absolute deviation / standard deviation of a normal distribution."""
 
 errors = jax.jit(error, static_argnames="aligned")
 labelled_errors = jax.jit(distance)
@@ -19,7 +19,7 @@ labelled_errors = jax.jit(distance)
 def labels_of_truth(
     mesh: Float[Array | np.ndarray, "batch u v 3"], truth: Float[Array | np.ndarray, "batch u v 3"]
 ) -> Int[Array, " batch"]:
-    """The k in 0..7 that brings each mesh under the labels of its truth, where it comes nearest."""
+    """Return, for each mesh, the equivalent k in 0..7 under which the relabelled mesh is nearest to its truth."""
     return jnp.asarray(INVERSE)[best_label(mesh, truth)]
 
 
@@ -30,7 +30,7 @@ relabelled = jax.jit(relabel_batch)
 def deviations(
     probabilistic: ProbabilisticMesh, truth: Float[Array | np.ndarray, "batch u v 3"]
 ) -> Float[Array, "batch u v 3"]:
-    """abs(error) / sigma of every coordinate, under the labels of the truth (section 6.1)."""
+    """Return abs(error) / sigma of every coordinate, after relabelling to the truth's labels (section 6.1)."""
     k = labels_of_truth(probabilistic.mean, truth)
     mean, std = (relabel_batch(jnp.asarray(part), k) for part in probabilistic)
     return jnp.abs(truth - mean) / std
@@ -40,5 +40,5 @@ def deviations(
 def sigma_ratio(
     probabilistic: ProbabilisticMesh, truth: Float[Array | np.ndarray, "batch u v 3"]
 ) -> Float[Array, " batch"]:
-    """Mean of a mesh's `deviations` (section 6.1)."""
+    """Return the mean of each mesh's `deviations` (section 6.1)."""
     return jnp.mean(deviations(probabilistic, truth), axis=(-3, -2, -1))

@@ -1,4 +1,4 @@
-"""How well voxels become meshes: table 2, figure 9 (section 6.1)."""
+"""Evaluation of the estimation of meshes from voxels: table 2, figure 9 (section 6.1)."""
 
 from typing import NamedTuple
 
@@ -18,9 +18,9 @@ from clothkit.networks.vtm import seen_by
 
 
 class Estimates(NamedTuple):
-    """Estimates of the states of n evaluated sequences, under whatever labels VtM gave them [normalised].
+    """Estimates of the states of n evaluated sequences, in the labelling that VtM returned [normalised].
 
-    Past a sequence's length floats are NaN, labels -1.
+    Past a sequence's end, floats are NaN and labels -1.
     """
 
     sequence: Int[np.ndarray, " n"]
@@ -30,10 +30,10 @@ class Estimates(NamedTuple):
     mesh: Float[np.ndarray, "n state u v 3"]
     """The refined mesh."""
     label: Int[np.ndarray, "n state"]
-    """The equivalent that brings the refined mesh under the labels of the truth; for evaluation and pictures only."""
+    """The equivalent that relabels the refined mesh to the truth's labels; for evaluation and pictures only."""
 
     def arrays(self) -> dict[str, Named]:
-        """The estimates with the names of their dimensions, for `arrays.save`."""
+        """Return the estimates with the names of their dimensions, for `arrays.save`."""
         vertices = ("sequence", "state", "u", "v", "xyz")
         return {
             "sequence": Named(self.sequence, ("sequence",)),
@@ -45,16 +45,16 @@ class Estimates(NamedTuple):
 
 
 def estimates(dataset: Dataset, net: Net, settings: EvaluateEstimationConfig) -> Estimates:
-    """VtM's and the refined estimate of every state of every evaluated sequence.
+    """Return VtM's estimate and the refined mesh of every state of every evaluated sequence.
 
-    What VtM sees is doubled, occluded and free of noise (design 6.14).
+    VtM's input voxels are doubled, occluded and free of noise (design 6.14).
     """
     sequence = np.flatnonzero(dataset.evaluated)
     present = np.arange(STATES) <= dataset.length[sequence, None]
     truth = dataset.vertices[sequence][present]
     parts: list[tuple[np.ndarray, ...]] = []
     for start in tqdm(range(0, len(truth), settings.batch), desc="estimates", unit="batch"):
-        # A last batch that is filled up needs no compilation of its own.
+        # The last batch is padded to the same size, which avoids another compilation.
         chosen = np.minimum(np.arange(start, start + settings.batch), len(truth) - 1)
         estimated = estimate(net, seen_by(net, truth[chosen]), settings.refine)
         label = labels_of_truth(estimated.mesh, truth[chosen])
@@ -64,17 +64,18 @@ def estimates(dataset: Dataset, net: Net, settings: EvaluateEstimationConfig) ->
 
 
 def _placed(values: np.ndarray, present: Bool[np.ndarray, "n state"]) -> np.ndarray:
-    """The values where they are present, [n state ...]; NaN, or -1 for labels, where nothing is."""
+    """Return the values placed where `present` is True, [n state ...], with NaN (-1 for labels) elsewhere."""
     placed = np.full((*present.shape, *values.shape[1:]), np.nan if values.dtype.kind == "f" else -1, values.dtype)
     placed[present] = values
     return placed
 
 
 def rows(dataset: Dataset, found: Estimates) -> pd.DataFrame:
-    """Tidy rows: split, sequence, state (1..3), kind (pmr, dmr), error, error_labelled, error_no_action, sigma_ratio.
+    """Return tidy rows with the columns split, sequence, state (1..3), kind (pmr, dmr), the errors and sigma_ratio.
 
-    Errors in cloth lengths, not aligned beyond the centring. No action: the state before, aligned (design 2). The flat
-    state is left out, as in section 6.1; sigma_ratio belongs to the pmr and is repeated for the dmr.
+    error and error_labelled are in cloth lengths, not aligned beyond the centring. error_no_action is the error of the
+    previous state, aligned (design 2). The flat state is left out, as in section 6.1. sigma_ratio is that of the pmr,
+    also in the rows of the dmr.
     """
     tidy = []
     for state in range(1, STATES):

@@ -1,7 +1,7 @@
 """Predicted meshes as voxels: the probability that each voxel holds a vertex, eq. (16) (section 6.2).
 
-As `voxels.voxelise` does with points (design 6.14), what lies outside the viewport is dropped in x and y, and clamped
-in z: the lowest voxels reach down to minus infinity, the highest up to infinity.
+As in `voxels.voxelise` (design 6.14), points outside the viewport are dropped in x and y and clamped in z: the lowest
+voxels extend to minus infinity, the highest to infinity.
 """
 
 from functools import partial
@@ -18,21 +18,24 @@ SAMPLES = 1024
 """Random samples per vertex in the paper."""
 
 DRAWS = 16
-"""Meshes drawn from a prediction to be looked at; differences from binary voxels are linear, so that few will do."""
+"""Meshes drawn from a prediction in `seen_occupancy`; few suffice, since differences to binary voxels are linear."""
 
 TALL = 2 * HEIGHT
-"""Upper end of a second viewport [normalised]: 0.25. Section 4.7 gives a viewport and a resolution by which voxels are
-eight times finer in z than in x and y, and says that they are four times finer (design 6.14): in this one they are."""
+"""Upper end of a second viewport [normalised]: 0.25. With section 4.7's viewport and resolution, voxels are eight times
+finer in z than in x and y, though its text says four times (design 6.14); with this height they are four times finer.
+"""
 
 TALL_MEASURE = "voxel_error_025"
-"""Column of tidy rows: the mean voxel difference in that viewport; with `_no_action`, that of start and goal."""
+"""Column of tidy rows: the mean voxel difference in the viewport that is `TALL`.
+
+With the suffix `_no_action` it is the difference between start and goal."""
 
 _TOGETHER = 8
-"""Vertices combined in one pass over the voxels, which is what bounds the speed."""
+"""Vertices combined in one pass over the voxels, since the number of passes limits the speed."""
 
 
 def _shares(edges: Float[np.ndarray, " edges"], mean: Array, std: Array) -> Float[Array, "... bins"]:
-    """The probability of each bin between edges under normal distributions."""
+    """Return the probability of each bin between successive edges, under normal distributions."""
     below = jax.scipy.stats.norm.cdf(jnp.asarray(edges, jnp.float32), mean[..., None], std[..., None])
     return jnp.diff(below, axis=-1)
 
@@ -46,10 +49,10 @@ def _edges(height: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 @partial(jax.jit, static_argnames="height")
 def occupancy(mesh: ProbabilisticMesh, *, height: float = HEIGHT) -> Float[Array, "batch 32 32 16"]:
-    """Eq. (16): the probability that at least one vertex falls into each voxel, 0..1.
+    """Return the probability, 0..1, that at least one vertex falls into each voxel, eq. (16).
 
-    Exact: each vertex's share of a voxel is the integral of its normal distribution over it, a product of differences
-    of one-dimensional distribution functions.
+    The result is exact: a vertex's probability of falling into a voxel is the integral of its normal distribution over
+    the voxel, a product of differences of one-dimensional distribution functions.
     """
     mean, std = (jnp.asarray(part).reshape(len(part), -1, _TOGETHER, 3) for part in mesh)
 
@@ -57,8 +60,7 @@ def occupancy(mesh: ProbabilisticMesh, *, height: float = HEIGHT) -> Float[Array
         mean, std = vertices
         x, y, z = (_shares(edges, mean[..., i], std[..., i]) for i, edges in enumerate(_edges(height)))
         columns = x[..., :, None] * y[..., None, :]
-        # Eq. (16)'s product, each vertex taking its share of what is still empty: as exact as a sum of logarithms for
-        # shares near 0 and near 1, without the logarithms.
+        # Eq. (16)'s product in the form p + q (1 - p): as accurate near 0 and 1 as a sum of logarithms, but cheaper.
         for i in range(_TOGETHER):
             occupied = occupied + columns[:, i, :, :, None] * z[:, i, None, None, :] * (1 - occupied)
         return occupied, None
@@ -71,7 +73,10 @@ def occupancy(mesh: ProbabilisticMesh, *, height: float = HEIGHT) -> Float[Array
 def sampled_occupancy(
     mesh: ProbabilisticMesh, *, samples: int = SAMPLES, height: float = HEIGHT, key: PRNGKeyArray
 ) -> Float[Array, "batch 32 32 16"]:
-    """Eq. (16) as the paper computes it, from random samples of each vertex; its mean over keys is `occupancy`."""
+    """Return eq. (16) as the paper computes it, from random samples of each vertex; its mean over keys is `occupancy`.
+
+    Values are 0..1.
+    """
     mean, std = (jnp.moveaxis(jnp.asarray(part).reshape(len(part), -1, 3), 1, 0) for part in mesh)
     nx, ny, nz = RESOLUTION
     rows = jnp.arange(mean.shape[1])[:, None]
@@ -95,8 +100,10 @@ def sampled_occupancy(
 def seen_occupancy(
     mesh: ProbabilisticMesh, *, draws: int = DRAWS, height: float = HEIGHT, key: PRNGKeyArray
 ) -> Float[Array, "batch 32 32 16"]:
-    """The share of meshes drawn from a prediction, each vertex by itself as in eq. (16), in which a camera above sees a
-    voxel occupied: doubled and occluded."""
+    """Return the probability, 0..1, that a camera above sees each voxel occupied (doubled and occluded).
+
+    It is the fraction over meshes drawn from the prediction, each vertex independently, as in eq. (16).
+    """
     mean, std = (jnp.asarray(part) for part in mesh)
 
     def draw(key: PRNGKeyArray) -> Array:
@@ -106,11 +113,11 @@ def seen_occupancy(
 
 
 def pooled(predicted: Float[Array, "*batch x y z"]) -> Float[Array, "*batch x y z"]:
-    """Voxels that were predicted for the usual viewport, as those of the one that is `TALL`.
+    """Convert voxels predicted for the usual viewport to the viewport that is `TALL`.
 
-    A voxel is the larger one of the two that lie in it: where columns are filled from below, as a camera sees them, the
-    lower one is occupied whenever the upper one is, so that the probability of either is the larger of both. What lies
-    above the usual viewport was never predicted, and is empty.
+    A new voxel gets the larger value of the two voxels inside it. In occluded voxels, where columns are filled from
+    below, the lower one is occupied whenever the upper one is, so the probability that any of the two is occupied is
+    the larger of both. Voxels above the usual viewport were not predicted and are empty.
     """
     pairs = predicted.reshape(*predicted.shape[:-1], -1, 2).max(axis=-1)
     return jnp.concatenate([pairs, jnp.zeros_like(pairs)], axis=-1)
@@ -120,5 +127,5 @@ def pooled(predicted: Float[Array, "*batch x y z"]) -> Float[Array, "*batch x y 
 def differences(
     voxels: Shaped[Array | np.ndarray, "batch x y z"], truth: Shaped[Array | np.ndarray, "batch x y z"]
 ) -> Float[Array, " batch"]:
-    """Mean absolute difference of voxel values, 0..1: the unit of tables 4 and 7."""
+    """Return the mean absolute difference of voxel values, 0..1, as in tables 4 and 7."""
     return jnp.mean(jnp.abs(jnp.asarray(voxels, jnp.float32) - jnp.asarray(truth, jnp.float32)), axis=(-3, -2, -1))

@@ -1,4 +1,4 @@
-"""Which planner comes nearer to its goals, how sure that is, and why plans fail: tables 6 and 7, section 6.4."""
+"""Evaluation of planning: comparisons of systems, intervals and causes of failure (tables 6 and 7, section 6.4)."""
 
 from pathlib import Path
 
@@ -31,26 +31,27 @@ ROWS = (
     "estimate_error",
     "estimate_layers_reversed",
 )
-"""Columns of tidy rows of planning that are needed here."""
+"""Columns of the tidy rows of planning that this module uses."""
 
 MEASURES = ("error", "voxel_error")
-"""By which systems are compared."""
+"""Columns by which systems are compared."""
 
 PAIRS = (*(("main", other) for other in ("b1", "b2", "b3", "b4", "b5", "unrefined")), ("b4", "b5"))
-"""Systems that the paper holds against one another (section 6.3)."""
+"""Pairs of systems that are compared, as in section 6.3."""
 
 LARGE = 0.05
-"""An outcome or an estimate that is farther off is called wrong [cloth length]."""
+"""Error above which an outcome or an estimate is called wrong [cloth length]."""
 
 REVERSED = 0.25
-"""Where a larger share of layers lies in another order, folds are in another order: it takes one half of those of a
-cloth that is folded twice."""
+"""Fraction of layers in another order above which the folds are in another order.
+
+The fraction is one half if a cloth is folded twice, over the two axes in the other order."""
 
 
 def read(folder: Path, settings: EvaluatePlanningConfig) -> pd.DataFrame:
-    """The rows of every system, `<folder>/<system>.parquet` each, one below the other.
+    """Read the rows of all systems, `<folder>/<system>.parquet` each, and concatenate them.
 
-    Raises InputError for a file that is not as it should be, or holds rows of another system.
+    Raises InputError for a file that does not match the declared table, or that holds rows of another system.
     """
     found = []
     for system in settings.systems:
@@ -64,18 +65,18 @@ def read(folder: Path, settings: EvaluatePlanningConfig) -> pd.DataFrame:
 
 
 def comparisons(tidy: pd.DataFrame) -> pd.DataFrame:
-    """`compare` of all PAIRS by all MEASURES; pairs of which the rows hold one system only are left out."""
+    """Compare all PAIRS by all MEASURES with `compare`, leaving out pairs of which a system has no rows."""
     present = set(tidy["system"])
     found = [compare(tidy, measure, *pair) for measure in MEASURES for pair in PAIRS if present.issuperset(pair)]
     return pd.concat(found, ignore_index=True) if found else pd.DataFrame(columns=list(COLUMNS))
 
 
 def intervals(tidy: pd.DataFrame) -> pd.DataFrame:
-    """Means over tasks, and their 95 % bootstrap intervals over sequences, by split, system and column of the tables.
+    """Return means over tasks with 95 % bootstrap intervals over sequences, by split, system and column of the tables.
 
-    split, system, measure (error [cloth length], voxel_error [mean voxel difference]; voxel_error_025 if the rows
-    have it), column (length/start, `all` for every start), sequences, mean, low, high (NaN for fewer
-    sequences than `comparisons.LEAST`).
+    The columns are split, system, measure (error [cloth length], voxel_error [mean voxel difference], and
+    voxel_error_025 if the rows have it), column (length/start, or length/all), sequences, mean, low and high (NaN for
+    fewer sequences than `comparisons.LEAST`).
     """
     found = []
     measures = [measure for measure in (*MEASURES, TALL_MEASURE) if measure in tidy]
@@ -90,16 +91,21 @@ def intervals(tidy: pd.DataFrame) -> pd.DataFrame:
 
 
 def failures(tidy: pd.DataFrame) -> pd.DataFrame:
-    """Why outcomes are off, a row per split, system and length (1, 2, 3, all); of every session's first plan.
+    """Return causes of failure from every session's first plan, a row per split, system and length (1, 2, 3, all).
 
-    tasks; search_failure (share of plans that the nets themselves rate below the recorded manipulations: the search
-    missed those); model_failure (share of plans that they rate at least as high, but whose outcome is LARGE off);
-    layers_reversed (share of tasks whose outcome has the goal's folds, but more than REVERSED of its layers in another
-    order); grasp_offered (share of starts with a candidate at every recorded grasp point); nulls_fired
-    (manipulations that the null check cancelled, per session); nulls_helped (of those in a session's last step, the
-    share that would have led away from the goal); expected, error (means of what the nets expect and of what came
-    [cloth length]); error_estimate_good, error_estimate_bad (mean errors of tasks whose first estimate is within LARGE,
-    and beyond). NaN where a system has no such thing.
+    The columns, NaN where a system lacks the value:
+
+    - tasks: number of tasks;
+    - search_failure: fraction of plans with a larger loss than the recorded manipulations, which the search missed;
+    - model_failure: fraction of plans with at most the loss of the recorded manipulations, but an error above LARGE;
+    - layers_reversed: fraction of tasks whose outcome has the goal's folds, but more than REVERSED of its layers in
+      another order;
+    - grasp_offered: fraction of starts with a candidate at every recorded grasp point;
+    - nulls_fired: mean number of manipulations per session that the null check cancelled;
+    - nulls_helped: among those in a session's last step, the fraction that would have led away from the goal;
+    - expected, error: mean errors that the nets expected, and that the outcomes have [cloth length];
+    - error_estimate_good, error_estimate_bad: mean errors of tasks whose first estimate has an error up to LARGE, and
+      above it.
     """
     missed = tidy["loss_recorded"] < tidy["loss"]
     rated = tidy["loss"].notna() & tidy["loss_recorded"].notna()
@@ -131,12 +137,15 @@ def failures(tidy: pd.DataFrame) -> pd.DataFrame:
 
 
 def diagnosis(tidy: pd.DataFrame) -> pd.Series:
-    """Why a task failed, in the words of section 6.4: the first that is true of its first plan, and of its outcome.
+    """Return each task's cause of failure, in the words of section 6.4: the first one in this list that holds.
 
-    grasp point not offered (no candidate near a recorded one); estimate wrong (LARGE off); estimate's layers reversed
-    (more than REVERSED of them); layers reversed (likewise, the outcome's); search failure (the nets rate the recorded
-    manipulations better than what was found); model failure (they expected to come within LARGE of the goal, and did
-    not); open.
+    - grasp point not offered: there is no candidate near a recorded grasp point;
+    - estimate wrong: the first estimate has an error above LARGE;
+    - estimate's layers reversed: more than REVERSED of the estimate's layers are in another order;
+    - layers reversed: the same for the outcome's layers;
+    - search failure: the recorded manipulations have a smaller loss than the plan;
+    - model failure: the nets expected an error up to LARGE, but the outcome's is above it;
+    - open: none of these.
     """
     causes = {
         "grasp point not offered": ~tidy["grasp_offered"].astype(bool),

@@ -1,4 +1,4 @@
-"""How well the forward models foresee what manipulations do: tables 3 to 5, figure 10 (section 6.2)."""
+"""Evaluation of the forward models' predictions: tables 3 to 5, figure 10 (section 6.2)."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -24,15 +24,14 @@ from clothkit.networks.net import Net
 from clothkit.networks.pemd import rollout
 
 OCCLUDED = "main_occluded"
-"""Main's predictions as a camera above would see them: what can be held against those of the voxel baseline."""
+"""System name of main's predictions as a camera above would see them, comparable to the voxel baseline's."""
 
 
 class Starts(NamedTuple):
-    """What each system starts from, n evaluated sequences [normalised], NaN past a sequence's length.
+    """Each system's initial states for n evaluated sequences [normalised], NaN past a sequence's end.
 
-    All under the labels of the truth.
-
-    Recorded manipulations are labelled by the truth, so an estimate is relabelled to its best match (design 6.10).
+    All meshes have the labels of the truth, by which the recorded manipulations are labelled; estimates are therefore
+    relabelled to their best match (design 6.10).
     """
 
     sequence: Int[np.ndarray, " n"]
@@ -41,9 +40,9 @@ class Starts(NamedTuple):
 
 
 def starts(dataset: Dataset, estimates: Mapping[str, np.ndarray]) -> Starts:
-    """The starts of main and a1, from the arrays sequence, mesh and label of estimates.zarr.
+    """Return the starts of main and a1, from the arrays sequence, mesh and label of estimates.zarr.
 
-    Raises InputError when a state has no estimate.
+    Raises InputError if a state has no estimate.
     """
     sequence, mesh, label = estimates["sequence"], estimates["mesh"], estimates["label"]
     missing = (label < 0) & (np.arange(STATES) <= dataset.length[sequence, None])
@@ -57,16 +56,18 @@ def starts(dataset: Dataset, estimates: Mapping[str, np.ndarray]) -> Starts:
 def rows(
     dataset: Dataset, given: Starts, nets: Mapping[str, Net], better: str, settings: EvaluatePredictionConfig
 ) -> pd.DataFrame:
-    """Tidy rows, one per system, net, sequence and task.
+    """Return tidy rows, one per system, net, sequence and task.
 
-    split, system, net (a, b), better (whether the net has the better validation score), sequence, start, length, error,
-    error_no_action, position_error, position_no_action [cloth length], sigma_ratio, voxel_error, voxel_error_no_action,
-    voxel_error_025, voxel_error_025_no_action [mean voxel difference, 0..1; the last two in the viewport that is
-    `TALL`]. Predictions are not aligned beyond the centring; no action is (design 2), but in
-    voxels. position_error is that of the predicted centre shift, eq. (7); position_no_action that of no shift at all.
-    Voxels of predictions are eq. (16)'s, those of states undoubled, free of noise and unoccluded (design 6.14). The
-    rows of main's better net come again as system `OCCLUDED`, all voxels being what a camera would see
-    (`seen_occupancy`), without error.
+    The columns are split, system, net (a, b), better (whether the net has the better validation score), sequence,
+    start, length, error, error_no_action, position_error, position_no_action [cloth length], sigma_ratio, voxel_error,
+    voxel_error_no_action, voxel_error_025, voxel_error_025_no_action [mean voxel difference, 0..1; the last two in the
+    viewport that is `TALL`].
+
+    error is not aligned beyond the centring; error_no_action is aligned (design 2). position_error is the error of the
+    predicted centre shift, eq. (7); position_no_action is the length of the true shift. For the voxel columns,
+    predictions are converted by eq. (16), and the voxels of true states are undoubled, free of noise and unoccluded
+    (design 6.14). The rows of main's better net are repeated as system `OCCLUDED`, with all voxels as a camera would
+    see them (`seen_occupancy`) and with error and sigma_ratio NaN.
     """
     tidy = []
     jobs = [(system, net, task) for system in given.meshes for net in sorted(nets) for task in TASKS]
@@ -108,10 +109,10 @@ def rows(
 
 
 def stored(dataset: Dataset, given: Starts, net: Net, settings: EvaluatePredictionConfig) -> dict[str, Named]:
-    """What main's better net predicts after 1, 2 and 3 manipulations of the first sequences of each split.
+    """Return main's predictions after 1, 2 and 3 manipulations, for the first sequences of each split.
 
-    Arrays sequence, start (what it started from), mean, std [normalised] and shift (each step's centre shift, xy), NaN
-    past a sequence's length.
+    The arrays are sequence, start (the initial mesh), mean, std [normalised] and shift (each step's centre shift, xy),
+    NaN past a sequence's end.
     """
     split = dataset.split[given.sequence]
     first = np.sort(np.concatenate([np.flatnonzero(split == name)[: settings.stored] for name in np.unique(split)]))
@@ -134,7 +135,7 @@ def stored(dataset: Dataset, given: Starts, net: Net, settings: EvaluatePredicti
 def predict(
     net: Net, mesh: np.ndarray, manipulations: np.ndarray, batch: int
 ) -> tuple[ProbabilisticMesh, Float[np.ndarray, "step n 2"]]:
-    """Probabilistic meshes [step n u v 3] and centre shifts after each manipulation, in batches of one size."""
+    """Return the probabilistic meshes [step n u v 3] and the centre shift of each step, computed in equal batches."""
     parts = []
     for first in range(0, len(mesh), batch):
         chosen = np.minimum(np.arange(first, first + batch), len(mesh) - 1)
@@ -153,9 +154,9 @@ def _in_voxels(
     *,
     seen: bool = False,
 ) -> dict[str, np.ndarray]:
-    """Mean voxel differences [n] of predicted meshes, and of no action, to the truth, in both viewports.
+    """Return the mean voxel differences [n] of predictions and of no action to the truth, in both viewports, by name.
 
-    `seen`: all three as a camera above sees them.
+    With `seen`, predictions, start and truth are as a camera above sees them.
     """
     found = {}
     for name, height in (("voxel_error", HEIGHT), (TALL_MEASURE, TALL)):
@@ -170,7 +171,7 @@ def _in_voxels(
 def _voxel_errors(
     mesh: ProbabilisticMesh, truth: Bool[np.ndarray, "n 32 32 16"], batch: int, *, height: float, seen: bool
 ) -> np.ndarray:
-    """Mean voxel differences [n] of predicted meshes, in batches of one size, so that memory is bounded."""
+    """Return the mean voxel differences [n] of predicted meshes, in batches of one size to bound the memory."""
     parts = []
     for first in range(0, len(truth), batch):
         chosen = np.minimum(np.arange(first, first + batch), len(truth) - 1)

@@ -14,7 +14,7 @@ class EvaluateEstimationConfig:
 
     refine: RefineConfig = RefineConfig()
     batch: Annotated[int, Gt(0)] = 64
-    """Meshes estimated at a time."""
+    """Batch size, in meshes."""
 
 
 @config
@@ -22,9 +22,9 @@ class EvaluatePredictionConfig:
     """Settings of the evaluation of predictions."""
 
     batch: Annotated[int, Gt(0)] = 64
-    """Tasks predicted at a time."""
+    """Batch size, in tasks."""
     stored: Annotated[int, Ge(1)] = 16
-    """Sequences of each split whose three-step predictions are kept for pictures."""
+    """Number of sequences per split whose three-step predictions are stored for pictures."""
 
 
 @config
@@ -32,4 +32,4 @@ class EvaluatePlanningConfig:
     """Settings of the evaluation of planning."""
 
     systems: Annotated[tuple[str, ...], MinLen(1)] = ("main", "b1", "b2", "b3", "b4", "b5", "unrefined")
-    """Planners whose outcomes are evaluated, and held against one another."""
+    """Planners whose outcomes are evaluated and compared."""

@@ -1,4 +1,4 @@
-"""The tables of tidy rows that evaluations write and reports read: their columns, ranges, keys and rows, declared."""
+"""Declarations of the tidy tables that evaluations write and reports read: columns, ranges, keys, complete rows."""
 
 import dataclasses
 import math
@@ -10,7 +10,7 @@ from clothkit.dataset.store import SPLITS, STATES, STEPS
 from clothkit.dataset.tables import Column, Complete, Rule, Table
 
 VOXEL_SYSTEMS = ("main_occluded", "a2")
-"""Systems whose predictions are voxels as a camera sees them: they have no error in cloth lengths."""
+"""Systems whose predictions are voxels as a camera sees them, and which have no error in cloth lengths."""
 
 _TEXT = Column("text")
 _SPLIT = Column("text", among=SPLITS)
@@ -47,7 +47,7 @@ _INTERVAL = Rule(
 
 
 def _every_task(*by: str) -> Complete:
-    """A sequence of three manipulations has six tasks, one of two has three, one of one has one."""
+    """Require all tasks of a sequence: six for three manipulations, three for two, one for one."""
 
     def rows(tasks: pd.DataFrame) -> pd.Series:
         end = tasks["start"] + tasks["length"]
@@ -170,11 +170,11 @@ VOXELS_025 = Table(
     rules=(_ENDS,),
     complete=PLANNING.complete,
 )
-"""Beside PLANNING: the viewport of height 0.25."""
+"""Voxel errors in the viewport of height 0.25, for the same rows as PLANNING."""
 
 COMPARISONS = Table(
     {
-        # A camera's condition stands where a system does, and its comparisons are of one split.
+        # For cameras, the condition is in the column `system`, and all rows are of one split.
         "split": _SPLIT,
         "measure": _TEXT,
         "system": _TEXT,
@@ -190,7 +190,7 @@ COMPARISONS = Table(
 )
 
 ANY_COMPARISONS = dataclasses.replace(COMPARISONS, may_be_empty=True)
-"""None where there was only one system to compare."""
+"""COMPARISONS that may have no rows, if there was only one system to compare."""
 
 INTERVALS = Table(
     {
@@ -263,4 +263,4 @@ HISTORY = Table(
     keys=("iteration",),
     rules=(Rule(("iteration",), lambda rows: rows["iteration"].diff().fillna(1) > 0, "more than in the row before"),),
 )
-"""Of a net's training, a row per validation; errors of single tasks stand beside the score."""
+"""A net's training history, a row per validation; further columns with the errors of single tasks may follow."""

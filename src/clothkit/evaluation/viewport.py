@@ -1,4 +1,4 @@
-"""What sessions came to in voxels of the viewport that is twice as high: table 7 for it."""
+"""Voxel errors of sessions in the viewport that is twice as high, for a second table 7."""
 
 import jax
 import numpy as np
@@ -17,9 +17,10 @@ def _differing(one: Array, other: Array) -> Array:
 
 
 def rows(sessions: Sessions, system: str) -> pd.DataFrame:
-    """A row per task, beside those of the plan stages: undoubled, unoccluded and free of noise, as `voxel_error` is.
+    """Return a row per task, in addition to the rows of the plan stages.
 
-    split, system, sequence, start, length, voxel_error_025, voxel_error_025_no_action [mean voxel difference].
+    The columns are split, system, sequence, start, length, voxel_error_025 and voxel_error_025_no_action [mean voxel
+    difference]. As for `voxel_error`, the voxels are undoubled, unoccluded and free of noise.
     """
     outcome = sessions.state[np.arange(len(sessions)), sessions.length]
     return pd.DataFrame(

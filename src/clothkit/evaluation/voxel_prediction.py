@@ -1,4 +1,4 @@
-"""How well the voxel baseline foresees what manipulations do: A2 of table 4 (section 6.2)."""
+"""Evaluation of the voxel baseline's predictions: A2 of table 4 (section 6.2)."""
 
 from collections.abc import Mapping
 
@@ -30,12 +30,12 @@ def rows(
     better: str,
     settings: EvaluatePredictionConfig,
 ) -> pd.DataFrame:
-    """Tidy rows of system a2, one per net, sequence and task, with the columns of `prediction.rows`.
+    """Return tidy rows of system a2, one per net, sequence and task, with the columns of `prediction.rows`.
 
-    Input and truth are voxels as a camera sees them, doubled and occluded, free of noise: the format that the nets
-    have learnt (design 6.14). Hence voxel_error_no_action differs from that of mesh nets. In the viewport that is
-    `TALL`, predictions are `pooled`; truth and start are seen in it. error and sigma_ratio are NaN: voxels have no
-    vertices.
+    Input and truth are voxels as a camera sees them (doubled, occluded, free of noise), the format that the nets were
+    trained on (design 6.14). Therefore voxel_error_no_action differs from that of mesh nets. For the viewport that is
+    `TALL`, predictions are converted by `pooled`, while truth and start are observed in that viewport. error and
+    sigma_ratio are NaN, since voxels have no vertices.
     """
     tidy = []
     jobs = [(net, task) for net in sorted(nets) for task in TASKS]
@@ -73,7 +73,7 @@ def rows(
 def _measured(
     net: Net, states: Float[np.ndarray, "n state u v 3"], manipulations: Float[np.ndarray, "n step 6"], batch: int
 ) -> tuple[dict[str, np.ndarray], Float[np.ndarray, "step n 2"]]:
-    """Voxel differences of predictions and of no action by name, and centre shifts, in batches of one size."""
+    """Return the voxel differences of predictions and of no action by name, and centre shifts, in equal batches."""
     parts = []
     for first in range(0, len(states), batch):
         chosen = np.minimum(np.arange(first, first + batch), len(states) - 1)
@@ -87,7 +87,7 @@ def _measured(
 
 @jax.jit
 def _differences(net: Net, states: jax.Array, manipulations: jax.Array) -> tuple[jax.Array, ...]:
-    """_MEASURES, and centre shifts."""
+    """Return the _MEASURES and the centre shifts."""
     start, end = states[:, 0], states[:, -1]
     seen, truth = voxels.observe(start), voxels.observe(end)
     tall_seen, tall_truth = voxels.observe(start, height=TALL), voxels.observe(end, height=TALL)

@@ -1,1 +1,1 @@
-"""The world: a batched cloth solver, its settings, execution of manipulations, and recorded sequences."""
+"""The simulator: a batched cloth solver, its settings, execution of manipulations and recording of sequences."""

@@ -1,7 +1,7 @@
-"""ARCSim's runs as raw artifacts, the same that our solver writes (design section 4).
+"""Import of ARCSim runs as raw artifacts, in the format that our solver writes (design section 4).
 
-A topology per state, since remeshing changes nodes and triangles from frame to frame. States are recorded as they are:
-no limit of acceptance applies to them, and the quality columns tell what they are like.
+Each state has its own topology, since remeshing changes nodes and triangles from frame to frame. No acceptance limits
+apply to the states; the quality columns hold what was measured on them.
 """
 
 import os
@@ -29,28 +29,28 @@ from clothkit.simulation.quality import pierced
 from clothkit.simulation.records import SCHEMAS, SHARD, write_tables
 
 BLOCK = 20  # sequences in a resumable piece
-NO_SEED = -1  # nothing was drawn
-NOT_COUNTED = -1  # creases are counted on grids
+NO_SEED = -1  # nothing was drawn at random
+NOT_COUNTED = -1  # creases are counted on grids only
 
 TOLERANCE = 0.1
-"""How far from its mirror image, eq. (1), a hand may let go, as a share of the cloth's side."""
+"""Largest distance between a hand's release point and that of eq. (1), as a fraction of the cloth's side."""
 
 
 class Manipulation(NamedTuple):
-    """What the hands of a run did."""
+    """The grasps, displacement and releases of a run's hands."""
 
     grasps: Float[np.ndarray, "hands 2"]
-    """Geodesic."""
+    """Geodesic coordinates."""
     displacement: Float[np.ndarray, "2"]
     """Normalised."""
     releases: Float[np.ndarray, "hands 2"]
     """Metres."""
     released: float
-    """s, into the run."""
+    """Time of release, in s from the start of the run."""
 
 
 class Summary(NamedTuple):
-    """What was imported."""
+    """Counts of what was imported: sequences, manipulations, single-handed ones and ones shorter than SHORTEST."""
 
     sequences: int
     manipulations: int
@@ -58,7 +58,7 @@ class Summary(NamedTuple):
     short: int
 
     def __str__(self) -> str:
-        """One sentence."""
+        """Return the counts as one sentence."""
         short = f"; {self.short} are shorter than what counts as a manipulation" if self.short else ""
         return (
             f"{self.sequences} sequences of ARCSim with {self.manipulations} manipulations, "
@@ -67,10 +67,10 @@ class Summary(NamedTuple):
 
 
 def import_runs(folder: Path, sequences: list[Sequence], *, work: Path, attributes: dict[str, Any]) -> Summary:
-    """Write the raw artifacts of sequences of ARCSim under `folder`, and return what there was.
+    """Write the raw artifacts of ARCSim sequences under `folder`, and return their counts.
 
-    Sequences keep the numbers that the table gives them. Finished blocks lie in `work`; an interrupted import goes on
-    from them. Raises InputError for files that are no cloth, and for hands that do what no manipulation does.
+    Sequences keep their numbers in the table. Finished blocks are stored in `work`, and an interrupted import resumes
+    from them. Raises InputError for files that hold no cloth, and for hand motions that are no manipulation.
     """
     first = 0
     blocks = []
@@ -94,7 +94,10 @@ def import_runs(folder: Path, sequences: list[Sequence], *, work: Path, attribut
 
 
 def _block(path: Path, sequences: list[Sequence], make: Callable[[], dict[str, pa.Table]]) -> dict[str, pa.Table]:
-    """A block's tables, from its folder if an earlier run has finished it; the folder appears only when it is whole."""
+    """Return a block's tables, read from its folder if an earlier run finished it, else made and stored there.
+
+    The folder gets its final name only when it is complete.
+    """
     if not path.exists():
         unfinished = path.with_suffix(".part")
         shutil.rmtree(unfinished, ignore_errors=True)
@@ -106,7 +109,7 @@ def _block(path: Path, sequences: list[Sequence], make: Callable[[], dict[str, p
 
 
 def _tables(sequences: list[Sequence], attempt: int, topology: int) -> dict[str, pa.Table]:
-    """The tables of some sequences; `attempt` and `topology` are the numbers of their first sequence and state."""
+    """Return the tables of some sequences; `attempt` and `topology` are the numbers of the first sequence and state."""
     rows: dict[str, list[dict[str, Any]]] = {name: [] for name in SCHEMAS}
     for number, sequence in enumerate(sequences, attempt):
         frames = [read_frame(run.path) for run in sequence]
@@ -133,7 +136,7 @@ def _tables(sequences: list[Sequence], attempt: int, topology: int) -> dict[str,
 
 
 def _state(run: Run, frame: Frame, topology: int) -> dict[str, Any]:
-    """A row of states. The gap is missing: its two-ring has no size of its own where triangles differ in size."""
+    """Return a row of the states table, with gap NaN: the two-ring has no fixed size where triangle sizes differ."""
     positions = frame.positions.astype(np.float32)
     ends = np.sort(frame.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     ends = np.unique(ends, axis=0)
@@ -156,15 +159,15 @@ def _state(run: Run, frame: Frame, topology: int) -> dict[str, Any]:
 
 
 def _manipulation(before: Run, run: Run, frame: Frame) -> dict[str, Any]:
-    """A row of manipulations: what led from the state before, whose cloth is `frame`, to the run's."""
+    """Return a row of the manipulations table: the step from `before`, whose cloth is `frame`, to the run's state."""
     scene, start = read_scene(run.scene), read_frame(run.start)
     goes_on = before.folder == run.folder
-    # Half a frame of leeway: a hand may come back in the very step of which a frame was kept.
+    # Half a frame of tolerance: a hand may grasp again in the very step of which a frame was kept.
     since = (before.frame - 0.5) * scene.frame_time if goes_on else -np.inf
     handles = [handle for handle in scene.handles if since <= handle.start < (run.frame - 0.5) * scene.frame_time]
     if not handles:
         raise InputError(f"{run.scene}: handles: expected one that starts before frame {run.frame}, found none")
-    # A run that goes on from a frame of its own grasps the nodes where they then are.
+    # A run that continues from a frame of its own grasps the nodes at their positions in that frame.
     found = manipulation(run.scene, handles, start, frame if goes_on else start)
     hands = len(found.grasps)
     both = [0, hands - 1]
@@ -180,10 +183,12 @@ def _manipulation(before: Run, run: Run, frame: Frame) -> dict[str, Any]:
 
 
 def manipulation(scene: Path, handles: list[Handle], start: Frame, before: Frame) -> Manipulation:
-    """What handles do as one manipulation; `start` names their nodes, `before` is the cloth that they grasp.
+    """Return the handles' motion as one manipulation.
 
-    By eq. (1) hand k moves by 2 a_k d, with a_1 + a_2 = 1: the displacement d is the mean of the hands' moves. Raises
-    InputError, naming the scene's file, when a hand ends more than TOLERANCE from where eq. (1) has it let go.
+    The node numbers of the handles refer to `start`; `before` is the cloth at the time of the grasp. By eq. (1) hand k
+    moves by 2 a_k d, with a_1 + a_2 = 1, so the displacement d is the mean of the hands' moves. Raises InputError,
+    naming the scene's file, if the handles are not one or two different nodes of `start`, or if a hand's release point
+    is more than TOLERANCE from that of eq. (1).
     """
     nodes = [handle.node for handle in handles]
     if len(nodes) > 2 or len(set(nodes)) < len(nodes):
@@ -191,7 +196,7 @@ def manipulation(scene: Path, handles: list[Handle], start: Frame, before: Frame
     if max(nodes) >= len(start.positions):
         count = len(start.positions)
         raise InputError(f"{scene}: handles: node {max(nodes)} is none of the {count} that the run starts with")
-    # Remeshing keeps a grasped node and changes its number: its material coordinates find it again.
+    # Remeshing keeps a grasped node but changes its number, so it is found by its material coordinates.
     away = np.linalg.norm(before.material - start.material[nodes][:, None], axis=-1)
     grasps = before.positions[away.argmin(1), :2]
     moves = np.stack([handle.move for handle in handles])

@@ -1,7 +1,7 @@
-"""ARCSim's OBJ dialect: one cloth at one moment, of any triangulation.
+"""Reader of ARCSim's OBJ dialect: one cloth at one moment, with any triangulation.
 
-`vt u v` material coordinates in metres; per node `v x y z` and maybe `nv` (velocity); faces `f n/vt n/vt n/vt`. What
-else the file says (rest embedding, labels, edges, plasticity) is passed over.
+The file has `vt u v` (material coordinates in metres), per node `v x y z` and optionally `nv` (velocity), and faces
+`f n/vt n/vt n/vt`. Everything else (rest embedding, labels, edges, plasticity) is ignored.
 """
 
 from pathlib import Path
@@ -13,17 +13,17 @@ from jaxtyping import Float, Int
 from clothkit.errors import InputError
 
 SQUARE = 0.01
-"""How far the sides of the material may differ, as a share of the longer one."""
+"""Largest difference between the sides of the material, as a fraction of the longer one."""
 
 UNCOVERED = 1e-4
-"""Largest share of the material square outside all triangles: coordinates come with six digits."""
+"""Largest fraction of the material square outside all triangles; it is not 0, as coordinates have six digits."""
 
 _NUMBERS = {"v": ("v x y z", 3), "nv": ("nv x y z", 3), "vt": ("vt u v", 2)}
 _FACE = "f n/vt n/vt n/vt"
 
 
 class Frame(NamedTuple):
-    """A cloth at one moment, a vertex per node; ARCSim's remeshing gives every frame its own nodes."""
+    """A cloth at one moment, with one vertex per node; ARCSim's remeshing gives every frame its own nodes."""
 
     positions: Float[np.ndarray, "vertices 3"]
     """Metres, world frame."""
@@ -35,20 +35,20 @@ class Frame(NamedTuple):
 
     @property
     def side(self) -> float:
-        """Metres, of the material square."""
+        """The side of the material square, in metres."""
         return float(np.ptp(self.material, axis=0).mean())
 
     def geodesic(self, vertex: int) -> Float[np.ndarray, "2"]:
-        """A vertex' geodesic coordinates, -1..1: the material square from its lowest to its highest corner."""
+        """Return a vertex's geodesic coordinates, -1..1 from the material square's lowest to its highest corner."""
         low, high = self.material.min(0), self.material.max(0)
         return (self.material[vertex] - low) / (high - low) * 2 - 1
 
 
 def read_frame(path: Path) -> Frame:
-    """The cloth in an OBJ file.
+    """Read the cloth in an OBJ file.
 
-    Raises InputError, with the line where there is one, for what can't be read, for a cloth with seams, and for a
-    material that is no square or that the triangles don't cover.
+    Raises InputError, with the line number if there is one, for a file that can't be read, for a cloth with seams, and
+    for a material that is not square or not covered by the triangles.
     """
     numbers, corners = _parse(path)
     positions, texture = numbers["v"], numbers["vt"]
@@ -78,7 +78,7 @@ def read_frame(path: Path) -> Frame:
 
 
 def _parse(path: Path) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Numbers by keyword, and of every face's corners (node, vt), counted from 0, int [faces 3 2]."""
+    """Return the numbers by keyword, and the indices (node, vt) of every face's corners, from 0, int [faces 3 2]."""
     try:
         lines = path.read_text(encoding="ascii").splitlines()
     except (OSError, UnicodeDecodeError) as error:

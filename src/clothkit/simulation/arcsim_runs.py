@@ -1,4 +1,4 @@
-"""The table of ARCSim runs, `runs.csv`: which frame of which run is which state of which sequence."""
+"""The table of ARCSim runs, `runs.csv`, which assigns a run and a frame to each state of each sequence."""
 
 import csv
 from collections import defaultdict
@@ -13,43 +13,43 @@ LONGEST = 3  # manipulations in a sequence
 
 
 class Run(NamedTuple):
-    """A row of the table: a state and where it is."""
+    """A row of the table: a state and the run and frame that hold it."""
 
     sequence: int
     state: int
     folder: Path
-    """Of the run that made the state; for state 0 of the run that starts from it."""
+    """Folder of the run that ends in this state; for state 0, of the run that starts from it."""
     frame: int
 
     @property
     def path(self) -> Path:
-        """The state's file."""
+        """The file that holds the state."""
         return frame_path(self.folder, self.frame)
 
     @property
     def start(self) -> Path:
-        """The mesh that the run starts with, whose nodes the scene's handles name."""
+        """The file of the run's first mesh, to whose nodes the scene's handles refer."""
         return frame_path(self.folder, 0)
 
     @property
     def scene(self) -> Path:
-        """The run's scene."""
+        """The file of the run's scene."""
         return self.folder / "conf.json"
 
 
 Sequence = tuple[Run, ...]
-"""States 0..n, n from 1 to 3."""
+"""The runs of states 0..n, with n from 1 to 3."""
 
 
 def frame_path(folder: Path, frame: int, cloth: int = 0) -> Path:
-    """The file of a frame, FFFF_CC.obj."""
+    """Return the path of a frame's file, FFFF_CC.obj."""
     return folder / f"{frame:04d}_{cloth:02d}.obj"
 
 
 def read_runs(folder: str, most: int) -> list[Sequence]:
-    """The first `most` sequences of `folder`/runs.csv, by number; every file that they need is there.
+    """Return the first `most` sequences of `folder`/runs.csv, ordered by number, after checking that their files exist.
 
-    Raises InputError naming the line for rows that can't be read, and the sequence for states or files that are
+    Raises InputError that names the line of a row that can't be read, or the sequence whose states or files are
     missing.
     """
     if not folder:
@@ -76,7 +76,7 @@ def read_runs(folder: str, most: int) -> list[Sequence]:
 
 
 def files(sequences: list[Sequence]) -> list[Path]:
-    """Every file that the sequences are made from, each once, in order."""
+    """Return the paths of all files that the sequences are read from, sorted and without duplicates."""
     needed = [run.path for sequence in sequences for run in sequence]
     needed += [path for sequence in sequences for run in sequence[1:] for path in (run.start, run.scene)]
     return sorted(set(needed))
@@ -84,7 +84,7 @@ def files(sequences: list[Sequence]) -> list[Path]:
 
 def _rows(path: Path) -> list[tuple[int, Run]]:
     try:
-        # Spreadsheets put a byte order mark before the header.
+        # utf-8-sig, because spreadsheets write a byte order mark before the header.
         with path.open(encoding="utf-8-sig", newline="") as file:
             reader = csv.DictReader(file, skipinitialspace=True)
             header = [name.strip() for name in reader.fieldnames or ()]

@@ -1,4 +1,4 @@
-"""What ARCSim's hands did, from a run's conf.json: which nodes were grasped, when, and how far they were moved."""
+"""Reader of the hand motions in an ARCSim run's conf.json: the grasped nodes, their times and their displacements."""
 
 import math
 import re
@@ -15,27 +15,27 @@ from clothkit.errors import InputError
 
 
 class Handle(NamedTuple):
-    """One grasped node, from being grasped to being let go."""
+    """One grasped node, from grasp to release."""
 
     node: int
-    """Of the mesh that the run starts with, from 0."""
+    """Index from 0 in the mesh that the run starts with."""
     start: float
     """s"""
     end: float
     """s"""
     move: Float[np.ndarray, "2"]
-    """Metres, xy: from where it is grasped to where it is let go."""
+    """Displacement in xy from grasp to release, in metres."""
 
 
 class Scene(NamedTuple):
-    """What an import needs of a conf.json."""
+    """The parts of a conf.json that an import needs."""
 
     frame_time: float
     """s"""
     handles: list[Handle]
 
 
-# Keys that are not named here are ARCSim's business.
+# Keys of ARCSim that are not declared here are ignored.
 class _Transform(pydantic.BaseModel, frozen=True):
     translate: tuple[float, float, float] = (0.0, 0.0, 0.0)
     scale: float = 1.0
@@ -65,9 +65,10 @@ class _Conf(pydantic.BaseModel, frozen=True):
 
 
 def read_scene(path: Path) -> Scene:
-    """The scene of a run. Raises InputError naming the field that is missing, or that a manipulation has no place for.
+    """Read the scene of a run.
 
-    That is: no handles, handles other than those of listed nodes, motions that turn or scale.
+    Raises InputError that names the field if the file can't be read, a field is missing, there are no handles, a handle
+    does not list its nodes, or a motion rotates or scales.
     """
     conf = _read(path)
     if not conf.handles:
@@ -101,7 +102,7 @@ def _read(path: Path) -> _Conf:
 
 
 def _without_comments(text: str) -> str:
-    """JSON proper: ARCSim's reader allows comments, and the conf.json in a run's folder is the user's own file."""
+    """Return the text without comments, which ARCSim's JSON reader allows and which users' files may contain."""
     return re.sub(r'("(?:\\.|[^"\\])*")|//[^\n]*|/\*.*?\*/', lambda match: match[1] or "", text, flags=re.DOTALL)
 
 
@@ -118,7 +119,7 @@ def _check_translation(path: Path, motion: int, keys: list[_Key]) -> None:
 
 
 def _translation(keys: list[_Key], time: float) -> Float[np.ndarray, "3"]:
-    """Where a motion is at a time [m]: ARCSim's spline through its keys, at rest before and after them."""
+    """Return a motion's translation at a time, in metres: ARCSim's spline through its keys, constant outside them."""
     times = np.array([key.time for key in keys])
     places = np.array([key.transform.translate for key in keys])
     if time <= times[0] or len(keys) == 1:
@@ -134,7 +135,7 @@ def _translation(keys: list[_Key], time: float) -> Float[np.ndarray, "3"]:
 
 
 def read_paths(path: Path, times: Float[np.ndarray, " times"]) -> list[tuple[Handle, Float[np.ndarray, "times 3"]]]:
-    """Every grasped node of a scene, with how far it has been moved at each time [m]; errors as `read_scene`'s."""
+    """Return each grasped node of a scene with its translation at each time, in metres; raises as `read_scene` does."""
     scene, conf = read_scene(path), _read(path)
     motions = [handle.motion for handle in conf.handles for _ in handle.nodes]
     keys = [conf.motions[motion] if motion >= 0 else [_Key(time=0.0)] for motion in motions]
@@ -145,5 +146,5 @@ def read_paths(path: Path, times: Float[np.ndarray, " times"]) -> list[tuple[Han
 
 
 def read_end(path: Path) -> float:
-    """When the scene ends [s]; errors as `read_scene`'s."""
+    """Return the time at which the scene ends, in s; raises as `read_scene` does."""
     return _read(path).end_time

@@ -1,4 +1,4 @@
-"""Attempted sequences: three random manipulations from the flat cloth, each attempt drawn from a seed of its own."""
+"""Attempts at sequences: three random manipulations from the flat cloth, each attempt with its own random seed."""
 
 from typing import NamedTuple
 
@@ -21,14 +21,14 @@ EXTENT = 1.1  # normalised, half of the silhouette raster's side
 
 
 class Attempts(NamedTuple):
-    """What became of a block of attempts. What a rejected attempt did not reach is zero."""
+    """The results of a block of attempts. Values of states that a rejected attempt did not reach are zero."""
 
     attempt: Int[np.ndarray, " attempts"]
     accepted: Bool[np.ndarray, " attempts"]
     reason: np.ndarray
-    """Text [attempts]: why it was rejected; empty when accepted."""
+    """Text [attempts]: the reason for a rejection; empty if accepted."""
     reached: Int[np.ndarray, " attempts"]
-    """Number of states, with the flat one and the one that was rejected."""
+    """Number of states, including the flat one and the rejected one."""
     states: Float[np.ndarray, "attempts 4 u v 3"]
     """Metres, world frame."""
     manipulation: Float[np.ndarray, "attempts 3 6"]
@@ -43,7 +43,7 @@ class Attempts(NamedTuple):
     intersections: Int[np.ndarray, "attempts 4"]
     gap: Float[np.ndarray, "attempts 4"]
     area: Float[np.ndarray, "attempts 4"]
-    """Of the silhouette, as a share of the flat cloth's."""
+    """Area of the silhouette, as a fraction of the flat cloth's."""
     folds: Int[np.ndarray, "attempts 4"]
 
 
@@ -51,7 +51,7 @@ MEASURED = ("height", "strain_p99", "strain_worst", "intersections", "gap")
 
 
 def attempt_sequences(numbers: range, settings: SimulateConfig) -> Attempts:
-    """The attempts of these numbers. Each depends on the seed and its own number only."""
+    """Run the attempts with these numbers. Each result depends only on the seed and the attempt's number."""
     simulation, count = settings.simulation, len(numbers)
     side = simulation.side
     scale = simulation.cloth_side / CLOTH_SIDE
@@ -96,15 +96,15 @@ def attempt_sequences(numbers: range, settings: SimulateConfig) -> Attempts:
 
 
 def to_metres(displacement: Float[np.ndarray, "*batch 2"], scale: float) -> Float[np.ndarray, "*batch 2"]:
-    """A recorded (float32, normalised) displacement in metres; the same bits wherever it is executed."""
+    """Convert a recorded displacement (float32, normalised) to metres, with the same bits wherever it is executed."""
     return np.asarray(displacement, np.float64) * scale
 
 
 def folds(mesh: Float[np.ndarray, "u v 3"]) -> int:
-    """The number of connected creases.
+    """Return the number of connected creases.
 
-    A quad is creased when its neighbours before and after it, along u or v, face more than 90 degrees apart; creased
-    quads are connected over sides and corners.
+    A quad is creased if the normals of the quads before and after it, along u or v, differ by more than 90 degrees.
+    Creased quads are connected if they share a side or a corner.
     """
     down, right = mesh[1:, 1:] - mesh[:-1, :-1], mesh[1:, :-1] - mesh[:-1, 1:]
     normal = np.cross(right, down)

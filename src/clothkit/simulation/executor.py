@@ -1,4 +1,4 @@
-"""Manipulations executed: from grasp points and displacement to hands, and over worker processes (design 6.11).
+"""Execution of manipulations, given by grasp points and displacements, on worker processes (design 6.11).
 
 The simulation stage and the planner share `perform`, so a recorded manipulation, executed from its recorded state,
 gives the recorded outcome to the last bit.
@@ -19,23 +19,24 @@ from clothkit.simulation.processes import cores, make_pool
 from clothkit.simulation.settings import SimulationConfig
 from clothkit.simulation.world import Outcome, Worlds, arcs
 
-LAYERS = 16  # that a hand can take
-WORTH_A_WORKER = 2  # worlds; fewer are not worth a process of their own
+LAYERS = 16  # the most layers that a hand can grasp
+WORTH_A_WORKER = 2  # the fewest worlds for which another process is started
 
 
 class Hands(NamedTuple):
-    """What the hands of one world do."""
+    """The grasped vertices and the release points of one world's hands."""
 
     vertices: Int[np.ndarray, "2 layers"]
-    """Vertices that each hand takes, u * side + v, the topmost first, -1 for none."""
+    """Vertices that each hand grasps, u * side + v, the topmost first, -1 for none."""
     releases: Float[np.ndarray, "2 2"]
-    """Release points xy [m]."""
+    """Release points xy, in metres."""
 
 
 def grasp(mesh: Float[np.ndarray, "u v 3"], xy: Float[np.ndarray, "2"], *, within: float) -> int:
-    """The vertex that a hand takes at xy: the topmost within reach of the nearest, and again from there until it stays.
+    """Return the vertex that a hand grasps at xy: the topmost within `within` of the nearest vertex.
 
-    So the hand that reaches for a grasped vertex takes that very vertex. Any one length unit.
+    The search is repeated from the vertex found until the result stays the same, so that a hand placed at a grasped
+    vertex grasps this same vertex. All lengths are in one unit of any kind.
     """
     vertices = mesh.reshape(-1, 3)
     vertex = topmost_vertex(mesh, xy, within=within)
@@ -53,9 +54,10 @@ def place_hands(
     single: bool,
     settings: SimulationConfig,
 ) -> Hands:
-    """The grasped vertices and where they are released: eq. (1) from their true places; all in metres.
+    """Return the grasped vertices and their release points by eq. (1); all lengths are in metres.
 
-    Hands that fall on different sides of m are mirrored all the same.
+    Eq. (1) is evaluated at the positions of the grasped vertices. It is applied even if the hands fall on different
+    sides of m.
     """
     points = grasps[:1] if single else grasps
     taken = [grasp(mesh, point, within=settings.spacing / 2) for point in points]
@@ -70,9 +72,9 @@ def place_hands(
 
 
 def layers_below(mesh: Float[np.ndarray, "u v 3"], vertex: int, *, within: float) -> list[int]:
-    """The vertex nearest below a grasped one of every layer that lies there, from the top down. Any one length unit.
+    """Return, for every layer below a grasped vertex, the layer's vertex nearest to it in xy, from the top down.
 
-    Layers are connected patches of the grid that lie within reach in xy.
+    A layer is a connected patch of grid vertices within twice `within` in xy. All lengths are in one unit of any kind.
     """
     side = mesh.shape[0]
     vertices = mesh.reshape(-1, 3)
@@ -91,7 +93,7 @@ def perform(
     displacements: Float[np.ndarray, "worlds 2"],
     single: Bool[np.ndarray, " worlds"],
 ) -> tuple[list[Hands], Outcome]:
-    """The hands and the outcome of a manipulation in each world; all in metres, world frame."""
+    """Execute a manipulation in each world; return the hands and the outcome, in metres and in the world frame."""
     hands = [
         place_hands(*arguments, worlds.settings)
         for arguments in zip(states, grasps, displacements, single.tolist(), strict=True)
@@ -110,10 +112,10 @@ def execute(
     *,
     workers: int = 0,
 ) -> Float[np.ndarray, "worlds u v 3"]:
-    """The meshes after a manipulation each; normalised, in the world frame (each mesh where it lies on the table).
+    """Execute one manipulation per mesh and return the resulting meshes; all normalised, in the world frame.
 
-    One-handed ones (`single`) take the first grasp point. The outcome doesn't depend on `workers` (0: all cores) nor
-    on the other worlds.
+    Single-handed manipulations (`single`) use the first grasp point. The outcome depends neither on `workers`
+    (0: all cores) nor on the other worlds.
     """
     scale = settings.cloth_side / CLOTH_SIDE
     states = (np.asarray(meshes, np.float64) * scale).astype(np.float32)
@@ -155,6 +157,6 @@ _pools: dict[int, ProcessPoolExecutor] = {}
 
 @atexit.register
 def end_workers() -> None:
-    """End the worker processes. What they took counts as this process's children's from then on."""
+    """End the worker processes; from then on their CPU time counts as that of this process's children."""
     while _pools:
         _pools.popitem()[1].shutdown()

@@ -1,4 +1,4 @@
-"""Recording sequences: blocks of attempts over worker processes, resumable, the same whatever the number of workers."""
+"""Recording of sequences in resumable blocks of attempts; the result is the same for any number of workers."""
 
 import math
 import os
@@ -18,22 +18,22 @@ from clothkit.simulation.records import write_raw
 from clothkit.simulation.settings import SimulateConfig
 
 AHEAD = 2  # blocks in flight per worker
-HOPELESS = 200  # attempts in a row without an accepted one after which it ends, at the least
-UNUSUAL = 20  # times the attempts that an accepted one took so far, likewise
+HOPELESS = 200  # fewest rejected attempts in a row after which the recording ends with an error
+UNUSUAL = 20  # the same, as a multiple of the mean attempts per accepted sequence so far; the larger number counts
 
 
 class Summary(NamedTuple):
-    """How the recording went."""
+    """Statistics of a recording."""
 
     attempts: int
     accepted: int
     reasons: dict[str, int]
     """Rejected attempts by reason, most frequent first."""
     single_share: float
-    """Of the accepted manipulations."""
+    """Fraction of the accepted manipulations that are single-handed."""
 
     def __str__(self) -> str:
-        """One sentence."""
+        """Return the statistics as one sentence."""
         reasons = ", ".join(f"{name} {count}" for name, count in self.reasons.items()) or "none"
         return (
             f"{self.accepted} of {self.attempts} attempts accepted ({self.accepted / self.attempts:.1%}), "
@@ -42,19 +42,22 @@ class Summary(NamedTuple):
 
 
 def generate(folder: Path, settings: SimulateConfig, *, work: Path, attributes: dict[str, Any]) -> Summary:
-    """Record `settings.sequences` accepted sequences under `folder`, as raw parquet, and return how it went.
+    """Record `settings.sequences` accepted sequences under `folder`, as raw parquet, and return the statistics.
 
-    Accepted sequences are taken in the order of their attempts' numbers, so workers and blocks change nothing.
-    Finished blocks lie in `work`; an interrupted run goes on from them. Raises InputError when the limits accept
-    nothing, or nothing any more.
+    Accepted sequences are taken in the order of their attempts' numbers, so `workers` and `block` change nothing.
+    Finished blocks are stored in `work`, and an interrupted run resumes from them. Raises InputError if too many
+    attempts in a row are rejected (see HOPELESS).
     """
     paths: list[Path] = []
-    # Without their states, which would fill the memory: these are read again, block by block, as they are written.
+    # Without the states, which would fill the memory: they are read again, block by block, when they are written.
     blocks: list[Attempts] = []
     tried = accepted = 0
 
     def wanted() -> int:
-        """Blocks that are likely to be needed yet, by what was accepted so far (by Laplace's rule: half, at first)."""
+        """Return an estimate of how many more blocks are needed, from the acceptance rate by Laplace's rule.
+
+        The estimated rate is one half before the first attempt.
+        """
         return math.ceil((settings.sequences - accepted) / (settings.block * (accepted + 1) / (tried + 2)))
 
     with tqdm(total=settings.sequences, desc="simulate", unit="sequence", mininterval=1, smoothing=0.05) as bar:
@@ -78,7 +81,7 @@ def generate(folder: Path, settings: SimulateConfig, *, work: Path, attributes: 
 
 
 def summarise(attempts: Attempts) -> Summary:
-    """How many attempts were accepted, and why the others were not."""
+    """Return the counts of accepted attempts and of rejected ones by reason."""
     rejected = Counter(attempts.reason[~attempts.accepted].tolist())
     hands = attempts.hands[attempts.accepted]
     single = float((hands == 1).mean()) if hands.size else 0.0
@@ -86,7 +89,7 @@ def summarise(attempts: Attempts) -> Summary:
 
 
 def _check_hope(blocks: list[Attempts]) -> None:
-    """Raises InputError when so many attempts in a row were rejected that there is no reason to go on."""
+    """Raise InputError if too many attempts in a row were rejected (see HOPELESS)."""
     accepted = np.concatenate([block.accepted for block in blocks])
     last = int(np.flatnonzero(accepted)[-1]) + 1 if accepted.any() else 0
     since = len(accepted) - last
@@ -102,7 +105,7 @@ def _check_hope(blocks: list[Attempts]) -> None:
 
 
 def make_block(number: int, settings: SimulateConfig, work: Path) -> Path:
-    """Attempt a block of sequences unless it is there already; return its file, which appears only when finished."""
+    """Run a block of attempts unless its file exists, and return the path; the file appears only when complete."""
     path = work / f"block_{settings.block}_{number:06d}.npz"
     if not path.exists():
         attempts = attempt_sequences(range(number * settings.block, (number + 1) * settings.block), settings)
@@ -114,15 +117,16 @@ def make_block(number: int, settings: SimulateConfig, work: Path) -> Path:
 
 
 def read_block(path: Path) -> Attempts:
-    """The attempts of a block's file."""
+    """Read the attempts from a block's file."""
     with np.load(path) as arrays:
         return Attempts(**{name: arrays[name] for name in Attempts._fields})
 
 
 def _finished_blocks(settings: SimulateConfig, work: Path, wanted: Callable[[], int]) -> Iterator[Path]:
-    """The blocks' files in order, made on all workers at once (on CUDA in this process: a block fills the device).
+    """Yield the blocks' files in order; the blocks are made in parallel by all workers.
 
-    No more are begun ahead than are `wanted` yet.
+    On CUDA they are made in this process, since one block fills the device. No more blocks are started in advance than
+    `wanted` returns.
     """
     workers = settings.workers or cores()
     number = 0

@@ -1,4 +1,4 @@
-"""How Warp is started: with a folder for compiled kernels that can be written."""
+"""Start of Warp, with a writable folder for compiled kernels."""
 
 import contextlib
 import os
@@ -11,15 +11,15 @@ from clothkit.cache import writable
 
 
 def start_warp() -> None:
-    """Start Warp; kernels are kept in its folder if that can be written, else in a temporary one, which is said.
+    """Start Warp, with its own kernel folder if that is writable, else with a temporary one and a notice.
 
-    Worker processes that are made afterwards keep them in the same.
+    Worker processes that are started afterwards use the same folder.
     """
     with _silent():
         try:
             wp.init()
         except OSError:
-            # The folder can't be made: Warp has chosen it by now, and starts below with another.
+            # The folder can't be made. Warp has set kernel_cache_dir by now, so it is started below with another one.
             if wp.config.kernel_cache_dir is None:
                 raise
     folder = Path(str(wp.config.kernel_cache_dir))
@@ -32,7 +32,7 @@ def start_warp() -> None:
 
 @contextlib.contextmanager
 def _silent() -> Iterator[None]:
-    """Without Warp's complaint, from C, that there is no CUDA driver."""
+    """Discard what is written to stderr, since Warp's C code prints there that there is no CUDA driver."""
     stderr = os.dup(2)
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 2)

@@ -21,13 +21,13 @@ NotNegative = Annotated[float, Ge(0.0)]
 
 @config
 class Material:
-    """The cloth and the table, in SI units: the time step may be halved or the grid refined, and folds stay alike.
+    """The cloth and the table, in SI units, so that folds stay alike when the time step or the grid is refined.
 
-    Shear is softer than that of a fabric (ARCSim's gray-interlock: about 20 N/m): on a grid of 13 mm, stiff shear locks
-    folds that run across the quads, which then stand up. FABRICS are as stiff as what was measured.
+    The default shear is softer than that of a fabric (ARCSim's gray-interlock: about 20 N/m): on a grid of 13 mm, stiff
+    shear locks folds that run across the quads, which then stand up. FABRICS have the stiffness that was measured.
 
-    Ranges are those in which the solver was tried: folds of a cloth that is the default but for the one setting come to
-    rest at both ends of its range.
+    The ranges are those in which the solver was tried: if one setting is at either end of its range and the others have
+    their defaults, folds come to rest.
     """
 
     density: Annotated[float, Ge(0.03), Le(1.5)] = 0.187  # kg/m^2
@@ -40,7 +40,7 @@ class Material:
     thickness: Annotated[float, Ge(1e-3), Le(5e-3)] = 2e-3  # m, distance of touching layers
     cloth_friction: Annotated[float, Ge(0), Le(0.8)] = 0.3
     table_friction: Annotated[float, Ge(0), Le(2)] = 0.7
-    stiction: Annotated[float, Ge(0), Le(10)] = 2.0  # m/s^2, what pulls a resting vertex less does not move it
+    stiction: Annotated[float, Ge(0), Le(10)] = 2.0  # m/s^2, a smaller acceleration does not move a resting vertex
     viscosity: Annotated[float, Ge(0), Le(0.2)] = 0.02  # m^2/s, of velocity differences within the cloth
     drag: Annotated[float, Ge(0), Le(20)] = 2.0  # 1/s, of the air
 
@@ -62,22 +62,22 @@ FABRICS = {
     # small curvature (23, 25 and 14 uN m) and the shear modulus at small strain (37 N/m; 20 N/m is more like ARCSim's
     # folds). Friction is that of ARCSim's scenes. Viscosity, drag and bending friction are fitted to ARCSim's folds.
     "jersey": _JERSEY,
-    # 11 oz black denim [1], likewise: bending 64, 73 and 97 uN m, shear 53 N/m. The rest is the jersey's.
+    # 11 oz black denim [1], by the same rules: bending 64, 73 and 97 uN m, shear 53 N/m. The rest is the jersey's.
     "stiff_cotton": replace(_JERSEY, density=0.324, bending_stiffness=7.8e-5, shear_stiffness=53.0),
     # A terry towel of 400 g/m^2. Its bending stiffness is the median of the fabrics from 350 to 450 g/m^2 [2] (26
-    # of them: 41, 19 and 27 uN m along warp, weft and bias). Its pile keeps layers further apart and rubs more, by
-    # numbers that no source gave; shear and what is fitted are the jersey's.
+    # of them: 41, 19 and 27 uN m along warp, weft and bias). Thickness and friction are larger because of its pile, but
+    # their values have no source. Shear and the fitted values are the jersey's.
     "towel": replace(
         _JERSEY, density=0.4, bending_stiffness=2.9e-5, thickness=4e-3, cloth_friction=0.8, table_friction=0.5
     ),
 }
-"""Measured fabrics by name. Their edges are as stiff as the default material's: they stretch less than real ones."""
+"""Measured fabrics by name. Their stretch stiffness is the default material's: they stretch less than real fabrics."""
 
 
 def of_fabric(material: object) -> object:
-    """The material of that name, for params that name one; anything else as it is.
+    """Return the fabric of that name if `material` is a string, else `material` unchanged.
 
-    Raises ValueError for a name that is none.
+    Raises ValueError for an unknown name.
     """
     if not isinstance(material, str):
         return material

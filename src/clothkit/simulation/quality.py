@@ -1,4 +1,4 @@
-"""Checks of states at rest: what is measured, and which limit a state breaks first."""
+"""Quality checks of states at rest: the measurements, and the first limit that a state breaks."""
 
 from typing import NamedTuple
 
@@ -11,29 +11,30 @@ from clothkit.simulation.kernels.inspection import count_intersections, measure_
 from clothkit.simulation.settings import SimulateConfig, SimulationConfig
 from clothkit.simulation.world import Outcome
 
-GAP_REACH = 3.0  # grid spacings: gaps are measured up to here; a flat cloth has about as much
+GAP_REACH = 3.0  # grid spacings, the largest gap that is measured; about that of a flat cloth
 
 
 class Quality(NamedTuple):
-    """What was measured on each state."""
+    """Measurements on each state."""
 
     finite: Bool[np.ndarray, " states"]
     lowest: Float[np.ndarray, " states"]
-    """Metres above the table, of the lowest vertex."""
+    """Height of the lowest vertex above the table, in metres."""
     height: Float[np.ndarray, " states"]
-    """Normalised, of the highest vertex."""
+    """Height of the highest vertex, normalised."""
     strain_p99: Float[np.ndarray, " states"]
     """99th percentile of |length / rest - 1| over the grid's edges, without the diagonals."""
     strain_worst: Float[np.ndarray, " states"]
     intersections: Int[np.ndarray, " states"]
-    """Pairs of an edge, diagonals included, and a triangle that it pierces, of those without a common vertex."""
+    """Number of pairs of an edge (diagonals included) and a triangle pierced by it that share no vertex."""
     gap: Float[np.ndarray, " states"]
-    """Metres, smallest distance of a vertex to the surface outside its two-ring (triangles that touch no vertex at
-    most two rows and columns away), at most three grid spacings."""
+    """Smallest distance of a vertex to the surface outside its two-ring, in metres, at most three grid spacings.
+
+    The surface outside the two-ring is all triangles without a vertex at most two rows and two columns away."""
 
 
 def measure(states: Float[np.ndarray, "states u v 3"], settings: SimulationConfig) -> Quality:
-    """The quality of states in metres. States that aren't finite are measured as if all vertices lay in one point."""
+    """Measure states given in metres. States that aren't finite are measured as if all vertices were at the origin."""
     finite = np.isfinite(states).all((1, 2, 3))
     usable = np.where(finite[:, None, None, None], states, np.float32(0))
     strain = _strain(usable, settings.spacing)
@@ -49,7 +50,7 @@ def measure(states: Float[np.ndarray, "states u v 3"], settings: SimulationConfi
 
 
 def reason(quality: Quality, outcome: Outcome, settings: SimulateConfig, index: int) -> str:
-    """Why the state is rejected, the first that holds; empty when it is accepted."""
+    """Return the first reason to reject the state at `index`, or an empty string if it is accepted."""
     limits = settings.limits
     checks = {
         "not finite": not quality.finite[index],
@@ -65,7 +66,7 @@ def reason(quality: Quality, outcome: Outcome, settings: SimulateConfig, index: 
 
 
 def intersections(states: Float[np.ndarray, "states u v 3"], *, device: str = "cpu") -> Int[np.ndarray, " states"]:
-    """How many pairs of an edge and a triangle of the grid pierce each other, every edge against every triangle."""
+    """Return how many pairs of an edge and a triangle of the grid pierce each other, over all such pairs."""
     side = states.shape[1]
     return pierced(states.reshape(len(states), -1, 3), edges(side), triangles(side), device=device)
 
@@ -77,7 +78,7 @@ def pierced(
     *,
     device: str = "cpu",
 ) -> Int[np.ndarray, " states"]:
-    """How many pairs of an edge and a triangle pierce each other, whatever the triangulation."""
+    """Return how many pairs of an edge and a triangle pierce each other, for any triangulation."""
     counts = wp.zeros((len(states), len(ends)), dtype=int, device=device)
     inputs = [_vertices(states, device), _numbers(ends, device), _numbers(corners, device), counts]
     if len(states):
@@ -88,7 +89,7 @@ def pierced(
 def gaps(
     states: Float[np.ndarray, "states u v 3"], *, reach: float, device: str = "cpu"
 ) -> Float[np.ndarray, " states"]:
-    """The smallest distance [length] of a vertex to the surface outside its two-ring, at most `reach`."""
+    """Return the smallest distance of a vertex to the surface outside its two-ring, at most `reach`, in its unit."""
     side = states.shape[1]
     found = wp.zeros((len(states), side * side), dtype=float, device=device)
     inputs = [_vertices(states, device), _numbers(triangles(side), device), side, reach, found]

@@ -1,6 +1,6 @@
-"""The raw artifacts: sequences as parquet files (design section 4). Equal records give equal bytes.
+"""Writer of the raw artifacts: sequences as parquet files (design section 4). Equal records give equal bytes.
 
-Both sources of sequences, our solver and ARCSim's runs, write what the schemas here say.
+Both sources of sequences, our solver and ARCSim's runs, use the schemas declared here.
 """
 
 import itertools
@@ -20,7 +20,7 @@ from clothkit.simulation.solver import flat_state
 
 SHARD = 500  # sequences in a file of states
 QUALITY = ("height", "strain_p99", "strain_worst", "intersections", "gap", "residual_speed")
-"""What is measured on every state, accepted or not."""
+"""Columns measured on every state, accepted or not."""
 
 STATES = pa.schema(
     {
@@ -75,8 +75,8 @@ def write_raw(
 ) -> None:
     """Write our solver's states, manipulations, attempts and topologies under `folder`.
 
-    The attempts come without their states; those of the accepted ones come in order, in pieces of any size
-    [accepted states u v 3], more of them perhaps than there are accepted attempts.
+    The field `states` of the attempts is not used. The argument `states` yields the states of the accepted attempts in
+    order, in pieces of any size [accepted states u v 3]; surplus pieces at the end are ignored.
     """
     accepted = Attempts(*(array[attempts.accepted] for array in attempts))
     shards = (
@@ -92,7 +92,7 @@ def write_raw(
 
 
 def _shards(pieces: Iterable[np.ndarray], count: int) -> Iterator[tuple[int, np.ndarray]]:
-    """The first `count` rows of the pieces, as many together as a file holds, with the number of the first."""
+    """Yield the first `count` rows of the pieces in arrays of up to SHARD rows, each with its first row's number."""
     rows: list[np.ndarray] = []
     first = 0
     for row in itertools.islice((row for piece in pieces for row in piece), count):
@@ -105,7 +105,7 @@ def _shards(pieces: Iterable[np.ndarray], count: int) -> Iterator[tuple[int, np.
 def write_tables(
     folder: Path, states: Iterable[pa.Table], others: dict[str, pa.Table], attributes: dict[str, Any]
 ) -> None:
-    """Write `states/0000.parquet` ... and a file for each of the others; `attributes` go into each file's metadata."""
+    """Write `states/0000.parquet` ... and one file per other table; `attributes` go into each file's metadata."""
     metadata = {"clothkit": json.dumps(attributes, sort_keys=True)}
     (folder / "states").mkdir(parents=True, exist_ok=True)
     for number, shard in enumerate(states):
@@ -159,14 +159,14 @@ def _attempts(attempts: Attempts, seed: int) -> pa.Table:
         "area": _lists(attempts.area),
         "folds": _lists(attempts.folds),
     }
-    # Tried states are written beside the accepted ones: what the limits do to the data can then be seen.
+    # Rejected states are written, too, so that the effect of the limits on the data can be analysed.
     columns |= {name: _lists(_reached(getattr(attempts, name), attempts.reached)) for name in QUALITY}
     columns["settle_time"] = _lists(_reached(attempts.settle_time, attempts.reached - 1))
     return pa.table(columns, schema=ATTEMPTS)
 
 
 def _reached(values: np.ndarray, count: np.ndarray) -> np.ndarray:
-    """A row per attempt as float32, NaN after its first `count` values."""
+    """Return the values as float32, a row per attempt, with NaN after the first `count` values of each row."""
     return np.where(np.arange(values.shape[1]) < count[:, None], values, np.nan).astype(np.float32)
 
 
@@ -181,6 +181,6 @@ def _topologies(simulation: SimulationConfig) -> pa.Table:
 
 
 def _lists(rows: np.ndarray) -> pa.Array:
-    """A row per list."""
+    """Return an array of lists, one per row."""
     offsets = np.arange(len(rows) + 1, dtype=np.int32) * rows.shape[1]
     return pa.ListArray.from_arrays(pa.array(offsets), pa.array(rows.ravel()))

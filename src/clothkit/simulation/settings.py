@@ -12,50 +12,52 @@ from clothkit.manipulation.sampling import SamplingConfig
 from clothkit.simulation.material import Material, NotNegative, Positive, of_fabric
 
 LEAST_SPACING = 1.5
-"""Thicknesses between neighbouring vertices: layers of a grid that is finer keep each other from folding."""
+"""Least distance of neighbouring vertices, in thicknesses: on a finer grid the contacts prevent folding."""
 
 
 @config
 class Settling:
-    """From release to rest. Ranges are those in which sequences of folds were tried."""
+    """Settling, from release to rest. The ranges are those in which sequences of folds were tried."""
 
-    interval: Annotated[float, Ge(2e-3), Le(0.1)] = 0.01  # s, speeds are means over so long: what trembles is at rest
-    rest_speed: Annotated[float, Ge(1e-3), Le(0.1)] = 0.01  # m/s, of the fastest vertex
-    rest_time: Annotated[float, Ge(0.01), Le(60)] = 0.25  # s, for so long
-    longest: Annotated[float, Ge(0.1), Le(60)] = 4.0  # s
+    interval: Annotated[float, Ge(2e-3), Le(0.1)] = 0.01  # s, over which speeds are averaged, to ignore trembling
+    rest_speed: Annotated[float, Ge(1e-3), Le(0.1)] = 0.01  # m/s, limit for the fastest vertex
+    rest_time: Annotated[float, Ge(0.01), Le(60)] = 0.25  # s, for which the speeds must be below it
+    longest: Annotated[float, Ge(0.1), Le(60)] = 4.0  # s, after which an attempt is given up
 
 
 @config
 class Guard:
-    """Against tangles: a world in which edges begin to pierce triangles goes back, and takes care.
+    """The guard against tangles: if new edges pierce triangles, the world is reset and simulated in careful mode.
 
-    Ranges are those in which sequences of folds were tried.
+    The ranges are those in which sequences of folds were tried.
     """
 
     interval: Annotated[float, Ge(0.02), Le(1)] = 0.1  # s, between two searches
-    care: Annotated[float, Ge(0.01), Le(0.5)] = 0.05  # s, of care after the time of what was undone
-    tries: Annotated[int, Ge(1), Le(10)] = 3  # at a crossing, from the second on without speed, before it is let be
-    passes: Annotated[int, Ge(2), Le(10)] = 3  # over the contacts, instead of one, while care is taken
+    care: Annotated[float, Ge(0.01), Le(0.5)] = 0.05  # s, duration of the careful mode after the undone crossing
+    tries: Annotated[int, Ge(1), Le(10)] = 3  # attempts to avoid a crossing, from the second on from zero velocity
+    passes: Annotated[int, Ge(2), Le(10)] = 3  # over the contacts in careful mode, in place of one
 
 
 @config
 class SimulationConfig:
-    """The simulated world. Ranges are those in which sequences of folds were tried: there an attempt ends in seconds to
-    minutes, and most folds are accepted or rejected for a reason; beyond them it may take hours, or come to nothing.
+    """The simulated world.
 
-    Settings must agree, too: neighbouring vertices are at least one and a half thicknesses of the material apart, and
-    hands are no faster than vertices may be.
+    The ranges are those in which sequences of folds were tried: within them an attempt ends in seconds to minutes, and
+    most folds are accepted or rejected for a reason; outside them an attempt may take hours or fail.
+
+    Two checks combine settings: neighbouring vertices must be at least one and a half thicknesses of the material
+    apart, and the hands must not be faster than `top_speed`.
     """
 
     side: Annotated[int, Ge(8), Le(64)] = 32  # vertices along a side of the grid
     cloth_side: Annotated[float, Ge(0.1), Le(1)] = 0.4  # m
     time_step: Annotated[float, Ge(2e-4), Le(2e-3)] = 1e-3  # s
     hand_speed: Annotated[float, Ge(0.05), Le(0.7)] = 0.42  # m/s, mean along the arc
-    shortest_move: Annotated[float, Ge(0.05), Le(10)] = 0.4  # s
+    shortest_move: Annotated[float, Ge(0.05), Le(10)] = 0.4  # s, least duration of a hand's motion
     # normalised, section 4.2.2: hands end at min(highest_lift, k / 2)
     highest_lift: Annotated[float, Ge(0.02), Le(0.7)] = 0.2
-    grasp: Literal["top", "all"] = "top"  # layers that a hand takes
-    # m/s, so that no vertex moves further than layers are apart in a time step
+    grasp: Literal["top", "all"] = "top"  # layers that a hand grasps
+    # m/s, so that no vertex moves further than the distance of layers in a time step
     top_speed: Annotated[float, Ge(0.1), Le(5)] = 0.7
     push_speed: Annotated[float, Ge(0.03), Le(3)] = 0.3  # m/s, at which penetrations are removed
     material: Annotated[Material, BeforeValidator(of_fabric)] = Material()  # or the name of one of the FABRICS
@@ -86,30 +88,30 @@ class SimulationConfig:
 
 @config
 class Limits:
-    """What a state must keep to be accepted."""
+    """Limits that a state must keep to be accepted."""
 
-    height: Positive = 0.125  # normalised, of the highest vertex: the viewport's
+    height: Positive = 0.125  # normalised, of the highest vertex; the default is the viewport's height
     residual_speed: Positive = 0.01  # m/s
     strain_p99: Positive = 0.03  # 99th percentile of |length / rest - 1| over the grid's edges
     strain_worst: Positive = 0.1
     intersections: Annotated[int, Ge(0)] = 0
-    gap: NotNegative = 0.5  # of the thickness, least distance of a vertex to the surface outside its two-ring
+    gap: NotNegative = 0.5  # thicknesses, least distance of a vertex to the surface outside its two-ring
     below_table: NotNegative = 0.0  # m, how far a vertex may lie below the table
 
 
 @config
 class SimulateConfig:
-    """The stage that records sequences.
+    """Settings of the stage that records sequences.
 
-    With source arcsim it takes the first `sequences` of the table runs.csv, all of them if there are fewer, and what
-    follows `runs` matters only to the worlds in which plans are executed.
+    With source arcsim, the stage imports the first `sequences` sequences of the table runs.csv, or all if there are
+    fewer; the settings after `runs` then only affect the worlds in which plans are executed.
     """
 
     sequences: Annotated[int, Gt(0), Le(10**6)]  # accepted ones to be recorded
-    source: Literal["own", "arcsim"] = "own"  # our solver, or runs of ARCSim that are there already
+    source: Literal["own", "arcsim"] = "own"  # our solver, or existing ARCSim runs
     runs: str = ""  # with source arcsim: the folder that holds runs.csv, from the repository's root
     seed: Annotated[int, Ge(0)] = 0
-    block: Annotated[int, Gt(0), Le(4096)] = 4  # attempts that a worker takes at a time; changes no outcome
+    block: Annotated[int, Gt(0), Le(4096)] = 4  # attempts per job of a worker; changes no outcome
     workers: Annotated[int, Ge(0), Le(1024)] = 0  # processes, 0 for one per core; changes no outcome
     simulation: SimulationConfig = SimulationConfig()
     limits: Limits = Limits()

@@ -1,4 +1,4 @@
-"""The solver's settings and state on the device, made from the configuration."""
+"""The solver's settings and state on the device, built from the configuration."""
 
 import numpy as np
 import warp as wp
@@ -9,24 +9,24 @@ from clothkit.simulation.settings import SimulationConfig
 
 GRAVITY = 9.81  # m/s^2
 LANES_ON_CUDA = 256
-LAUNCH_SECONDS = 0.1  # simulated in a launch
-STRETCH_PASSES = 2  # a substep
-LARGEST_SHARE = 0.2  # of a neighbour's velocity difference in a substep: explicit viscosity is stable below 1 / 4
+LAUNCH_SECONDS = 0.1  # simulated time per launch
+STRETCH_PASSES = 2  # per substep
+LARGEST_SHARE = 0.2  # limit of `Solver.viscosity`: explicit viscosity is stable below 1 / 4
 
 
 def make_solver(settings: SimulationConfig) -> Solver:
-    """The kernels' settings, SI units."""
+    """Return the kernels' settings, in SI units."""
     material, settling = settings.material, settings.settling
     dt, h = settings.time_step, settings.spacing
     mass = material.density * h**2  # of a vertex
 
     def compliance(stiffness: float) -> float:
-        """Of a spring [N/m], per mass of a vertex, over dt squared."""
+        """Return the kernels' compliance of a spring with a stiffness in N/m: a vertex's mass / (stiffness * dt^2)."""
         return mass / (stiffness * dt**2)
 
-    # Energies per area are stretch e^2 / 2, shear g^2 / 2 and bending k^2 / 2 times the stiffness. A grid edge stands
-    # for the area h^2 with the strain (l - h) / h; a diagonal's strain is half the shear angle; a second difference c
-    # has the curvature |c| / h^2.
+    # The energies per area are the stiffness times e^2 / 2 (stretch e), g^2 / 2 (shear g) and k^2 / 2 (curvature k). A
+    # grid edge of length l represents the area h^2 with the strain (l - h) / h; a diagonal's strain is half the shear
+    # angle; a second difference c corresponds to the curvature |c| / h^2.
     bending = compliance(material.bending_stiffness / h**2)
     solver = Solver()
     values = {
@@ -48,7 +48,7 @@ def make_solver(settings: SimulationConfig) -> Solver:
         "drag": material.drag,
         "top_speed": settings.top_speed,
         "thickness": material.thickness,
-        # Half a quad's diagonal, and what lists reach beyond a thickness at the speed of hands.
+        # Half a quad's diagonal, plus the distance to which contact lists extend at the speed of the hands.
         "cell": 0.7 * h + 4.5 * material.thickness,
         "margin": 0.9 * material.thickness,
         "prediction_time": 0.02,
@@ -76,7 +76,7 @@ def make_solver(settings: SimulationConfig) -> Solver:
 
 
 def make_state(worlds: int, side: int, device: str) -> State:
-    """Empty state of so many worlds on the device."""
+    """Return the zero-initialised state of `worlds` worlds on the device."""
     n, cells = side * side, int(CELLS) ** 2 + 1
     one, each, edges, held = (worlds,), (worlds, n), (worlds, 3 * n), (worlds, int(HELD))
     vectors: dict[str, tuple[int, ...]] = {
@@ -122,7 +122,7 @@ def make_state(worlds: int, side: int, device: str) -> State:
 
 
 def flat_state(settings: SimulationConfig) -> Float[np.ndarray, "u v 3"]:
-    """The flat cloth on the table [m]; the middle of its thickness is stored, so it lies half of that high."""
+    """Return the flat cloth on the table, in metres; z is half the thickness, as vertices lie in the middle of it."""
     half = settings.cloth_side / 2
     axis = np.linspace(-half, half, settings.side)
     x, y = np.meshgrid(axis, axis, indexing="ij")

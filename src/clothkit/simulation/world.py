@@ -14,43 +14,45 @@ from clothkit.simulation.settings import SimulationConfig
 from clothkit.simulation.solver import LANES_ON_CUDA, LAUNCH_SECONDS, make_solver, make_state
 
 RESTED = 1  # the kernels' `done` of a world that came to rest
-SPENT = 3  # `done` of a world that was given up here
-PATIENCE = 3  # times the steps of a world that goes back, at every search, as often as its guard lets it
-MOST_STEPS = 10**6  # of a world, however long it may move and settle
-FAR = 1e3  # m; vertices that were listed there make the contact lists stale at once
-UNSEARCHED = 2**20  # crossings before the first search: whatever a given state has is not undone
+SPENT = 3  # the value of `done` for a world whose budget of steps is spent
+PATIENCE = 3  # factor of the budget over the steps of a world that its guard resets as often as possible
+MOST_STEPS = 10**6  # the most steps of a world, for any motion and settling time
+FAR = 1e3  # m, an initial `list_position` so far away that the contact lists are stale at once
+UNSEARCHED = 2**20  # initial `saved_crossings`, so large that crossings of the initial state are not undone
 FRESH = (
     *("velocity", "correction", "contacts", "features", "in_bend", "twisted", "pairs", "pressed"),
     *("time", "done", "checked_time", "calm", "residual"),
     *("careful_until", "tries", "returns", "lost", "searched"),
 )
-"""The kernels' arrays that are zero when a manipulation begins."""
+"""The kernels' arrays that are set to zero before a manipulation."""
 
 
 class Motion(NamedTuple):
-    """What the hands of some worlds do."""
+    """The motions of the hands in a batch of worlds."""
 
     held: Int[np.ndarray, "worlds 2 layers"]
-    """Vertices that each hand holds, u * side + v, -1 for none. They keep their places relative to the first."""
+    """Vertices that each hand holds, u * side + v, -1 for none. Their positions relative to the first stay fixed."""
     path: Float[np.ndarray, "worlds 2 times 3"]
-    """Metres, where each hand's first vertex is, at equal times from grasp to release."""
+    """Positions of each hand's first vertex at equal time steps from grasp to release, in metres."""
     seconds: Float[np.ndarray, " worlds"]
-    """From grasp to release."""
+    """Duration from grasp to release, in s."""
 
 
 class Outcome(NamedTuple):
-    """What became of each world."""
+    """The result of a manipulation in each world."""
 
     states: Float[np.ndarray, "worlds u v 3"]
     """Metres, world frame."""
     rested: Bool[np.ndarray, " worlds"]
     """Whether every vertex came to rest in time."""
     residual_speed: Float[np.ndarray, " worlds"]
-    """m/s, of the fastest vertex, mean over a check's interval: the highest in the last `rest_time`, else the last."""
+    """Speed of the fastest vertex, in m/s, as a mean over a check's interval.
+
+    For a world at rest it is the highest over the last `rest_time`, otherwise the last one."""
     settle_time: Float[np.ndarray, " worlds"]
-    """Simulated seconds from release to rest, without the `rest_time` over which rest was watched."""
+    """Simulated time from release to rest, in s, without the `rest_time` over which rest was checked."""
     spent: Bool[np.ndarray, " worlds"]
-    """Whether it was given up because its budget of steps was spent."""
+    """Whether the world was given up because its budget of steps was spent."""
 
 
 def arcs(
@@ -59,7 +61,7 @@ def arcs(
     releases: Float[np.ndarray, "worlds 2 2"],
     settings: SimulationConfig,
 ) -> Motion:
-    """Hands that move by the arcs of section 4.2.2 to the releases xy [m], slow at both ends."""
+    """Return hand motions along the arcs of section 4.2.2 to the release points xy in metres, slow at both ends."""
     vertices = states.reshape(len(states), -1, 3)
     first = np.maximum(grasps[:, :, 0], 0)
     grasped = np.take_along_axis(vertices, first[..., None], axis=1).astype(np.float64)
@@ -73,7 +75,7 @@ def arcs(
 
 
 class Worlds:
-    """Up to `count` worlds on one device. What happens in a world depends on nothing but its own arguments."""
+    """Up to `count` worlds on one device. A world's outcome depends only on its own arguments."""
 
     def __init__(self, count: int, settings: SimulationConfig) -> None:
         self.count, self.settings = count, settings
@@ -83,11 +85,12 @@ class Worlds:
         self.state = make_state(count, settings.side, self.device)
 
     def execute(self, states: Float[np.ndarray, "worlds u v 3"], motion: Motion) -> Outcome:
-        """Grasp, move, release, settle.
+        """Simulate grasp, motion, release and settling in each world, and return the outcome.
 
-        States are in metres, world frame, float32. Every contact is found anew from the state, so the same arguments
-        give the same outcome to the last bit, whatever the worlds did before and whichever others run beside. A world
-        whose budget of steps is spent is left as it lies then.
+        States are in metres, in the world frame, float32. All contacts are computed from the initial state, so the same
+        arguments give the same outcome to the last bit, independently of earlier calls and of the other worlds. For a
+        world whose budget of steps is spent, the state at that time is returned. Raises ValueError for more states than
+        worlds.
         """
         worlds = len(states)
         if worlds > self.count:
@@ -114,9 +117,10 @@ class Worlds:
         )
 
     def budget(self, seconds: Float[np.ndarray, " worlds"]) -> Int[np.ndarray, " worlds"]:
-        """Launches after which a world that moves for so long is given up: none that ends at all needs as many.
+        """Return the number of launches after which a world is given up, from the duration of its motion in s.
 
-        None for motions that are not finite, or that `MOST_STEPS` would not bring to their end.
+        The number is well above what a world that comes to rest needs. It is 0 for motions that are not finite or that
+        would take more than `MOST_STEPS`.
         """
         dt, settings = self.settings.time_step, self.settings
         ends = np.isfinite(seconds) & (seconds <= MOST_STEPS * dt)
@@ -125,7 +129,7 @@ class Worlds:
         return np.where(ends, np.ceil(simulated / LAUNCH_SECONDS), 0).astype(int)
 
     def begin(self, states: Float[np.ndarray, "worlds u v 3"], motion: Motion) -> None:
-        """Set the first worlds up for a manipulation each, with nothing left of what they did before."""
+        """Initialise the first `len(states)` worlds for a manipulation, with no trace of earlier ones."""
         state, worlds = self.state, len(states)
         for name in FRESH:
             getattr(state, name).zero_()
@@ -151,7 +155,7 @@ class Worlds:
         self._write("move_time", motion.seconds.astype(np.float32))
 
     def advance(self, worlds: int) -> None:
-        """Advance the first `worlds` that are not done by a launch's substeps."""
+        """Advance those of the first `worlds` worlds that are not done by one launch."""
         wp.launch(
             advance,
             dim=(worlds, self.lanes),
@@ -161,7 +165,7 @@ class Worlds:
         )
 
     def read(self, name: str, worlds: int) -> np.ndarray:
-        """A copy of one of the state's arrays, of the first `worlds`."""
+        """Return a copy of the state's array `name` for the first `worlds` worlds."""
         return getattr(self.state, name).numpy()[:worlds].copy()
 
     def _write(self, name: str, values: np.ndarray) -> None:
@@ -172,7 +176,7 @@ class Worlds:
 
 
 def _resampled(path: np.ndarray) -> np.ndarray:
-    """Paths at as many equal times as the kernels take, linear in between."""
+    """Return the paths resampled to PATH points at equal times, by linear interpolation."""
     times = path.shape[2]
     place = np.linspace(0, times - 1, int(PATH))
     low = np.minimum(place.astype(int), times - 2)

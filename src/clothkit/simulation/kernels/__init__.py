@@ -1,1 +1,1 @@
-"""Warp kernels: one source for the CPU (one thread advances a world) and CUDA (one block advances a world)."""
+"""Warp kernels, from one source: on the CPU one thread advances a world, on CUDA one block of threads does."""

@@ -1,4 +1,4 @@
-"""The time loop: motion, hands, contact lists, elasticity, contacts, table, guard and rest, for a launch's substeps."""
+"""The time loop: the kernel that runs every part of the solver for the substeps of one launch."""
 
 # Warp: int(0), float(0.0) and bool(True) declare variables that loops may change.
 import warp as wp
@@ -12,7 +12,7 @@ from clothkit.simulation.kernels.state import HELD, PATH, Solver, State, synchro
 
 @wp.func
 def neighbours_difference(state: State, w: int, i: int, n: int, v: wp.vec3):
-    """Return the sum of the velocities of a vertex's neighbours relative to its own."""
+    """Return the sum over the grid neighbours of vertex i of their velocity minus its velocity v, in m/s."""
     row = i / n
     column = i % n
     total = wp.vec3(0.0, 0.0, 0.0)
@@ -29,7 +29,11 @@ def neighbours_difference(state: State, w: int, i: int, n: int, v: wp.vec3):
 
 @wp.func
 def move(solver: Solver, state: State, w: int, lane: int, lanes: int):
-    """Move the vertices freely for a substep, and note how far they are from where the lists were made for."""
+    """Integrate the motion of the vertices over a substep, without constraints.
+
+    Also stores two squared maxima over the vertices: the displacement since the contact lists were made (`motion`),
+    and the distance from the position that the lists predicted (`deviation`).
+    """
     dt = solver.time_step
     damping = 1.0 / (1.0 + solver.drag * dt)
     age = state.list_age[w] + dt
@@ -57,7 +61,7 @@ def move(solver: Solver, state: State, w: int, lane: int, lanes: int):
 
 @wp.func
 def move_hands(state: State, w: int, lane: int, lanes: int, t: float):
-    """Put what is held where the hands are on their paths, or let it go."""
+    """Move the held vertices to the positions of the hands on their paths at time t, or release them at the end."""
     place = t / state.move_time[w] * float(PATH - 1)
     held = place <= float(PATH - 1)
     k0 = wp.min(int(place), PATH - 2)
@@ -75,9 +79,10 @@ def move_hands(state: State, w: int, lane: int, lanes: int, t: float):
 
 @wp.func
 def refresh_lists(solver: Solver, state: State, w: int, lane: int, lanes: int, careful: bool):
-    """Make new contact lists when a vertex has left its predicted path or the prediction has run out.
+    """Make new contact lists when a vertex has left its predicted path or the prediction time is over.
 
-    They last longer when no vertex has gone further than the allowed deviation, as in a cloth that creeps to rest.
+    The lists are kept in both cases while no vertex has moved further than the allowed deviation since they were made,
+    as in a cloth that creeps to rest.
     """
     synchronise()
     limit = solver.prediction_error * solver.prediction_error
@@ -98,7 +103,7 @@ def refresh_lists(solver: Solver, state: State, w: int, lane: int, lanes: int, c
 
 @wp.func
 def finish(solver: Solver, state: State, w: int, lane: int, lanes: int):
-    """Keep the vertices on the table and below the top speed, and set their velocities."""
+    """Limit the speeds, keep the vertices above the table, and compute the velocities from the displacements."""
     dt = solver.time_step
     largest_step = solver.top_speed * dt
     floor = 0.5 * solver.thickness
@@ -132,9 +137,10 @@ def finish(solver: Solver, state: State, w: int, lane: int, lanes: int):
 
 @wp.func
 def hold(solver: Solver, state: State, w: int, lane: int, lanes: int):
-    """Let the table's friction hold what was pressed on it, before layers that lie on that feel it slip.
+    """Apply the table's friction to the vertices that were pressed into it, before the contacts between layers.
 
-    Else the upper layer is dragged by a slip of the lower one that the table then takes back, and creeps.
+    Otherwise the lower layer's slip drags the upper layer along before the table's friction undoes that slip, and the
+    upper layer creeps.
     """
     for i in range(lane, solver.side * solver.side, lanes):
         pressed = state.pressed[w, i]
@@ -146,7 +152,7 @@ def hold(solver: Solver, state: State, w: int, lane: int, lanes: int):
             slip = wp.sqrt(dx * dx + dy * dy) + 1.0e-12
             friction = wp.min(1.0, solver.table_friction * pressed / slip)
             state.position[w, i] = wp.vec3(x[0] - friction * dx, x[1] - friction * dy, x[2])
-            # What is left of it is for the end of the substep.
+            # `finish` subtracts this share, so that the table's friction is not applied twice in a substep.
             state.pressed[w, i] = friction * slip
     synchronise()
 
@@ -155,7 +161,8 @@ def hold(solver: Solver, state: State, w: int, lane: int, lanes: int):
 def substep(solver: Solver, state: State, w: int, lane: int, lanes: int, t: float):
     """Advance a world by one time step to the time t.
 
-    While it takes care, all edges are watched and the contacts solved over and over.
+    While the world is in careful mode (after a crossing was undone), all edges are checked for contacts and the
+    contacts are solved in several passes.
     """
     move(solver, state, w, lane, lanes)
     move_hands(state, w, lane, lanes, t)
@@ -176,12 +183,14 @@ def substep(solver: Solver, state: State, w: int, lane: int, lanes: int, t: floa
 
 @wp.func
 def guard(solver: Solver, state: State, w: int, lane: int, lanes: int, t: float, last: bool):
-    """Return the time to go on from: t, or that of the saved state when a crossing has come about since.
+    """Return the time to continue from: t, or the time of the saved state if there are new crossings since then.
 
-    When care did not avoid it, the cloth begins anew without speed; what that did not avoid either is let be.
+    In the second case the saved state is restored and the world runs in careful mode for a while. If new crossings
+    come up again in that time, the saved state is restored with zero velocities. After `care_tries` attempts the
+    remaining crossings are accepted and counted in `lost`.
     """
     if state.searched[w] == 1 and not last:
-        # What has moved too little for new lists can wait for the next search.
+        # No new contact lists since the last search: the motion is too small to need another one now.
         return t
     synchronise()
     if lane == 0:
@@ -225,9 +234,9 @@ def guard(solver: Solver, state: State, w: int, lane: int, lanes: int, t: float,
 
 @wp.func
 def check_rest(solver: Solver, state: State, w: int, lane: int, lanes: int, t: float):
-    """Return whether the world is done: 1 at rest for long enough, 2 out of time or no longer finite, else 0.
+    """Return 1 if the world was at rest for long enough, 2 if it is out of time or no longer finite, else 0.
 
-    Speeds are means since the last check.
+    The speeds are means over the time since the last check.
     """
     seconds = t - state.checked_time[w]
     farthest = float(0.0)
@@ -235,7 +244,7 @@ def check_rest(solver: Solver, state: State, w: int, lane: int, lanes: int, t: f
         x = state.position[w, i]
         d = x - state.checked[w, i]
         state.checked[w, i] = x
-        # Not a number is not less than anything.
+        # `not <` in place of `>=`, so that NaN is caught, too.
         if not wp.dot(d, d) < 1.0e4:
             farthest = 1.0e2
         farthest = wp.max(farthest, wp.length(d))
@@ -255,7 +264,7 @@ def check_rest(solver: Solver, state: State, w: int, lane: int, lanes: int, t: f
         state.calm[w] = calm
         state.residual[w] = residual
     synchronise()
-    # Half a time step: sums of time steps are not exact.
+    # Half a time step of tolerance, because sums of time steps are not exact.
     if calm > solver.rest_time - 0.5 * solver.time_step:
         return 1
     if t - state.move_time[w] > solver.longest_settling or fastest > 1.0e3:
@@ -265,7 +274,7 @@ def check_rest(solver: Solver, state: State, w: int, lane: int, lanes: int, t: f
 
 @wp.kernel
 def advance(solver: Solver, state: State, lanes: int):
-    """Advance every world that is not done by a launch's substeps."""
+    """Advance every world that is not done by `solver.substeps` substeps."""
     w, lane = wp.tid()
     if state.done[w] != 0:
         return

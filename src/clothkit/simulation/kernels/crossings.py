@@ -1,6 +1,7 @@
-"""The guard against tangles: edges that pierce triangles are searched for every so often.
+"""The search for crossings (edges that pierce triangles), with which the guard in `advance.py` prevents tangles.
 
-A world in which there are more than before goes back to the last state without them and takes care for a while.
+The guard runs it at intervals. A world that has more crossings than before is reset to the last saved state and then
+runs in careful mode for a while.
 """
 
 # Warp: int(0), float(0.0) and bool(True) declare variables that loops may change.
@@ -37,7 +38,7 @@ def crossings_with(x: Vectors, i: int, j: int, a: int, n: int):
     q = x[j]
     xa = x[a]
     normal = wp.cross(x[d] - xa, x[b] - x[c])
-    # The other corners are as far from the plane through a along both diagonals as the quad is twisted.
+    # The plane through corner a is parallel to both diagonals; `twist` is how far the other corners lie off it.
     twist = wp.abs(wp.dot(x[b] - xa, normal))
     above_p = wp.dot(p - xa, normal)
     above_q = wp.dot(q - xa, normal)
@@ -54,7 +55,7 @@ def crossings_with(x: Vectors, i: int, j: int, a: int, n: int):
 
 @wp.func
 def crossings_of(solver: Solver, state: State, w: int, x: Vectors, i: int, j: int):
-    """Return how many triangles an edge pierces, of those with which it shares no vertex."""
+    """Return how many triangles the edge i-j pierces, leaving out those that share a vertex with it."""
     n = solver.side
     p = x[i]
     q = x[j]
@@ -63,7 +64,7 @@ def crossings_of(solver: Solver, state: State, w: int, x: Vectors, i: int, j: in
     row = cell_row(solver, low, middle)
     column = cell_column(solver, low, middle)
     largest = solver.cell * solver.cell
-    # Quads have moved since they were sorted: what was this far from their plane can't have reached it.
+    # Quads have moved since they were sorted: an edge further than this from the stored plane can't reach the quad.
     slack = 3.0 * solver.prediction_error
     half = (q - p) * 0.5
     found = int(0)
@@ -81,7 +82,10 @@ def crossings_of(solver: Solver, state: State, w: int, x: Vectors, i: int, j: in
 
 @wp.func
 def count_crossings(solver: Solver, state: State, w: int, lane: int, lanes: int):
-    """Return this lane's share of the pierced triangles, near contacts and features only, by the last contact lists."""
+    """Return the number of pierced triangles over this lane's share of the edges.
+
+    Only edges on the border, in a bend or with a contact at an end are searched, by the last contact lists.
+    """
     x = state.position[w]
     n = solver.side
     found = int(0)

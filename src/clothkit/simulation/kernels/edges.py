@@ -1,6 +1,7 @@
-"""Contacts of edges with edges: border edges and edges in bends are paired, and every pair remembers its side.
+"""Contacts of edges with edges: pairs of feature edges (on the border or in bends), each stored with its side.
 
-Without them every third fold ends in a tangle: edges cross where no vertex passes through a triangle.
+Without these contacts every third fold ends in a tangle, because edges cross without any vertex passing through a
+triangle.
 """
 
 # Warp: int(0), float(0.0) and bool(True) declare variables that loops may change.
@@ -15,7 +16,11 @@ PARALLEL = wp.constant(0.01)  # square of the sine below which edges count as pa
 
 @wp.func
 def nearest_on_lines(x: Vectors, a0: int, a1: int, b0: int, b1: int):
-    """Return where two lines come closest, 0..1 on each edge, their signed distance in metres, and 1 if parallel."""
+    """Return (s, t, distance, parallel) of the lines through two edges.
+
+    s and t are the positions of the nearest points, 0..1 within each edge; the distance is signed, in metres;
+    `parallel` is 1 for parallel edges, else 0.
+    """
     pa = x[a0]
     pb = x[b0]
     d1 = x[a1] - pa
@@ -32,7 +37,10 @@ def nearest_on_lines(x: Vectors, a0: int, a1: int, b0: int, b1: int):
 
 @wp.func
 def bent(solver: Solver, c: wp.vec3, before: int):
-    """Return 1 for a second difference that makes a feature; it stays one until it is half as large."""
+    """Return 1 if the second difference c is above the threshold for a bend, else 0.
+
+    The threshold is halved where the last result, `before`, was 1 (hysteresis).
+    """
     limit = solver.bend_feature * wp.where(before == 1, 0.5, 1.0)
     return wp.where(wp.dot(c, c) > limit * limit, 1, 0)
 
@@ -59,7 +67,10 @@ def mark_bends(solver: Solver, state: State, w: int):
 
 @wp.func
 def list_features(solver: Solver, state: State, w: int, everywhere: bool):
-    """List the edges on the border and in bends, and the diagonals of twisted quads; or all edges."""
+    """List the feature edges: those on the border or in bends and the diagonals of twisted quads.
+
+    With `everywhere`, list all edges.
+    """
     n = solver.side
     x = state.position[w]
     count = int(0)
@@ -86,13 +97,13 @@ def list_features(solver: Solver, state: State, w: int, everywhere: bool):
 
 @wp.func
 def memory_place(e: int, g: int):
-    """Return the place in the memory where the search for a pair begins."""
+    """Return the hash of a pair of edges: the place in the hash table `memory` where its search begins."""
     return (e * 1031 + g * 17) & (MEMORY - 1)
 
 
 @wp.func
 def remember_pairs(state: State, w: int):
-    """Keep the pairs as they are, to be found by their edges while the new ones are listed."""
+    """Copy the current pairs and index them by their edges in a hash table, for use while new pairs are listed."""
     for place in range(MEMORY):
         state.memory[w, place] = 0
     for k in range(state.pairs[w]):
@@ -110,7 +121,7 @@ def remember_pairs(state: State, w: int):
 
 @wp.func
 def remembered_pair(state: State, w: int, e: int, g: int):
-    """Return the number of the earlier pair of these edges, -1 if there was none."""
+    """Return the index of these edges' pair in the previous list, or -1 if they were not in it."""
     place = memory_place(e, g)
     while state.memory[w, place] != 0:
         k = state.memory[w, place] - 1
@@ -122,7 +133,10 @@ def remembered_pair(state: State, w: int, e: int, g: int):
 
 @wp.func
 def gap_of_pair(x: Vectors, side: int, spacing: float, thickness: float, e: int, g: int, allowance: float):
-    """Return the side (1 or -1) of two edges and their gap, side 0 when they run parallel, 2 when out of reach."""
+    """Return (side, gap) of two edges; the gap is in metres, at most the thickness.
+
+    The side is 1 or -1, 0 if the edges are parallel and within reach, and 2 if they are out of reach or share a vertex.
+    """
     a0 = e / 3
     a1 = edge_end(e, side)
     b0 = g / 3
@@ -141,7 +155,7 @@ def gap_of_pair(x: Vectors, side: int, spacing: float, thickness: float, e: int,
         if wp.dot(m, m) - along * along / wp.dot(d1, d1) < reach * reach:
             return wp.vec2(0.0, thickness)
         return wp.vec2(2.0, 0.0)
-    # Most are out of reach, and found to be so without a division.
+    # Most edges are out of reach; these tests reject them without a division.
     height = -wp.dot(r, normal)
     if height * height >= reach * reach * squared:
         return wp.vec2(2.0, 0.0)
@@ -160,7 +174,7 @@ def gap_of_pair(x: Vectors, side: int, spacing: float, thickness: float, e: int,
 
 @wp.func
 def find_pair(solver: Solver, state: State, w: int, e: int, g: int, allowance: float, count: int):
-    """Note a pair when it may touch, and return the number of pairs so far."""
+    """Append the pair of edges e and g to the list if they may touch, and return the new number of pairs."""
     found = gap_of_pair(state.position[w], solver.side, solver.spacing, solver.thickness, e, g, allowance)
     side = int(found[0])
     kept = found[1]
@@ -181,7 +195,7 @@ def find_pair(solver: Solver, state: State, w: int, e: int, g: int, allowance: f
 
 @wp.func
 def sort_pairs(solver: Solver, state: State, w: int, count: int):
-    """Put the pairs that were found in the order of their edges, so that lists made anew are solved as before."""
+    """Sort the pairs by their edges, so that a remade list is solved in the same order as the last one."""
     edges = 3 * solver.side * solver.side
     for e in range(edges):
         state.cell[w, e] = 0
@@ -211,9 +225,10 @@ def sort_pairs(solver: Solver, state: State, w: int, count: int):
 
 @wp.func
 def list_pairs(solver: Solver, state: State, w: int, everywhere: bool):
-    """List the pairs of feature edges, or of all, that may touch within the prediction time (one lane).
+    """List the pairs of feature edges (of all edges with `everywhere`) that may touch within the prediction time.
 
-    A pair that is found closer than edges touch, since its edges have only now become features, is parted slowly.
+    Runs on one lane. If the edges of a new pair are already closer than the thickness, because they have only now
+    become feature edges, the pair's stored gap starts at their distance and grows slowly, to avoid an abrupt push.
     """
     remember_pairs(state, w)
     mark_bends(solver, state, w)
@@ -231,7 +246,7 @@ def list_pairs(solver: Solver, state: State, w: int, everywhere: bool):
         column = cell_column(solver, low, middle)
         for near in range(row - 1, row + 1):
             cell = near * CELLS + column
-            # Of the own row only what lies before: every pair once.
+            # In the same row, only earlier edges are visited, so that every pair is found once.
             end = wp.where(near == row, own, state.edge_first[w, cell + 2])
             for other in range(state.edge_first[w, cell - 1], end):
                 d = state.edge_middle[w, other] - middle
@@ -249,9 +264,10 @@ def list_pairs(solver: Solver, state: State, w: int, everywhere: bool):
 
 @wp.func
 def solve_pair(solver: Solver, state: State, w: int, k: int, lanes: int):
-    """Push two edges apart on the side where they were; note the side while they pass by.
+    """Push the two edges of a pair apart, on the pair's stored side; update the side while the edges do not overlap.
 
-    Without friction: that of the vertices nearby holds, and what acts before the rest has moved drives layers on.
+    There is no friction here. The friction of nearby vertices holds the layers, and friction that is applied before
+    the other contacts are solved makes layers creep.
     """
     e = state.pair[w, k, 0]
     g = state.pair[w, k, 1]
@@ -306,6 +322,6 @@ def solve_pair(solver: Solver, state: State, w: int, k: int, lanes: int):
 
 @wp.func
 def solve_pairs(solver: Solver, state: State, w: int, lane: int, lanes: int):
-    """Solve the listed contacts of edges with edges."""
+    """Solve all listed contacts of edges with edges."""
     for k in range(lane, state.pairs[w], lanes):
         solve_pair(solver, state, w, k, lanes)

@@ -1,6 +1,7 @@
-"""Stretch, shear and bending: XPBD with one iteration a substep, coloured so that a colour's constraints are disjoint.
+"""Stretch, shear and bending by XPBD, one iteration per substep, with graph colouring.
 
-A lane block covers rows and columns: `width` lanes side by side, the others below.
+Constraints of one colour share no vertex. The lanes of a block form a grid: `width` lanes along a row, the others over
+the following rows.
 """
 
 import warp as wp
@@ -10,7 +11,7 @@ from clothkit.simulation.kernels.state import Floats, Solver, State, Vectors, sy
 
 @wp.func
 def keep_distance(x: Vectors, free: Floats, i: int, j: int, rest: float, compliance: float):
-    """Move two vertices towards their rest distance."""
+    """Move two vertices towards their rest distance `rest`, in metres (one XPBD distance constraint)."""
     wi = free[i]
     wj = free[j]
     xi = x[i]
@@ -24,7 +25,11 @@ def keep_distance(x: Vectors, free: Floats, i: int, j: int, rest: float, complia
 
 @wp.func
 def bend(solver: Solver, x: Vectors, previous: Vectors, free: Floats, i: int, j: int, k: int):
-    """Straighten three vertices in a row, with a moment that saturates and dry friction, and keep the outer apart."""
+    """Apply the bending constraint of three successive vertices i, j, k of a grid line.
+
+    The bending moment saturates, dry friction resists changes of the bend, and the outer vertices are kept at least
+    `crease_length` apart.
+    """
     wi = free[i]
     wj = free[j]
     wk = free[k]
@@ -60,7 +65,7 @@ def bend(solver: Solver, x: Vectors, previous: Vectors, free: Floats, i: int, j:
 
 @wp.func
 def solve_bending(solver: Solver, state: State, w: int, lane: int, lanes: int):
-    """Bend along both directions of the grid, three colours each."""
+    """Solve the bending constraints along both directions of the grid, in three colours each."""
     x = state.position[w]
     previous = state.previous[w]
     free = state.free[w]
@@ -84,10 +89,10 @@ def solve_bending(solver: Solver, state: State, w: int, lane: int, lanes: int):
 
 @wp.func
 def shear(solver: Solver, x: Vectors, free: Floats, i: int, j: int):
-    """Pull the ends of a diagonal that is longer than at rest together, and keep it firmly in its range.
+    """Shorten a quad's diagonal that is longer than at rest, and keep its length within the allowed range.
 
-    Sheared either way, a quad lengthens one of its diagonals; folded, it shortens them. So shear is resisted, and folds
-    across the quads are not, which would otherwise be locked and tall.
+    Shear in either direction lengthens one of the quad's diagonals; a fold across the quad shortens a diagonal. Pulling
+    only lengthened diagonals resists shear without resisting folds, which would otherwise stay locked and tall.
     """
     wi = free[i]
     wj = free[j]
@@ -110,7 +115,7 @@ def shear(solver: Solver, x: Vectors, free: Floats, i: int, j: int):
 
 @wp.func
 def solve_shear(solver: Solver, state: State, w: int, lane: int, lanes: int):
-    """Shear the quads along both diagonals, two colours each."""
+    """Solve the shear constraints of all quads, both diagonals, in two colours each."""
     x = state.position[w]
     free = state.free[w]
     n = solver.side
@@ -133,7 +138,7 @@ def solve_shear(solver: Solver, state: State, w: int, lane: int, lanes: int):
 
 @wp.func
 def solve_stretch(solver: Solver, state: State, w: int, lane: int, lanes: int):
-    """Keep the edges' lengths, two colours per direction."""
+    """Solve the distance constraints of all grid edges, in two colours per direction."""
     x = state.position[w]
     free = state.free[w]
     n = solver.side

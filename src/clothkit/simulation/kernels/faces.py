@@ -1,4 +1,4 @@
-"""Contacts of vertices with triangles: lists of nearby quads with a side each, and their solution with friction."""
+"""Contacts of vertices with triangles: each vertex's list of nearby quads with its side, and the contact solver."""
 
 # Warp: int(0), float(0.0) and bool(True) declare variables that loops may change.
 import warp as wp
@@ -9,7 +9,7 @@ from clothkit.simulation.kernels.state import CELLS, CONTACTS, Solver, State, Ve
 
 @wp.func
 def remembered_side(state: State, w: int, vertex: int, count: int, quad: int):
-    """Return the side (1 or -1) on which the vertex was of a quad, 0 when unknown."""
+    """Return the vertex's side (1 or -1) of a quad in the previous contact list, or 0 if the quad was not in it."""
     for k in range(count):
         entry = state.contact_before[w, vertex, k]
         if wp.abs(entry) - 1 == quad:
@@ -19,7 +19,10 @@ def remembered_side(state: State, w: int, vertex: int, count: int, quad: int):
 
 @wp.func
 def distance_beyond(x: Vectors, quad: int, n: int, r: wp.vec3):
-    """Return how far the point r from a quad's centre lies beyond its sides, as a share of them; negative over it."""
+    """Return how far a point lies outside the quad's outline, as a fraction of the quad's side; negative inside.
+
+    r is the point's offset from the quad's centre, in metres.
+    """
     down = x[quad + n + 1] - x[quad]
     right = x[quad + n] - x[quad + 1]
     e1 = (down + right) * 0.5
@@ -35,14 +38,14 @@ def distance_beyond(x: Vectors, quad: int, n: int, r: wp.vec3):
 
 @wp.func
 def share_along(p: wp.vec3, a: wp.vec3, b: wp.vec3):
-    """Return where the segment a-b comes closest to a point, 0..1."""
+    """Return the position on the segment a-b that is nearest to p, as a fraction 0..1 of the segment."""
     d = b - a
     return wp.clamp(wp.dot(p - a, d) / (wp.dot(d, d) + 1.0e-16), 0.0, 1.0)
 
 
 @wp.func
 def nearest_on_triangle(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3):
-    """Return the weights of the triangle's point nearest to p."""
+    """Return the barycentric weights of the triangle's point nearest to p."""
     ab = b - a
     ac = c - a
     ap = p - a
@@ -80,13 +83,17 @@ def nearest_on_triangle(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3):
 
 @wp.func
 def inside_triangle(weights: wp.vec3):
-    """Return whether a point of a triangle lies on none of its edges."""
+    """Return whether the point with these barycentric weights is strictly inside its triangle."""
     return weights[0] > 0.0 and weights[1] > 0.0 and weights[2] > 0.0
 
 
 @wp.func
 def lies_above(to_lower: wp.vec3, to_upper: wp.vec3, p00: wp.vec3, p01: wp.vec3, p10: wp.vec3, p11: wp.vec3):
-    """Return whether what lies that far from a quad's triangles is on the side of its normal, by the nearer one."""
+    """Return whether a point is on the side of the quad's normal, by the nearer of the quad's two triangles.
+
+    `to_lower` and `to_upper` are the vectors from the nearest point on each triangle to the point; where the distances
+    are almost equal, both normals are summed.
+    """
     d_lower = wp.dot(to_lower, to_lower)
     d_upper = wp.dot(to_upper, to_upper)
     diagonal = p11 - p00
@@ -101,7 +108,7 @@ def lies_above(to_lower: wp.vec3, to_upper: wp.vec3, p00: wp.vec3, p01: wp.vec3,
 
 @wp.func
 def side_of(x: Vectors, i: int, quad: int, n: int):
-    """Return the side (1 or -1) of a quad on which a vertex lies."""
+    """Return the side (1 or -1) of a quad on which vertex i lies now."""
     p00 = x[quad]
     p01 = x[quad + 1]
     p10 = x[quad + n]
@@ -115,7 +122,7 @@ def side_of(x: Vectors, i: int, quad: int, n: int):
 
 @wp.func
 def list_contacts(solver: Solver, state: State, w: int, lane: int, lanes: int):
-    """List for every vertex the quads that it may touch within the prediction time; its own four are left out."""
+    """List, for every vertex, the quads that it may touch within the prediction time, without its own four quads."""
     n = solver.side
     if lane == 0:
         sort_quads(solver, state, w)
@@ -159,7 +166,7 @@ def list_contacts(solver: Solver, state: State, w: int, lane: int, lanes: int):
                             if wp.abs(gap) < solver.memory_gap and outside < 0.0:
                                 remembered = remembered_side(state, w, i, before, quad)
                                 side = wp.where(remembered != 0, remembered, side)
-                            # In the quads' order, so that lists made anew are solved as before.
+                            # Sorted by quad, so that a remade list is solved in the same order as the last one.
                             slot = count
                             while slot > 0 and wp.abs(state.contact[w, i, slot - 1]) > quad + 1:
                                 state.contact[w, i, slot] = state.contact[w, i, slot - 1]
@@ -172,7 +179,10 @@ def list_contacts(solver: Solver, state: State, w: int, lane: int, lanes: int):
 
 @wp.func
 def parting(solver: Solver, overlap: float, approach: float):
-    """Return how far what touches is pushed apart: by the overlap, at most at a speed that gives no jolt."""
+    """Return by how much to push a contact apart, in metres: the overlap, limited so that the push is not abrupt.
+
+    The limit is twice the approach in this substep plus `push_step`.
+    """
     return wp.min(overlap, wp.max(0.0, -approach) * 2.0 + solver.push_step)
 
 
@@ -180,10 +190,11 @@ def parting(solver: Solver, overlap: float, approach: float):
 def part_from_triangle(
     solver: Solver, state: State, w: int, i: int, a: int, b: int, c: int, weights: wp.vec3, side: float, lanes: int
 ):
-    """Push a vertex and the point of a triangle nearest to it apart to the cloth's thickness, with Coulomb friction.
+    """Push a vertex and the nearest point of a triangle apart to the cloth's thickness, with Coulomb friction.
 
-    Over the triangle the side, 1 where it is counter-clockwise, decides what is out; beyond its edges, what lies
-    between the two. So the push is continuous where the vertex slides from a triangle to the next or off the border.
+    If the nearest point is inside the triangle, the push is along its normal, on the given side (1: the side from which
+    a, b, c run counter-clockwise). If it is on an edge, the push is along the line between the two points. This keeps
+    the push continuous where the vertex slides from one triangle to the next or off the border.
     """
     position = state.position[w]
     previous = state.previous[w]
@@ -234,9 +245,10 @@ def part_from_triangle(
 
 @wp.func
 def solve_contact(solver: Solver, state: State, w: int, i: int, k: int, lanes: int):
-    """Part a vertex from both triangles of a quad, when it is near the quad at all.
+    """Push a vertex away from both triangles of a quad, if it is near the quad.
 
-    The side on which the vertex is to stay is held while it lies close over one of them, and noted while it does not.
+    While the vertex is close to a triangle and its nearest point is inside it, the stored side is kept; otherwise the
+    stored side is updated to the current one.
     """
     position = state.position[w]
     n = solver.side
@@ -271,7 +283,7 @@ def solve_contact(solver: Solver, state: State, w: int, i: int, k: int, lanes: i
         entry = noted
     if nearest < solver.thickness * solver.thickness:
         side = wp.where(entry > 0, 1.0, -1.0)
-        # One call for both: Warp hands the state over by value, which costs little only where the call is inlined.
+        # One call site for both: Warp passes the state by value, which is cheap only where the call is inlined.
         for half in range(2):
             b = wp.where(half == 0, a + n, a + n + 1)
             c = wp.where(half == 0, a + n + 1, a + 1)
@@ -280,9 +292,10 @@ def solve_contact(solver: Solver, state: State, w: int, i: int, k: int, lanes: i
 
 @wp.func
 def solve_contacts(solver: Solver, state: State, w: int, lane: int, lanes: int):
-    """Solve the listed contacts of vertices with triangles, from the table up.
+    """Solve all listed contacts of vertices with triangles, from the lowest vertex to the highest.
 
-    So what lies below is held by friction before what lies on it feels it slip: else layers drive each other.
+    In this order friction holds a lower layer before its slip acts on the layer above. Otherwise layers drag each other
+    along.
     """
     for place in range(lane, solver.side * solver.side, lanes):
         i = state.upwards[w, place]

@@ -1,4 +1,4 @@
-"""What is measured on a state at rest: pierced triangles and the smallest gap, every pair, in double precision."""
+"""Measurements on a state at rest, in double precision, over all pairs: pierced triangles and the smallest gap."""
 
 # Warp: int(0), float(0.0) and bool(True) declare variables that loops may change.
 import warp as wp
@@ -29,7 +29,7 @@ def count_intersections(
     triangles: wp.array2d(dtype=int),
     counts: wp.array2d(dtype=int),
 ):
-    """Count for each [world, edge] the triangles that it pierces, of those with which it shares no vertex."""
+    """Count, for each [world, edge], the triangles that it pierces, leaving out those that share a vertex with it."""
     w, e = wp.tid()
     i = edges[e, 0]
     j = edges[e, 1]
@@ -95,7 +95,7 @@ def measure_gaps(
     reach: float,
     gaps: wp.array2d(dtype=float),
 ):
-    """Measure for each [world, vertex] the distance to the surface outside its two-ring; at most `reach` metres."""
+    """Measure, for each [world, vertex], the distance to the surface outside its two-ring, at most `reach` metres."""
     w, i = wp.tid()
     p = vertices[w, i]
     best = reach

@@ -1,6 +1,7 @@
-"""The search grid: quads and edges sorted by the square of the table over which they lie, remade with the lists.
+"""The search grid: quads and edges sorted by grid cell in x and y, remade with the contact lists.
 
-Columns of cells suffice, since a folded cloth is flat. A row of neighbouring cells is one run of the sorted arrays.
+The grid needs no cells in z, since a folded cloth is flat. Neighbouring cells of a row are contiguous in the sorted
+arrays.
 """
 
 # Warp: int(0), float(0.0) and bool(True) declare variables that loops may change.
@@ -13,25 +14,25 @@ HEIGHTS = wp.constant(128)  # bins of the sort by height
 
 @wp.func
 def cell_row(solver: Solver, low: wp.vec3, p: wp.vec3):
-    """Return the row of cells of a point; what lies far off shares the last row."""
+    """Return the row of cells of a point, clamped to the grid."""
     return wp.clamp(int((p[0] - low[0]) / solver.cell), 1, CELLS - 2)
 
 
 @wp.func
 def cell_column(solver: Solver, low: wp.vec3, p: wp.vec3):
-    """Return the column of cells of a point; what lies far off shares the last column."""
+    """Return the column of cells of a point, clamped to the grid."""
     return wp.clamp(int((p[1] - low[1]) / solver.cell), 1, CELLS - 2)
 
 
 @wp.func
 def cell_of(solver: Solver, low: wp.vec3, p: wp.vec3):
-    """Return the cell of a point."""
+    """Return the index of a point's cell."""
     return cell_row(solver, low, p) * CELLS + cell_column(solver, low, p)
 
 
 @wp.func
 def place_grid(solver: Solver, state: State, w: int):
-    """Put the search grid's corner a cell below the cloth's lowest x and y."""
+    """Place the search grid's corner one cell below the smallest x and y of the cloth."""
     low = state.position[w, 0]
     for i in range(solver.side * solver.side):
         low = wp.min(low, state.position[w, i])
@@ -40,7 +41,7 @@ def place_grid(solver: Solver, state: State, w: int):
 
 @wp.func
 def sort_quads(solver: Solver, state: State, w: int):
-    """Sort the quads by cell, with what the searches need to know of them (counting sort, one lane)."""
+    """Sort the quads by cell and store the geometry that the searches use (counting sort, one lane)."""
     n = solver.side
     place_grid(solver, state, w)
     low = state.low[w]
@@ -57,7 +58,7 @@ def sort_quads(solver: Solver, state: State, w: int):
     for back in range(n * n - n):
         quad = n * n - n - 1 - back
         if quad % n < n - 1:
-            # Filled from a cell's end downwards, so that what was its end is its start.
+            # Each cell is filled from its end backwards, so that `quad_first` ends up at the cell's start.
             place = state.quad_first[w, state.cell[w, quad]] - 1
             state.quad_first[w, state.cell[w, quad]] = place
             p00 = state.position[w, quad]
@@ -99,7 +100,7 @@ def sort_features(solver: Solver, state: State, w: int):
 
 @wp.func
 def sort_heights(solver: Solver, state: State, w: int):
-    """Put the vertices in order from the table up (counting sort by a quarter of the thickness, one lane)."""
+    """Sort the vertices by height (counting sort with bins of a quarter of the thickness, one lane)."""
     count = solver.side * solver.side
     per_bin = 4.0 / solver.thickness
     for k in range(HEIGHTS):
