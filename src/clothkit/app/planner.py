@@ -240,7 +240,7 @@ def disagreement(planner: Planner, planned: Planned) -> float | None:
 
 
 def turned_plan(planner: Planner, planned: Planned, matrix: Float[np.ndarray, "2 2"]) -> Planned:
-    """Return the plan turned or mirrored by `matrix`, a symmetry of the state; it leads to the goal turned likewise.
+    """Return the plan turned or mirrored by `matrix`, a symmetry of the state; its goal is `turned_goal`.
 
     The state keeps its place and its labels, and only the manipulations turn. The nets' predictions are computed again
     for the turned plan; the loss is that of the original.
