@@ -87,7 +87,7 @@ def load_params(path: Path) -> Params:
 
 
 class _Constructor(SafeConstructor):
-    """YAML's safe constructor, which tells the line of an invalid value (an integer of 5,000 digits, a 13th month)."""
+    """YAML's safe constructor, which reports the line of an invalid value (month 13, an integer of 5,000 digits)."""
 
     def construct_object(self, node: Any, deep: bool = False) -> Any:
         try:

@@ -34,9 +34,10 @@ def publish(source: Path, target: Path) -> None:
     """Move a finished file or folder to its place, replacing what was there.
 
     The source may lie on another file system: it is first moved or copied beside the target and synced to disk. Then
-    the old output is renamed aside, the new one is renamed to `target`, and the old one is deleted. After a kill
-    between the two renames the target is missing; `recover` puts the old output back. Raises InputError when something
-    can't be written; target and source are then unchanged, unless only the final deletion failed.
+    the old output is renamed aside, the new one is renamed to `target`, and the old one is deleted. (If both are files,
+    one rename replaces the old one.) After a kill between the two renames the target is missing; `recover` puts the old
+    output back. Raises InputError when something can't be written; target and source are then unchanged, unless only
+    the final deletion failed.
     """
     arriving, replaced = _beside(target, ARRIVING), _beside(target, REPLACED)
     recover(target)

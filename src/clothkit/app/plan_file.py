@@ -29,7 +29,7 @@ WITHIN = 100.0
 """Limit of each coordinate in `frame` [m]: a larger value is a mistake, for example millimetres."""
 
 LONGEST = 8.0
-"""Limit of a displacement along x or y [normalised]. Initial values are at most 2.6, updates 0.05 per iteration."""
+"""Limit of a displacement along x or y [normalised]. A search starts at 2.6 or less, and moves by 0.05 an iteration."""
 
 Coordinate = Annotated[float, Ge(-WITHIN), Le(WITHIN)]
 Point = tuple[Coordinate, Coordinate, Coordinate]

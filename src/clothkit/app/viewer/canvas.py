@@ -130,7 +130,7 @@ def two_sided(cloth: Cloth) -> bytes:
 
 
 def finer(values: Float[np.ndarray, "u v 3"], *, degree: int) -> Float[np.ndarray, "fu fv 3"]:
-    """Interpolate an array over vertices to about twice the resolution, by splines of a degree.
+    """Interpolate an array over vertices to about twice the resolution, by splines of that degree.
 
     Without that, folds that are diagonal to the grid look like stairs.
     """
