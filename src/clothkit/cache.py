@@ -1,4 +1,4 @@
-"""Folders of compiled programs that can't be written are replaced by temporary ones, and that is said."""
+"""Replace a cache folder of compiled programs that can't be written by a temporary folder, with a notice."""
 
 import atexit
 import contextlib
@@ -11,9 +11,10 @@ import jax
 
 
 def writable(folder: Path, programs: str) -> Path | None:
-    """The folder, made where it is not there; a temporary one, gone with this process, where nothing can be written.
+    """Return `folder`, created if it is missing, or a new temporary folder if `folder` can't be written.
 
-    None where there is no room for that either. `programs` says in the notice on stderr what can't be kept.
+    The temporary folder is deleted when the process ends. Returns None if that can't be created either. In both cases
+    a notice on stderr says so; `programs` names what the folder would have held.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -31,7 +32,10 @@ def writable(folder: Path, programs: str) -> Path | None:
 
 
 def ensure_jax_cache() -> None:
-    """Let JAX keep compiled programs where it is told to if that can be written, else in a temporary folder."""
+    """Let JAX use its configured cache folder if that can be written, else a temporary one, else none.
+
+    URLs are not checked.
+    """
     folder = jax.config.values.get("jax_compilation_cache_dir")
     if folder and "://" not in folder:
         chosen = writable(Path(folder), "JAX's compiled programs")

@@ -1,4 +1,4 @@
-"""How settings are declared: frozen dataclasses, checked when they are built, hashable so that jit can take them."""
+"""The decorator of settings classes: frozen dataclasses, validated when built, hashable as static arguments of jit."""
 
 from typing import TypeVar, dataclass_transform
 
@@ -10,6 +10,6 @@ T = TypeVar("T")
 
 @dataclass_transform(frozen_default=True, kw_only_default=True)
 def config(cls: type[T]) -> type[T]:
-    """The class as a frozen, keyword-only dataclass that refuses unknown keys, wrong types and impossible values."""
+    """Make a class a frozen, keyword-only dataclass that refuses unknown keys, wrong types and values out of range."""
     settings = pydantic.ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
     return dataclass(cls, frozen=True, kw_only=True, config=settings)  # type: ignore[return-value]

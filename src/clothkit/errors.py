@@ -1,4 +1,4 @@
-"""The one exception that a user is meant to read, and the operating system's errors in its words."""
+"""`InputError`, the exception whose message users read, and the conversion of operating system errors to it."""
 
 import errno
 import os
@@ -8,7 +8,7 @@ from typing import Literal
 
 
 class InputError(ValueError):
-    """Bad input, told in one sentence that names the file, the field and what was expected."""
+    """Bad input. The message is one sentence that names the file, the field and what was expected."""
 
 
 _REMEDIES = {
@@ -35,10 +35,10 @@ _OF_DISKS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 def system_error(
     error: OSError, path: Path | str, *, action: Literal["read", "written", "opened"] = "read", expected: str = ""
 ) -> InputError:
-    """An operating system's error as one sentence: the file, what can't be done with it, why, and what to do.
+    """Convert an operating system error to one sentence: the file, what can't be done with it, why, and what to do.
 
-    `expected` tells what the file should have been, or which command makes it, for a file that is not there. Raise what
-    is returned `from` the error. Errors of libraries that only look like the system's (no errno) keep their own words.
+    `expected` describes the file that should be there, or the command that creates it. The caller raises the returned
+    error `from` the original. An OSError that a library raised without an errno keeps its own text.
     """
     expected = f", expected {expected}" if expected else ""
     if error.errno == errno.ENOENT:
@@ -50,10 +50,10 @@ def system_error(
 
 
 def untold_error(error: Exception) -> InputError | None:
-    """The sentence for an error that no one nearer to it has told, None where it is a fault of the program.
+    """Convert an error that no inner handler has converted; None if the error is a bug in the program.
 
-    For the outermost handler of a command or stage: errors of the operating system that name a file, a disk that is
-    full or broken (writing tells no name), and devices that JAX was asked for and that are not there.
+    For the outermost handler of a command or stage. Converts operating system errors that name a file, errors of a full
+    or broken disk (a failed write names no file), and errors of JAX when the device that was asked for is missing.
     """
     if isinstance(error, OSError):
         named = error.filename2 or error.filename
@@ -67,7 +67,11 @@ def untold_error(error: Exception) -> InputError | None:
 
 
 def _missing_device() -> InputError | None:
-    """JAX says by an assertion without words that it lacks what it needs for a device, and so is asked again."""
+    """Return an InputError if JAX can't use the platform that it was asked for, else None.
+
+    JAX may raise an assertion without a message when a platform's plugin is missing, so this asks JAX for its devices
+    again.
+    """
     jax = sys.modules.get("jax")
     asked = None if jax is None else jax.config.jax_platforms
     if jax is None or not asked:

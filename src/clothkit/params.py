@@ -1,4 +1,4 @@
-"""params.yaml, typed and validated: one frozen model per stage. Read by stage scripts and the app alone."""
+"""params.yaml, typed and validated: one frozen model per stage. Only stage scripts and the app read it."""
 
 import datetime
 import json
@@ -48,8 +48,8 @@ class StageParams(pydantic.BaseModel, frozen=True, extra="forbid", allow_inf_nan
 
 
 class Params(pydantic.BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
-    """The whole file: the scale in force, the planning weights of eqs. (13) and (15), the command line's settings, and
-    every scale's."""
+    """The whole file: the selected scale, the planning weights of eqs. (13) and (15), the command line's settings, and
+    the stages' settings at every scale."""
 
     scale: Scale
     alpha: Annotated[float, Ge(0)]
@@ -60,11 +60,11 @@ class Params(pydantic.BaseModel, frozen=True, extra="forbid", allow_inf_nan=Fals
 
     @property
     def stages(self) -> StageParams:
-        """The settings of the scale in force."""
+        """The stages' settings at the selected scale."""
         return self.scales[self.scale]
 
     def section(self, stage: str) -> dict[str, Any]:
-        """One stage's settings as JSON types, defaults filled in."""
+        """One stage's settings as JSON types, with defaults filled in."""
         return pydantic.TypeAdapter(StageParams).dump_python(self.stages, mode="json")[stage]
 
 
@@ -87,7 +87,7 @@ def load_params(path: Path) -> Params:
 
 
 class _Constructor(SafeConstructor):
-    """YAML's own; what is no value of its kind (an integer of 5,000 digits, a 13th month) is told with its place."""
+    """YAML's safe constructor, which reports the line of an invalid value (month 13, an integer of 5,000 digits)."""
 
     def construct_object(self, node: Any, deep: bool = False) -> Any:
         try:
@@ -133,7 +133,11 @@ _MOST_VALUES, _DEEPEST = 100_000, 50
 
 
 def _check_plain(value: Any, key: tuple[str, ...], count: list[int]) -> None:
-    """Refuses what is no JSON: what it is said to be in YAML is lost on the way, or fails there without a name."""
+    """Refuse values that JSON can't hold; `json.dumps` would convert them silently, or fail without naming the key.
+
+    Also refuses too many values and too deep nesting. `key` is the path to the value, and `count` holds the number of
+    values checked so far. Raises InputError that names the key.
+    """
     where = ".".join(key)
     count[0] += 1
     if count[0] > _MOST_VALUES:
@@ -159,7 +163,7 @@ def _check_plain(value: Any, key: tuple[str, ...], count: list[int]) -> None:
 
 
 def _short(value: Any) -> str:
-    # An integer of many digits has no decimal form.
+    # Python refuses to convert integers of thousands of digits to text.
     text = repr(value) if not isinstance(value, int) or value.bit_length() < 64 else "a long integer"
     return text if len(text) <= 80 else f"{text[:76]} .."
 

@@ -1,4 +1,4 @@
-"""Files and folders come to their places as a whole: a kill at any moment leaves the old one or the new one."""
+"""Replace output files and folders as a whole: a kill at any moment leaves a complete old or new one."""
 
 import contextlib
 import errno
@@ -11,12 +11,15 @@ from pathlib import Path
 from clothkit.errors import system_error
 
 ARRIVING, REPLACED = ".arriving", ".replaced"
-"""Endings of the hidden names beside an output under which the new one arrives and the old one waits for it."""
+"""Suffixes of the hidden names beside an output: of the new one before it is renamed in, and of the old one after."""
 
 
 @contextlib.contextmanager
 def alone(lock: Path) -> Iterator[None]:
-    """Wait until no other process publishes. The lock is the kernel's: a kill frees it. Raises InputError."""
+    """Hold an exclusive lock on a file, after waiting for other processes to release it.
+
+    The kernel releases the lock of a killed process. Raises InputError if the file can't be opened.
+    """
     try:
         lock.parent.mkdir(parents=True, exist_ok=True)
         file = lock.open("w")
@@ -30,10 +33,11 @@ def alone(lock: Path) -> Iterator[None]:
 def publish(source: Path, target: Path) -> None:
     """Move a finished file or folder to its place, replacing what was there.
 
-    The source may lie on another file system: it is brought beside the target first and written through to the disk.
-    Then the old output is set aside by renaming, the new one is renamed in, and only then the old one is deleted. Of a
-    kill between the two renamings `recover` mends the absence. Raises InputError when something can't be written; then
-    target and source are what they were.
+    The source may lie on another file system: it is first moved or copied beside the target and synced to disk. Then
+    the old output is renamed aside, the new one is renamed to `target`, and the old one is deleted. (If both are files,
+    one rename replaces the old one.) After a kill between the two renames the target is missing; `recover` puts the old
+    output back. Raises InputError when something can't be written; target and source are then unchanged, unless only
+    the final deletion failed.
     """
     arriving, replaced = _beside(target, ARRIVING), _beside(target, REPLACED)
     recover(target)
@@ -51,7 +55,7 @@ def publish(source: Path, target: Path) -> None:
         with contextlib.suppress(OSError):
             _restore(target)
         if isinstance(error, FileExistsError):
-            # A file where a folder is expected on the way to the target.
+            # There is a file at the place of one of the target's parent folders.
             raise system_error(error, error.filename, action="written") from error
         if isinstance(error, OSError):
             raise system_error(error, target, action="written") from error
@@ -65,7 +69,7 @@ def publish(source: Path, target: Path) -> None:
 
 
 def recover(target: Path) -> None:
-    """Put an output back that a killed `publish` had set aside, and delete what it left. Raises InputError."""
+    """Put back an output that a killed `publish` had renamed aside, and delete its hidden files. Raises InputError."""
     try:
         _restore(target)
     except OSError as error:
@@ -73,7 +77,7 @@ def recover(target: Path) -> None:
 
 
 def leftovers(folders: Iterable[Path]) -> list[Path]:
-    """The outputs under some folders beside which a killed `publish` has left something."""
+    """The outputs under `folders` beside which there are hidden files of an interrupted or running `publish`."""
     left = [
         (path, ending) for folder in folders for ending in (ARRIVING, REPLACED) for path in folder.rglob(f".*{ending}")
     ]
@@ -82,11 +86,11 @@ def leftovers(folders: Iterable[Path]) -> list[Path]:
 
 @contextlib.contextmanager
 def unfinished(path: Path) -> Iterator[Path]:
-    """A name to write a single file under, which becomes `path` if all goes well.
+    """Yield a temporary name for a single file, and rename that file to `path` if the block succeeds.
 
-    Raises InputError when it can't be written; then what was there is as it was.
+    Raises InputError when the file can't be written; what was at `path` is then unchanged.
     """
-    # Short, because a name as long as names may be has no room for more.
+    # The name is not derived from `path.name`, which may already have the maximal length.
     part = path.with_name(f".part{os.getpid()}{path.suffix}")
     try:
         yield part
@@ -120,7 +124,7 @@ def _bring(source: Path, arriving: Path) -> None:
 
 
 def _copy(source: Path, target: Path) -> None:
-    """Contents alone: some file systems take no permissions or times."""
+    """Copy contents only: some file systems do not accept permissions or times."""
     if not source.is_dir():
         shutil.copyfile(source, target)
         return
@@ -140,7 +144,7 @@ def _sync(path: Path) -> None:
 
 
 def _sync_folder(path: Path) -> None:
-    # Not every file system can.
+    # Not every file system can sync a folder.
     with contextlib.suppress(OSError):
         number = os.open(path, os.O_RDONLY)
         try:
@@ -150,7 +154,7 @@ def _sync_folder(path: Path) -> None:
 
 
 def _is_folder(path: Path) -> bool:
-    """Whether it is a folder itself: a link to one is replaced, and what it leads to is left alone."""
+    """Whether `path` is a folder and not a link to one: a link is replaced, and the folder behind it is left alone."""
     return path.is_dir() and not path.is_symlink()
 
 

@@ -1,4 +1,4 @@
-"""What every stage script shares: its params, a work directory that survives a kill, timing, one-sentence errors."""
+"""Shared parts of stage scripts: params, a work directory that survives a kill, timing, one-sentence errors."""
 
 import contextlib
 import fcntl
@@ -25,41 +25,41 @@ from clothkit.publish import alone, leftovers, publish, recover
 WORK = Path(".work")
 PUBLISHING = WORK / "publishing.lock"
 PLACES = (Path("data"), Path("reports"))
-"""Where stages publish."""
+"""Folders under which stages publish their outputs."""
 
 COMPILED_BYTES = 2**30
-"""What compiled programs may take, kept so that a stage that goes on, and its variants, need not compile again."""
+"""Size limit of the cache of compiled programs, from which a resumed stage and its variants need not compile again."""
 
 
 class Stage:
-    """One run of a stage. `params` is the stage's section of params.yaml, None if it has none; `shared` the whole."""
+    """One run of a stage. `params` is the stage's section of params.yaml (None if it has none), `shared` all of it."""
 
     def __init__(self, name: str, variant: str | None) -> None:
         self.name = f"{name}@{variant}" if variant else name
         if leftovers(PLACES):
             with alone(PUBLISHING):
-                # A run beside this one may have been at it.
+                # Look again under the lock: the files may have belonged to another run that was publishing.
                 for target in leftovers(PLACES):
                     recover(target)
         self.shared: Params = load_params(Path("params.yaml"))
         self.params: Any = getattr(self.shared.stages, name, None)
         self._work: list[tuple[Path, Any]] = []
         self.costs: dict[str, Any] = {}
-        """What else the note of the run's cost says, JSON types only."""
+        """Further entries for the record of the run's cost, JSON types only."""
 
     @property
     def attributes(self) -> dict[str, Any]:
-        """What an artifact says of how it was made: stage, scale and params, JSON types only."""
+        """Provenance that is stored in artifacts: stage, scale and params, JSON types only."""
         return {"stage": self.name, "scale": self.shared.scale, "params": self._section()}
 
     def _section(self) -> dict[str, Any]:
         return {} if self.params is None else self.shared.section(self.name.split("@")[0])
 
     def work(self, *, inputs: list[Path]) -> Path:
-        """A directory for resumable pieces, `.work/<stage>/<hash of params, inputs and code>/`, locked for this run.
+        """Create and lock a directory for partial results: `.work/<stage>/<hash of params, inputs and code>/`.
 
-        A killed run leaves it; the next run with the same params, inputs and code finds it again and goes on.
-        Raises InputError when another process works there.
+        A killed run leaves it; the next run with the same params, inputs and code gets the same directory and resumes.
+        Raises InputError when an input is missing or another process holds the lock.
         """
         digest = hashlib.sha256(json.dumps(self.attributes, sort_keys=True).encode())
         for path in [*_own_code(), *inputs]:
@@ -77,17 +77,17 @@ class Stage:
     def publish(self, source: Path, target: Path | str) -> None:
         """Move a finished file or directory to its place under data/ or reports/, replacing what was there as a whole.
 
-        A kill leaves the old output or the new one; of a stage with several outputs the first may then be new and the
-        others old. DVC, which notes a stage only once it has ended, runs it again; so must you where you run stages by
-        hand. The next run goes on from its pieces of work and publishes all of them anew. (DVC deletes most outputs
-        before it runs a stage; the old ones are then in its cache: `dvc checkout`.) Raises InputError when the output
-        can't be written; the old one and `source` stay as they are.
+        A kill leaves the old output or the new one. If a stage has several outputs, some may then be new and others
+        old. DVC records a stage only once it has ended, and so runs it again; if you run stages by hand, do the same.
+        The next run resumes from its partial results and publishes all outputs again. (DVC deletes most outputs before
+        it runs a stage; `dvc checkout` restores them from its cache.) Raises InputError when the output can't be
+        written; the old one and `source` are then unchanged.
         """
         with alone(PUBLISHING):
             publish(source, Path(target))
 
     def close(self, started: float) -> None:
-        """Note the run's cost and drop its work directories."""
+        """Write the run's cost to `.work/timings/` and delete its work directories."""
         seconds = time.monotonic() - started
         usage = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
         cost = {
@@ -108,18 +108,18 @@ class Stage:
             Path(lock.name).unlink(missing_ok=True)
 
     def release(self) -> None:
-        """Let other runs have the work directories."""
+        """Release the locks of the work directories."""
         for _, lock in self._work:
             lock.close()
 
 
 @contextlib.contextmanager
 def stage(name: str, variant: str | None = None) -> Iterator[Stage]:
-    """Run a stage script's body: bad input ends it with one sentence and exit status 1, pieces of work stay.
+    """Run a stage script's body. Bad input ends it with one sentence and exit status 1; partial results stay.
 
-    Refuses to run another clothkit than `src/clothkit` in the current directory: an experiment in a copy of the
-    checkout (`dvc exp run --temp`, `--queue`) would record results of code that is not in its snapshot. dvc.yaml sets
-    PYTHONPATH for that.
+    Refuses to run if the imported clothkit is not `src/clothkit` of the current directory: an experiment in a copy of
+    the checkout (`dvc exp run --temp`, `--queue`) would record results of code that is not in its snapshot. dvc.yaml
+    sets PYTHONPATH, so that a copy imports its own code.
     """
     started = time.monotonic()
     run = None

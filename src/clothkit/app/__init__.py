@@ -1,1 +1,1 @@
-"""What people run by hand: commands on artifacts that the pipeline made."""
+"""Commands that people run by hand, and the viewer; they use the artifacts that the pipeline made."""

@@ -15,11 +15,11 @@ COMMANDS = {
     "export": "States of a dataset as OBJ, PLY or GLB.",
     "view": "A local page on which sessions are played.",
 }
-"""Each is `command` of a module of its name. Told here, so that help need not import what a search does."""
+"""Help text by command. The command is `command` in the module of that name; help need not import these modules."""
 
 
 class _Told(click.ClickException):
-    """Bad input, in one sentence."""
+    """Bad input: its sentence goes to stderr as it is, and the exit status is 1."""
 
     exit_code = 1
 
@@ -28,7 +28,7 @@ class _Told(click.ClickException):
 
 
 class _Commands(click.Group):
-    """Commands that are imported when they are called."""
+    """A group whose commands are imported only when they are called."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
@@ -75,5 +75,5 @@ def cli() -> None:
 
 
 def main() -> None:
-    """The entry of the installed command, and of `python -m clothkit`."""
+    """Entry point of the installed command and of `python -m clothkit`."""
     cli(prog_name="clothkit")

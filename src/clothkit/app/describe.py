@@ -1,4 +1,4 @@
-"""A found plan as a plan file has it: in metres, in a frame, with what is expected of it."""
+"""Convert a plan that was found to the content of a plan file: in metres, in a frame, with the expected outcome."""
 
 from typing import Any, Literal, NamedTuple
 
@@ -26,31 +26,34 @@ Frame = Literal["camera", "table"]
 
 
 class Given(NamedTuple):
-    """What a plan was asked for with."""
+    """The inputs of one planning request."""
 
     state: Seen
     goal: Seen
     wanted: Believed
-    """The goal as it was planned for: as the system takes it, turned if need be."""
+    """The goal of the search, in the system's representation; turned if the plan was turned."""
     matrix: Float[np.ndarray, "2 2"] | None
-    """That it was turned by."""
+    """The matrix that the goal was turned or mirrored by; None: it was not."""
     side: float
-    """Of the flat cloth [m]."""
+    """Side of the flat cloth [m]."""
     seed: int
     frame: Frame
     nets: tuple[str, ...]
-    """What the planner's nets are called."""
+    """Names of the planner's nets: a, b."""
     explained: tuple[Explained | None, Explained | None] = (None, None)
-    """How far the estimates of state and goal explain what was seen; None: not estimated."""
+    """Agreement of the estimates of state and goal with their observations; None: not estimated."""
 
 
 def frame_of(seen: Seen, wanted: Frame) -> Frame:
-    """The frame of a plan's positions: what is in the table's frame has no camera."""
+    """Return the frame of a plan's positions: `wanted` for point clouds; meshes and voxels are in the table's frame."""
     return wanted if seen.kind == "points" else "table"
 
 
 def paths_of(planner: Planner, planned: Planned, pose: Pose, motion: MotionConfig) -> list[HandPaths]:
-    """Where the hands are when, in the table's frame: of later steps, where the better net expects the cloth."""
+    """Return the timed paths of the hands in each step, in the table's frame.
+
+    In the first step the hands grasp the state, in later steps the better net's prediction of it.
+    """
     means = planner.sight.means(planned.predictions[planner.better])
     places = poses_of(planned, pose)
     states = [planned.state, *means[:-1]]
@@ -68,12 +71,12 @@ def paths_of(planner: Planner, planned: Planned, pose: Pose, motion: MotionConfi
 
 
 def poses_of(planned: Planned, pose: Pose) -> list[Pose]:
-    """Where the cloth is expected before the first step and after each."""
+    """Return the expected pose of the cloth before the first step and after each step."""
     return [pose, *(pose.moved(shift) for shift in np.cumsum(planned.shifts, axis=0))]
 
 
 def heights(voxels: Believed, xy: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, " points"]:
-    """How high the cloth is at the occupied column nearest to each point [normalised]; 0 where there is no cloth."""
+    """Return the cloth's height in the occupied column nearest to each point [normalised]; 0 if none is occupied."""
     columns = np.argwhere((voxels >= _SURELY).any(-1))
     if not len(columns):
         return np.zeros(len(xy))
@@ -84,12 +87,12 @@ def heights(voxels: Believed, xy: Float[np.ndarray, "points 2"]) -> Float[np.nda
 
 
 def describe(planner: Planner, planned: Planned, paths: list[HandPaths], given: Given) -> Plan:
-    """The plan file's content. `paths` are in the table's frame.
+    """Return the content of the plan file. `paths` are in the table's frame.
 
-    Raises InputError when it comes to a plan that no file may hold.
+    Raises InputError if the plan fails the checks of plan files.
     """
     real = given.state.pose
-    # What is already in the table's frame stays as it is.
+    # In the table's frame, the conversion from table to camera must change nothing.
     pose = real if given.frame == "camera" else Pose(np.eye(3), np.zeros(3), real.centre, real.scale)
     poses = poses_of(planned, pose)
     expectation = expected(planner, planned, given)
@@ -123,7 +126,7 @@ def describe(planner: Planner, planned: Planned, paths: list[HandPaths], given: 
 
 
 def notices(given: Given) -> list[str]:
-    """What a reader of the plan should know of how its state and goal were seen, in sentences."""
+    """Return sentences on how state and goal were read and observed, and on estimates that do not explain them."""
     said = [*given.state.notices, *given.goal.notices]
     said += [found.words for found in given.explained if found is not None and not found.explains]
     # State and goal may be one file.
@@ -131,7 +134,10 @@ def notices(given: Given) -> list[str]:
 
 
 def expected(planner: Planner, planned: Planned, given: Given) -> dict[str, Any]:
-    """What the mean of the nets' predictions comes to; errors as design section 2 has them, whatever the labels."""
+    """Return the fields of `plan_file.Expectation`, from the mean of the nets' predictions after the last step.
+
+    Mesh errors are aligned, and the smallest over the goal's Cartesian equivalents.
+    """
     means = [planner.sight.means(prediction) for prediction in planned.predictions]
     outcome = np.mean([mean[-1] for mean in means], axis=0)
     fields: dict[str, Any] = dict.fromkeys(
@@ -157,7 +163,7 @@ def expected(planner: Planner, planned: Planned, given: Given) -> dict[str, Any]
 
 
 def covered(state: Believed) -> np.ndarray:
-    """The silhouette of a mesh, centred, or the columns of voxels."""
+    """Return the mask of the silhouette of a mesh, centred, or of the voxel columns that hold cloth."""
     if state.shape == RESOLUTION:
         return np.asarray((state >= _SURELY).any(-1))
     return silhouette(centred(state.astype(np.float32))[0])

@@ -1,4 +1,4 @@
-"""`clothkit estimate`: the mesh in voxels or a point cloud, and how sure the net is of it."""
+"""`clothkit estimate`: estimate a mesh, with standard deviations, from voxels or a point cloud."""
 
 from pathlib import Path
 from typing import Any
@@ -73,10 +73,10 @@ def command(file: str, *, out: Path, sigma: Path | None, data: Path, mask: str |
 
 
 def _seen(points: Float[np.ndarray, "points 3"]) -> Bool[np.ndarray, "x y"]:
-    """What the points of an observation cover."""
+    """Return the mask of the pixels of the square -EXTENT..EXTENT that observed points cover."""
     return covered(points[:, :2], resolution=resolution_for(points[:, :2], EXTENT), extent=EXTENT)
 
 
 def _covers(pixels: Bool[np.ndarray, "x y"]) -> float:
-    """What pixels of the square -EXTENT..EXTENT cover, as a share of the flat cloth."""
+    """Return the area of a mask over the square -EXTENT..EXTENT, as a share of the flat cloth's area."""
     return float(pixels.mean() * (2 * EXTENT) ** 2 / CLOTH_SIDE**2)

@@ -1,4 +1,4 @@
-"""Whether estimates explain what was seen, in numbers and in words."""
+"""Whether an estimate agrees with the observation that it was made from, in numbers and in words."""
 
 from typing import NamedTuple
 
@@ -12,19 +12,19 @@ from clothkit.planning.systems import System
 
 
 class Explained(NamedTuple):
-    """How far an estimate agrees with what was seen, and what to say of it."""
+    """Agreement of an estimate with its observation, and a sentence that states it."""
 
     silhouette_iou: float
-    """Of the columns of voxels that hold cloth."""
+    """Intersection over union of the voxel columns that hold cloth."""
     height_iou: float
-    """Of all that lies below the surface."""
+    """Intersection over union of the occluded voxels, which fill the columns up to the surface."""
     explains: bool
-    """Whether both are as high as is usual for estimates that can be relied on (`app.agreement`)."""
+    """Whether both reach the thresholds of `app.agreement`."""
     words: str
 
 
 def explained(seen: Seen, mesh: Believed, settings: Settings) -> Explained:
-    """How far a mesh that was estimated [normalised, centred] explains the voxels that it was estimated from."""
+    """Compare an estimated mesh [normalised, centred] with the voxels that it was estimated from."""
     found = agreement(mesh.astype(np.float32), seen.observation.voxels, height=settings.app.cloud.height)
     least = settings.app.agreement
     silhouette, heights = float(found.silhouette), float(found.heights)
@@ -41,16 +41,19 @@ def explained(seen: Seen, mesh: Believed, settings: Settings) -> Explained:
 
 
 def of_state(system: System, seen: Seen, believed: Believed, settings: Settings) -> Explained | None:
-    """The same for what a system takes a state for; None where it takes it as it is, and estimates nothing."""
+    """Compare a system's estimate of a state with the observation; None if the system does not estimate states."""
     return None if system.voxels or system.true_meshes else explained(seen, believed, settings)
 
 
 def of_goal(system: System, seen: Seen, believed: Believed, settings: Settings) -> Explained | None:
-    """The same for a goal: it is estimated where the file holds no mesh."""
+    """Compare a system's estimate of a goal with the observation; None if the goal was not estimated.
+
+    Goals are estimated if the file holds no mesh and the system plans with meshes.
+    """
     return None if system.voxels or mesh_of(seen) is not None else explained(seen, believed, settings)
 
 
 def warn(found: Explained | None) -> None:
-    """Say on stderr that an estimate does not explain what was seen, if it doesn't."""
+    """Print a warning on stderr if an estimate does not explain its observation."""
     if found is not None and not found.explains:
         click.echo(f"warning: {found.words}", err=True)

@@ -47,7 +47,7 @@ def command(
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What the command takes."""
+    """Add the command's arguments to a parser."""
     parser.add_argument("source", type=Path, help="a folder of raw artifacts (data/raw) or a store (data/meshes.zarr)")
     which = parser.add_mutually_exclusive_group(required=True)
     which.add_argument("--sequence", type=int, nargs="+", metavar="N", help="numbers of the sequences")
@@ -61,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Write the files and say where they are. Raises InputError."""
+    """Write the files and print where they are. Raises InputError."""
     sequences = None if arguments.all else arguments.sequence
     _export(arguments.source, arguments.to, arguments.format, sequences, arguments.cloth_side)
 
@@ -72,7 +72,7 @@ def _export(source: Path, to: Path, file_format: str, sequences: Sequence[int] |
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    """The command; bad input ends it with one sentence and exit status 1."""
+    """Run the command. Bad input ends it with one sentence and exit status 1."""
     parser = argparse.ArgumentParser(prog="clothkit.app.export", description="Cloth states as OBJ, PLY or GLB files.")
     add_arguments(parser)
     try:

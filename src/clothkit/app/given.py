@@ -1,4 +1,4 @@
-"""What a command is given: settings, and states and goals as a camera or a file shows them."""
+"""The inputs of commands: settings, and states and goals that are read from files and observed as by a camera."""
 
 import dataclasses
 import os
@@ -31,7 +31,7 @@ from clothkit.simulation.settings import SimulationConfig
 
 PARAMS = Path("params.yaml")
 COMPILED_BYTES = 2**30
-"""What compiled programs may take on disk."""
+"""Size limit of the cache of compiled programs on disk."""
 _WEIGHTS = Weights(alpha=0.01, beta=5.0, gamma=1.25)
 
 Kind = Literal["mesh", "voxels", "points"]
@@ -39,7 +39,7 @@ Taken = Literal["as it is", "estimated"]
 
 
 class Settings(NamedTuple):
-    """What commands go by."""
+    """The settings that commands use."""
 
     app: AppConfig
     plan: PlanConfig
@@ -49,8 +49,11 @@ class Settings(NamedTuple):
 
 
 def settings() -> Settings:
-    """Those of params.yaml where the current directory has one, at its scale, else the defaults. Raises InputError."""
-    # A link that leads nowhere, or in a circle, is no reason for defaults.
+    """Read params.yaml in the current directory, at its selected scale; without such a file return the defaults.
+
+    Raises InputError if the file is invalid.
+    """
+    # lexists, because a broken or circular link must be reported and not replaced by the defaults.
     if not os.path.lexists(PARAMS):
         return Settings(AppConfig(), PlanConfig(), _WEIGHTS, CandidateConfig(), SimulationConfig())
     params = load_params(PARAMS)
@@ -60,7 +63,7 @@ def settings() -> Settings:
 
 
 def keep_compiled_programs() -> None:
-    """Where the next call finds what this one compiles: compiling a search takes longer than searching."""
+    """Let JAX cache compiled programs on disk for the next call: compiling a search takes longer than running it."""
     if jax.config.values.get("jax_compilation_cache_dir") is None:
         home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
         jax.config.update("jax_compilation_cache_dir", str(home / "clothkit/compiled"))
@@ -69,23 +72,23 @@ def keep_compiled_programs() -> None:
 
 
 class Seeing(NamedTuple):
-    """How files are looked at."""
+    """How files are read and observed."""
 
     side: float
-    """Of the flat cloth [m]."""
+    """Side of the flat cloth [m]."""
     cloud: CloudConfig
     table: Plane | None
     stated: Stated = Stated()
-    """What is known of up, in the clouds' frame."""
+    """Up direction and viewpoint, if they are given, in the clouds' frame."""
     y_up: bool = False
     """Whether OBJ and PLY meshes have y up."""
     as_points: bool = False
-    """Whether a mesh that is no grid of ours holds what a camera measured."""
+    """Whether the vertices of a mesh that is no 32 x 32 grid are used as a measured point cloud."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Seen:
-    """A state or a goal."""
+    """A state or a goal: the file's name, its content, and the observation of it."""
 
     file: str
     state: State
@@ -93,26 +96,26 @@ class Seen:
 
     @property
     def kind(self) -> Kind:
-        """What the file holds."""
+        """The kind of the file's content."""
         if isinstance(self.state, MeshState):
             return "mesh"
         return "voxels" if isinstance(self.state, VoxelState) else "points"
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """What the file was taken for, and what of the cloth is not observed, in sentences."""
+        """Sentences on how the file was read, and on the parts of the cloth that were not observed."""
         return (*self.state.notices, *self.observation.notices)
 
     @property
     def pose(self) -> Pose:
-        """Where the cloth is."""
+        """The pose of the cloth."""
         return self.observation.pose
 
 
 def look(file: str, seeing: Seeing, *, mask: str | None = None) -> Seen:
-    """What a file shows. `mask` names a file that tells a cloud's points of the cloth. Raises InputError.
+    """Read a file and observe its cloth. Prints the notices on stderr.
 
-    What of it is not observed is said on stderr.
+    `mask` names an NPY file [points] that marks the points of the cloth in a cloud. Raises InputError.
     """
     state = read(file, cloth_side=seeing.side, y_up=seeing.y_up, as_points=seeing.as_points)
     for notice in state.notices:
@@ -123,7 +126,7 @@ def look(file: str, seeing: Seeing, *, mask: str | None = None) -> Seen:
         state = dataclasses.replace(state, cloth=_read_mask(Path(mask), len(state.points)))
     cloud, table, stated = seeing.cloud, seeing.table, seeing.stated
     if isinstance(state, PointCloud) and state.table is not None:
-        # What options say is about a camera's points, not about a surface that lies on its own table.
+        # The options describe a camera's cloud; these points are of a surface whose table is known.
         cloud, table, stated = dataclasses.replace(cloud, box=None, table_colour=None), None, Stated()
     seen = observe(state, cloth_side=seeing.side, settings=cloud, table=table, stated=stated, name=file)
     for notice in seen.notices:
@@ -137,7 +140,7 @@ def _read_mask(path: Path, count: int) -> Bool[np.ndarray, " points"]:
             mask: Any = np.load(file, allow_pickle=False)
     except OSError as error:
         raise system_error(error, path, expected="a mask as NPY") from error
-    except Exception as error:  # numpy's readers raise what they like
+    except Exception as error:  # numpy's readers raise many kinds of errors
         raise InputError(f"{path}: can't be read as NPY, expected a mask") from error
     if not isinstance(mask, np.ndarray) or mask.shape != (count,) or not np.isin(mask, (0, 1)).all():
         raise InputError(f"{path}: is no mask of {count} points, expected an array [{count}] of 0 and 1")
@@ -145,7 +148,7 @@ def _read_mask(path: Path, count: int) -> Bool[np.ndarray, " points"]:
 
 
 def looking(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Adds the options that tell how files are looked at; `seeing` makes a `Seeing` of them."""
+    """Decorator that adds the options for reading and observing files; `seeing` converts their values to a `Seeing`."""
     for option in reversed(
         (
             click.option(
@@ -225,7 +228,7 @@ def seeing(
     y_up: bool | None = None,
     as_points: bool = False,
 ) -> Seeing:
-    """How files are looked at: as options say, else as settings do. Raises InputError."""
+    """Build a `Seeing` from option values; settings are the defaults. Raises InputError for invalid values."""
     cloud = app.cloud
     if table_colour:
         r, g, b, most_r, most_g, most_b = table_colour
@@ -236,7 +239,7 @@ def seeing(
         corners = _corners("--box", box)
         cloud = dataclasses.replace(cloud, box=corners)
     plane, seen_from, turned = table or app.table, viewpoint or app.viewpoint, app.y_up if y_up is None else y_up
-    # A table that an option gives has its own normal up.
+    # The normal of a table from an option points up, so `app.up` must not override it.
     up = up or (None if table else app.up)
     if turned and up is None and plane is None and seen_from is None:
         up = (0.0, 1.0, 0.0)
@@ -256,7 +259,7 @@ def seeing(
 
 
 def reach_of(app: AppConfig, box: tuple[float, ...] | None) -> ReachConfig | None:
-    """The box that the hands reach: as the option says, else as settings do. Raises InputError."""
+    """Return the box that the hands reach, from the option or else the settings (None: no limit). Raises InputError."""
     if box is None:
         reach = app.reach
         if reach is not None:

@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, and what is said on the way."""
+"""Write output files as a whole or not at all, check targets beforehand, and print progress."""
 
 import contextlib
 import os
@@ -21,21 +21,21 @@ _ERASE = "\r\x1b[K"
 
 @contextlib.contextmanager
 def part(what: str) -> Iterator[None]:
-    """Say on stderr what is being done, where someone watches, and how long it took once it is."""
+    """Print on stderr how long a block took and, on a terminal, its name `what` while it runs."""
     started, watched = time.monotonic(), sys.stderr.isatty()
     if watched:
         click.echo(f"{what} ..", nl=False, err=True)
     try:
         yield
     except BaseException:
-        # What went wrong has a line of its own.
+        # The error message must start on a line of its own.
         click.echo(_ERASE if watched else "", nl=False, err=True)
         raise
     click.echo(f"{_ERASE if watched else ''}{what}: {time.monotonic() - started:.1f} s", err=True)
 
 
 def check_target(path: Path, endings: tuple[str, ...]) -> None:
-    """That a file can be written before any work is done for it. Raises InputError."""
+    """Check, before any work is done, that a file with one of `endings` can be written to `path`. Raises InputError."""
     if path.suffix.lower()[1:] not in endings:
         raise InputError(f"{path}: ending {path.suffix!r}, expected {' or '.join(endings)}")
     try:
@@ -43,7 +43,7 @@ def check_target(path: Path, endings: tuple[str, ...]) -> None:
             raise InputError(f"{path}: is a folder, expected a file to write")
         if not path.parent.is_dir():
             raise InputError(f"{path}: {path.parent} is no folder, it must be there")
-        # Fails where the name is too long, or the folder can't be looked into.
+        # Raises OSError if the name is too long or the folder is not accessible.
         path.lstat()
     except FileNotFoundError:
         pass
@@ -54,7 +54,7 @@ def check_target(path: Path, endings: tuple[str, ...]) -> None:
 
 
 def write_mesh(path: Path, vertices: Float[np.ndarray, "u v 3"]) -> None:
-    """A mesh [m, z up] as OBJ, PLY or GLB, by the file's ending."""
+    """Write a mesh [m, z up] as OBJ, PLY or GLB, by the file's ending. Raises InputError."""
     uv = (geodesic(len(vertices)).reshape(-1, 2) + 1) / 2
     surface = Surface(0, 0, vertices.reshape(-1, 3).astype(np.float32), triangles(len(vertices)), uv, path.stem)
     with unfinished(path) as part:
@@ -62,6 +62,6 @@ def write_mesh(path: Path, vertices: Float[np.ndarray, "u v 3"]) -> None:
 
 
 def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """Named arrays as NPZ."""
+    """Write named arrays as NPZ. Raises InputError."""
     with unfinished(path) as part, part.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)

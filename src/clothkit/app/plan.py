@@ -1,4 +1,4 @@
-"""`clothkit plan`: from one observation and a goal to a plan file."""
+"""`clothkit plan`: make a plan from one observation to a goal, and write the plan file."""
 
 from pathlib import Path
 from typing import Any
@@ -157,9 +157,10 @@ def _system(name: str | None, seen: Seen, before: Plan | None, after: Path | Non
 def reached(
     planner: Planner, planned: Planned, seen: Seen, motion: MotionConfig, box: ReachConfig | None
 ) -> tuple[Planned, list[HandPaths], np.ndarray | None]:
-    """The plan, its paths, and the matrix that it was turned by: the first of its forms that is in reach, itself first.
+    """Return a form of the plan whose paths stay in the box, those paths, and the matrix that turned the plan.
 
-    Raises InputError when none is. Plans in voxels are not turned: what looks the same is known of meshes alone.
+    The plan itself is tried first (matrix: None), then its turned and mirrored forms by the symmetries of the state.
+    Raises InputError when none stays in the box. Plans in voxels are not turned: symmetries are known for meshes only.
     """
     paths = paths_of(planner, planned, seen.pose, motion)
     if box is None or beyond(paths, box) == 0:
@@ -179,7 +180,7 @@ def reached(
 
 
 def summary(plan: Plan, path: Path) -> str:
-    """What a person wants to know of a plan first."""
+    """Return the lines that the command prints about a plan."""
     said = [f"{path}: {len(plan.steps)} step{'s' if len(plan.steps) > 1 else ''}, in the {plan.frame}'s frame"]
     for number, step in enumerate(plan.steps, start=1):
         if step.null:
@@ -220,7 +221,7 @@ def summary(plan: Plan, path: Path) -> str:
 
 
 def _taken(source: Source) -> str:
-    """How a plan takes what a file holds, in words."""
+    """Say whether the plan uses a file's content as it is or an estimate of it."""
     if source.taken == "estimated":
         return f"its mesh is estimated from {'its voxels' if source.kind == 'voxels' else 'what is seen of it'}"
     return "taken as it is"

@@ -1,6 +1,6 @@
-"""Whether what a plan file says is possible and agrees with itself; each check raises ValueError with the field's name.
+"""Check that the values of a plan file are possible and agree; each check raises ValueError that names the field.
 
-`plan_file` declares what each field is, and has these run whenever a plan is made or read.
+`plan_file` declares the fields, and runs these checks whenever a plan is made or read.
 """
 
 from collections.abc import Iterator, Sequence
@@ -19,17 +19,17 @@ if TYPE_CHECKING:
     import clothkit.app.plan_file
 
 FARTHEST = 20.0
-"""Cloth sides from where the cloth lies at first: what a plan of three steps may reach, and more."""
+"""Limit of the distance of a position from the start's centre [cloth sides]; a plan of three steps reaches less."""
 
 AGREES = 0.01
-"""Cloth sides: positions that differ by less agree. They are rounded, and what they are computed from is float32."""
+"""Tolerance of positions [cloth sides]: they are rounded, and computed from float32 values."""
 
 ROUNDING = 1e-4
-"""What numbers without a unit may be off by."""
+"""Tolerance of numbers without a unit."""
 
 
 def check_axes(axes: Sequence[Sequence[float]]) -> None:
-    """That the rows are a right-handed frame."""
+    """Check that the rows are the axes of a right-handed frame: unit vectors at right angles."""
     rows = np.array(axes, float)
     if not _orthonormal(rows) or np.linalg.det(rows) < 0:
         raise ValueError(f"axes: expected unit vectors at right angles, z being x cross y, found {rows.tolist()}")
@@ -41,7 +41,7 @@ def _orthonormal(rows: Float[np.ndarray, "n n"]) -> bool:
 
 
 def check_hand(hand: "clothkit.app.plan_file.Hand") -> None:
-    """That a hand's waypoints lead, in time, from where it grasps to where it releases."""
+    """Check that a hand's waypoints start at the grasp at time 0, end at the release point, and increase in time."""
     times = [point.time_s for point in hand.waypoints]
     late = next((i for i in range(1, len(times)) if times[i] <= times[i - 1]), None)
     if times[0] != 0:
@@ -57,7 +57,7 @@ def check_hand(hand: "clothkit.app.plan_file.Hand") -> None:
 
 
 def check_step(step: "clothkit.app.plan_file.Step") -> None:
-    """That a manipulation has the hands that it takes, which move together, and predictions of different nets."""
+    """Check that a step has its manipulation's number of hands, at equal times, and predictions of different nets."""
     vector = np.array(step.manipulation, np.float32)
     null, hands = bool(is_null(vector)), 1 if bool(is_single(vector)) else 2
     if step.null != null:
@@ -74,7 +74,7 @@ def check_step(step: "clothkit.app.plan_file.Step") -> None:
 
 
 def check_plan(plan: "clothkit.app.plan_file.Plan", system: System) -> None:
-    """That a plan's parts agree with one another and with the system that made it."""
+    """Check that a plan's parts agree with one another and with the system that made it."""
     _check_frame(plan)
     _check_turn(plan, system)
     _check_kinds(plan, system)
@@ -132,7 +132,7 @@ def _check_kinds(plan: "clothkit.app.plan_file.Plan", system: System) -> None:
 
 
 def _states(plan: "clothkit.app.plan_file.Plan") -> Iterator[tuple[str, str, np.ndarray | None]]:
-    """The name of each state in the plan, its kind, and a mesh's vertices in the plan's frame [u v 3]."""
+    """Yield each state's field name, its kind, and the vertices of a mesh in the plan's frame [u v 3; m] or None."""
     named = [("start.state", plan.start.state)]
     for number, step in enumerate(plan.steps):
         named += [(f"steps.{number}.predictions.{k}.state", made.state) for k, made in enumerate(step.predictions)]
@@ -141,7 +141,7 @@ def _states(plan: "clothkit.app.plan_file.Plan") -> Iterator[tuple[str, str, np.
 
 
 def _check_places(plan: "clothkit.app.plan_file.Plan") -> None:
-    """That the cloth lies on the table, where it is said to lie, and that nothing is far from it."""
+    """Check that the cloth's centres are on the table, the first within its mesh, and that no position is far away."""
     pose = plan.pose(plan.start.centre_m)
     centres = [("start.centre_m", plan.start.centre_m)]
     centres += [(f"steps.{number}.centre_m", step.centre_m) for number, step in enumerate(plan.steps)]
@@ -159,7 +159,7 @@ def _check_places(plan: "clothkit.app.plan_file.Plan") -> None:
             _check_near(plan, pose, f"steps.{number}.hands.{k}.waypoints", points)
     if plan.start.state.kind == "mesh":
         xy = pose.camera_to_normalised(np.array(plan.start.state.vertices_m, float))[..., :2]
-        # The mean of what is covered is within its bounds.
+        # The centre is the mean of the silhouette's pixels, and so must be within the bounds of the vertices.
         if xy.min((0, 1)).max() > AGREES * CLOTH_SIDE or xy.max((0, 1)).min() < -AGREES * CLOTH_SIDE:
             raise ValueError("start.centre_m: expected the middle of start.state, found a point beside it")
 
@@ -176,7 +176,7 @@ def _check_near(
 
 
 def _check_hands(plan: "clothkit.app.plan_file.Plan", system: System, number: int) -> None:
-    """That hands grasp where the manipulation says, on the cloth as it is expected, and release by eq. (1)."""
+    """Check that hands grasp the expected cloth where the manipulation says, and release at the points of eq. (1)."""
     step = plan.steps[number]
     if step.null:
         return

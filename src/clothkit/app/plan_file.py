@@ -1,7 +1,7 @@
-"""Plan files: what a robot is to do, and what is expected of it, as JSON. `docs/plan.schema.json` is made of this.
+"""Plan files (JSON): a robot's motions and the expected outcome. `docs/plan.schema.json` is generated from this module.
 
-Positions are metres in `frame`. What nets and planning take is beside them, in normalised units. No plan is made
-or read whose parts are impossible or contradict each other: `plan_checks` tells how they must agree.
+Positions are in metres in `frame`; the inputs of nets and planning are there too, in normalised units. A plan whose
+parts are impossible or contradict each other can be neither made nor read: `plan_checks` has the conditions.
 """
 
 import json
@@ -26,10 +26,10 @@ UNLIKELY = "this plan is not expected to improve the state"
 _SHORT = 100
 
 WITHIN = 100.0
-"""Metres from the origin of `frame`: what is farther from a camera or a robot is a mistake, or in millimetres."""
+"""Limit of each coordinate in `frame` [m]: a larger value is a mistake, for example millimetres."""
 
 LONGEST = 8.0
-"""Normalised, along x or y, of a displacement. At most 2.6 is drawn, and a search moves that by 0.05 an iteration."""
+"""Limit of a displacement along x or y [normalised]. A search starts at 2.6 or less, and moves by 0.05 an iteration."""
 
 Coordinate = Annotated[float, Ge(-WITHIN), Le(WITHIN)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
@@ -259,13 +259,13 @@ def schema() -> dict[str, Any]:
 
 
 def write_plan(path: Path, plan: Plan) -> None:
-    """Write a plan file; it appears whole or not at all. Raises InputError when it can't be written."""
+    """Write a plan file as a whole or not at all. Raises InputError when it can't be written."""
     with unfinished(path) as part:
         part.write_text(lines(plan.model_dump(mode="json")) + "\n")
 
 
 def plan_of(content: dict[str, Any]) -> Plan:
-    """The plan of these fields. Raises InputError that names the first that is not as it should be."""
+    """Build a plan from its fields. Raises InputError that names the first invalid field."""
     try:
         return Plan.model_validate(content)
     except pydantic.ValidationError as error:
@@ -273,7 +273,7 @@ def plan_of(content: dict[str, Any]) -> Plan:
 
 
 def read_plan(path: Path) -> Plan:
-    """Read a plan file. Raises InputError that names the file and the first field that is not as it should be."""
+    """Read a plan file. Raises InputError that names the file and the first invalid field."""
     try:
         text = path.read_bytes()
     except OSError as error:
@@ -285,20 +285,20 @@ def read_plan(path: Path) -> Plan:
 
 
 def _first(error: pydantic.ValidationError) -> str:
-    """What the first error says, with the field's name before it."""
+    """Return the message of the first error, with the field's name before it."""
     first = error.errors(include_url=False, include_context=False)[0]
     if first["type"] == "json_invalid":
         return "is not valid JSON, expected a plan"
     place, message, found = [str(part) for part in first["loc"]], first["msg"], first["input"]
     if first["type"] == "value_error":
-        # Of a check, which begins with a field's name.
+        # The message comes from `plan_checks`, and so begins with a field's name.
         return ".".join([*place, message.removeprefix("Value error, ")])
     message = f"{'.'.join(place) or 'plan'}: {message[0].lower()}{message[1:]}"
     return message if isinstance(found, dict | list) else f"{message}, found {found!r:.40}"
 
 
 def lines(value: Any, indent: str = "") -> str:
-    """JSON with a line per field, but for what is short, and for lists of numbers."""
+    """Return JSON with one line per field; short values and lists of numbers stay on one line."""
     text, inner = json.dumps(value), indent + " "
     if len(text) <= _SHORT or (isinstance(value, list) and _depth(value) <= 2):
         return text
@@ -311,12 +311,12 @@ def lines(value: Any, indent: str = "") -> str:
 
 
 def _depth(value: Any) -> int:
-    """How deep lists of numbers are nested; large for lists of anything else."""
+    """Return the nesting depth of lists of numbers; a large number if they hold dictionaries."""
     if isinstance(value, list):
         return 1 + (_depth(value[0]) if value else 0)
     return 99 if isinstance(value, dict) else 0
 
 
 def rounded(values: np.ndarray, digits: int) -> Any:
-    """Nested lists of numbers."""
+    """Return an array as nested lists of numbers, rounded to `digits` decimals."""
     return np.round(np.asarray(values, float), digits).tolist()

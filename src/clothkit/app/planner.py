@@ -1,4 +1,4 @@
-"""One plan from one observation: a session's step for a cloth of which no truth is known (section 5.1)."""
+"""One plan from one observation: a step of a session (section 5.1) for a cloth whose true state is not known."""
 
 from collections.abc import Callable
 from functools import partial
@@ -29,40 +29,40 @@ from clothkit.planning.systems import System
 
 Traces = tuple[Float[np.ndarray, "labels latent"], ...]
 Believed = Shaped[np.ndarray, "*state"]
-"""What a cloth is taken for: a mesh [u v 3], normalised and centred, or voxels [x y z]."""
+"""A state as a system represents it: a mesh [u v 3], normalised and centred, or voxels [x y z]."""
 
 
 class Past(NamedTuple):
-    """What an earlier plan, whose first manipulation was executed, leaves to the next (section 5.1)."""
+    """What the next search needs of an earlier plan whose first manipulation was executed (section 5.1)."""
 
     expected: Believed
-    """The better net's mean for the state that there should be now."""
+    """The better net's mean prediction of the current state."""
     traces: Traces
     relative: int
     rest: Float[np.ndarray, "n 6"]
-    """Its later manipulations."""
+    """The manipulations of the earlier plan after its first."""
 
 
 class Planned(NamedTuple):
-    """A plan and what the nets expect of it, in the labels of the state."""
+    """A plan and the nets' predictions for it, in the labels of the state."""
 
     state: Believed
     plan: Float[np.ndarray, "n 6"]
     common: int
-    """The common equivalent in which it was found."""
+    """The Cartesian equivalent in which the plan was found, 0..7 (0 for voxels)."""
     relative: int
     """The relabelling that brings the goal under the state's labels."""
     predictions: tuple[Any, ...]
-    """Each net's, after each manipulation."""
+    """Each net's predicted states after each manipulation."""
     shifts: Float[np.ndarray, "n 2"]
-    """By which the better net expects the cloth's centre to move [normalised]."""
+    """Shift of the cloth's centre by each manipulation, as the better net predicts it [normalised]."""
     traces: Traces
-    """The memory traces before it."""
+    """Each net's memory traces before the plan."""
     loss: float = np.nan
 
 
 def planner_of(system: System, data: Path, settings: Settings) -> Planner:
-    """A system with its nets. Raises InputError that names what is missing or broken."""
+    """Load the planner of a system with its nets. Raises InputError that names a missing or broken artifact."""
     found = artifacts(system, data)
     for name, path in found.items():
         if not path.exists():
@@ -73,7 +73,10 @@ def planner_of(system: System, data: Path, settings: Settings) -> Planner:
 
 
 def vtm_of(data: Path, settings: Settings) -> Net:
-    """The net that sees meshes in voxels. Raises InputError, also when clouds become voxels of another height."""
+    """Load VtM, the net that estimates meshes from voxels.
+
+    Raises InputError if it is missing or broken, or if its voxels have another height than `app.cloud.height`.
+    """
     path = data / "nets/vtm"
     if not path.exists():
         raise InputError(f"{path}: not found, it sees meshes in voxels; dvc repro makes it")
@@ -84,7 +87,7 @@ def vtm_of(data: Path, settings: Settings) -> Net:
 
 
 def estimated(vtm: Net, seen: Seen, settings: Settings, *, expected: Believed | None = None) -> Estimate:
-    """The estimate of one cloth, in a batch of one; its labels and refinement follow what was expected of it."""
+    """Estimate the mesh of one cloth, as a batch of one; labels and refinement follow `expected`, if that is given."""
     predicted = None if expected is None else expected[None].astype(np.float32)
     return estimate(vtm, seen.observation.voxels[None], settings.plan.refine, predicted=predicted)
 
@@ -92,9 +95,9 @@ def estimated(vtm: Net, seen: Seen, settings: Settings, *, expected: Believed | 
 def believed(
     system: System, seen: Seen, data: Path, settings: Settings, *, expected: Believed | None = None
 ) -> Believed:
-    """What the system takes a cloth for: voxels, a mesh as the file has it, or an estimate.
+    """Return the state that the system plans from: voxels, the file's mesh, or an estimate.
 
-    Under the labels of what was expected, if anything was. Raises InputError when the system needs a mesh and the file
+    A mesh has the labels of `expected`, if that is given. Raises InputError when the system needs a mesh and the file
     holds none.
     """
     if system.voxels:
@@ -115,7 +118,7 @@ def believed(
 
 
 def goal_of(system: System, seen: Seen, data: Path, settings: Settings) -> Believed:
-    """A goal as the system takes it: a mesh that the file holds is it, other shapes are estimated."""
+    """Return a goal in the system's representation: voxels, the file's mesh, or an estimate if there is no mesh."""
     if system.voxels:
         return seen.observation.voxels
     mesh = mesh_of(seen)
@@ -123,7 +126,7 @@ def goal_of(system: System, seen: Seen, data: Path, settings: Settings) -> Belie
 
 
 def taken(system: System, seen: Seen, *, goal: bool = False) -> Taken:
-    """Whether a system plans from (or for) what a file holds, as it is, or from what is estimated of it."""
+    """Return whether a system plans from (or for) a file's content as it is, or an estimate of it."""
     as_it_is = system.voxels or (mesh_of(seen) is not None and (goal or system.true_meshes))
     return "as it is" if as_it_is else "estimated"
 
@@ -134,16 +137,16 @@ def mesh_of(seen: Seen) -> Float[np.ndarray, "u v 3"] | None:
 
 
 def like(mesh: Float[np.ndarray, "u v 3"], expected: Float[np.ndarray, "u v 3"]) -> Float[np.ndarray, "u v 3"]:
-    """The equivalent of a mesh that comes nearest to what was expected."""
+    """Return the Cartesian equivalent of a mesh that is nearest to `expected`."""
     return np.asarray(relabel(mesh, best_label(expected.astype(np.float32), mesh, aligned=True)))
 
 
 def find_plan(
     planner: Planner, state: Believed, goal: Believed, length: int, *, seed: int, past: Past | None = None
 ) -> Planned:
-    """The best plan that a search finds.
+    """Search for a plan of `length` manipulations, and return the best one.
 
-    Whatever the system, the goal may come in any labels: it is reached when some equivalent is. Raises InputError when
+    For every system the goal may have any labels: it is reached when any of its equivalents is. Raises InputError when
     the nets have no reference values for plans of that length.
     """
     problem = problem_of(planner, state, goal, length, past=past)
@@ -152,7 +155,7 @@ def find_plan(
 
 
 def problem_of(planner: Planner, state: Believed, goal: Believed, length: int, *, past: Past | None = None) -> Problem:
-    """What a search is asked. Raises InputError when the nets have no reference values for plans of that length."""
+    """Build a search's input. Raises InputError when the nets have no reference values for plans of that length."""
     planner.normalisation.reference(length)
     grasps = planner.sight.grasps(state, planner.grasping)
     points = np.zeros((planner.grasping.most, 2), np.float32)
@@ -171,13 +174,13 @@ def problem_of(planner: Planner, state: Believed, goal: Believed, length: int, *
 
 
 def find(finder: Callable[[Problem, jax.Array], Found], problem: Problem, key: PRNGKeyArray) -> Found:
-    """What one search finds, as NumPy."""
+    """Run one search, and return its result as NumPy arrays."""
     problems = jax.tree.map(lambda leaf: np.asarray(leaf)[None], problem)
     return jax.tree.map(lambda leaf: np.asarray(leaf)[0], finder(problems, key.reshape(1)))
 
 
 def planned_of(planner: Planner, problem: Problem, found: Found) -> Planned:
-    """A found plan, and what the nets expect of it."""
+    """Return the plan that a search found, with the nets' predictions for it."""
     traces = tuple(np.asarray(trace) for trace in problem.traces)
     planned = predicted(
         planner, np.asarray(problem.state), np.asarray(found.plan), common=int(found.common), traces=traces
@@ -186,14 +189,14 @@ def planned_of(planner: Planner, problem: Problem, found: Found) -> Planned:
 
 
 def first_traces(planner: Planner) -> Traces:
-    """t_0."""
+    """Return the memory traces at the start of a session, t_0, one array per net."""
     return tuple(trace[0] for trace in no_traces(planner, 1))
 
 
 def predicted(
     planner: Planner, state: Believed, plan: Float[np.ndarray, "n 6"], *, common: int, traces: Traces
 ) -> Planned:
-    """What the nets expect of a plan."""
+    """Predict the states after each manipulation of a plan; the result's `relative` is 0 and its `loss` NaN."""
     forward, k = planner.sight.forward, np.array([common])
     each = tuple(trace[None] for trace in traces)
     expected = expect(forward, planner.nets, state[None], each, plan[None], k)
@@ -203,7 +206,7 @@ def predicted(
 
 
 def traces_after(planner: Planner, planned: Planned) -> Traces:
-    """The memory traces that the first manipulation of a plan leaves."""
+    """Return each net's memory traces after the first manipulation of a plan."""
     each = tuple(trace[None] for trace in planned.traces)
     common = np.array([planned.common])
     expected = expect(planner.sight.forward, planner.nets, planned.state[None], each, planned.plan[None], common)
@@ -228,7 +231,7 @@ def _centre_shifts(
 
 
 def disagreement(planner: Planner, planned: Planned) -> float | None:
-    """u of eq. (15), the epistemic uncertainty of a plan; None for one net alone."""
+    """Return u of eq. (15), the epistemic uncertainty of a plan; None if there is only one net."""
     if len(planner.nets) == 1:
         return None
     differences = planner.sight.forward.diff(*jax.tree.map(jnp.asarray, planned.predictions))
@@ -237,10 +240,10 @@ def disagreement(planner: Planner, planned: Planned) -> float | None:
 
 
 def turned_plan(planner: Planner, planned: Planned, matrix: Float[np.ndarray, "2 2"]) -> Planned:
-    """The same plan for the goal turned or mirrored by `matrix`, under which this cloth looks as before.
+    """Return the plan turned or mirrored by `matrix`, a symmetry of the state; its goal is `turned_goal`.
 
-    The cloth stays as it is and keeps its labels; what was done to one part of it is done to that which the turn brings
-    there. The nets are asked anew what they expect.
+    The state keeps its place and its labels, and only the manipulations turn. The nets' predictions are computed again
+    for the turned plan; the loss is that of the original.
     """
     turn = jnp.asarray(matrix, jnp.float32)
     turns = jnp.broadcast_to(turn, (len(planned.plan), 2, 2))
@@ -253,5 +256,5 @@ def turned_plan(planner: Planner, planned: Planned, matrix: Float[np.ndarray, "2
 
 
 def turned_goal(goal: Believed, matrix: Float[np.ndarray, "2 2"]) -> Believed:
-    """A goal mesh turned or mirrored."""
+    """Return a goal mesh turned or mirrored by `matrix`."""
     return np.asarray(turn_mesh(jnp.asarray(goal), jnp.asarray(matrix, jnp.float32)))

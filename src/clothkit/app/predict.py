@@ -1,4 +1,4 @@
-"""`clothkit predict`: what the nets expect of a plan for a state."""
+"""`clothkit predict`: predict the states that a plan leads to."""
 
 import contextlib
 import tempfile
@@ -55,7 +55,7 @@ def command(*, state: str, source: Path, out: Path, data: Path, mask: str | None
         traces = traces_before(plan, planner, source)
     with part("predict"):
         start = believed_of(plan, plan.start)
-        # Labels follow those of the plan, in which its grasp points are.
+        # The plan's grasp points are in the labels of its start, so the state needs the same labels.
         cloth = believed(chosen, seen, data, given, expected=None if chosen.voxels else start)
         estimate = of_state(chosen, seen, cloth, given)
         found = predicted(planner, cloth, manipulations(plan), common=plan.memory.common, traces=traces)
@@ -79,7 +79,7 @@ def command(*, state: str, source: Path, out: Path, data: Path, mask: str | None
 
 
 def _check_folder(path: Path, names: list[str]) -> None:
-    """That the files can be written before any work is done for them. Raises InputError."""
+    """Check, before any work is done, that the files can be written. Raises InputError."""
     if path.exists() and not path.is_dir():
         raise InputError(f"{path}: is a file, expected a folder")
     if path.is_dir():
@@ -90,7 +90,7 @@ def _check_folder(path: Path, names: list[str]) -> None:
 
 @contextlib.contextmanager
 def _folder(path: Path) -> Iterator[Path]:
-    """A folder whose files come into `path` once all of them are there. Raises InputError."""
+    """Yield a temporary folder, and move its files into `path` once all are written. Raises InputError."""
     try:
         path.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".part", dir=path) as unfinished:

@@ -1,4 +1,4 @@
-"""What a plan file says, as planning takes it: normalised, centred, as arrays."""
+"""Convert the content of a plan file to the inputs of planning: arrays, normalised and centred."""
 
 from pathlib import Path
 
@@ -12,16 +12,16 @@ from clothkit.planning.planner import Planner, artifacts
 from clothkit.planning.systems import better_net
 
 _SAME = 1e-6
-"""By what share two sides may differ that are the same."""
+"""Relative difference up to which two sides count as equal."""
 
 
 def manipulations(plan: Plan) -> Float[np.ndarray, "n 6"]:
-    """The plan as nets take it."""
+    """Return the plan's manipulations as one array, the input of the nets."""
     return np.array([step.manipulation for step in plan.steps], np.float32)
 
 
 def believed_of(plan: Plan, placed: Placed) -> Believed:
-    """A state of a plan."""
+    """Return a state of a plan: a mesh, or voxels (boolean if each is 0 or 1, else probabilities)."""
     if not isinstance(placed.state, MeshState):
         occupancy = np.array(placed.state.occupancy, np.float32)
         return occupancy > 0 if np.isin(occupancy, (0, 1)).all() else occupancy
@@ -30,14 +30,14 @@ def believed_of(plan: Plan, placed: Placed) -> Believed:
 
 
 def side_of(plan: Plan, side: float | None, name: Path) -> float:
-    """The cloth's side [m]: a plan's own. Raises InputError when another one is asked for."""
+    """Return the cloth's side [m] that a plan was made for. Raises InputError if `side` is given and differs."""
     if side is not None and abs(side / plan.side_m - 1) > _SAME:
         raise InputError(f"--side: expected {plan.side_m:g}, for which {name} was planned, found {side:g}")
     return plan.side_m
 
 
 def check_nets(plan: Plan, planner: Planner, data: Path, name: Path) -> None:
-    """That a plan was made with the nets that there are. Raises InputError."""
+    """Check that the better net of a plan is the better one of those in `data`. Raises InputError."""
     folders = artifacts(planner.system, data)
     better = better_net({net: folders[net] for net in ("a", "b")})
     found = plan.steps[0].predictions[plan.memory.better].net
@@ -49,7 +49,7 @@ def check_nets(plan: Plan, planner: Planner, data: Path, name: Path) -> None:
 
 
 def traces_before(plan: Plan, planner: Planner, name: Path) -> Traces:
-    """The memory traces before a plan. Raises InputError when they are not of the planner's nets."""
+    """Return the memory traces before a plan. Raises InputError when their shapes don't fit the planner's nets."""
     first = first_traces(planner)
     if plan.memory.traces_before is None:
         return first
@@ -63,9 +63,9 @@ def traces_before(plan: Plan, planner: Planner, name: Path) -> Traces:
 
 
 def past_of(plan: Plan, planner: Planner, name: Path) -> Past:
-    """What an executed first step leaves to the next plan (section 5.1). Raises InputError when nothing is left to do.
+    """Return what the next search needs after a plan's first step (section 5.1). Raises InputError if it was the last.
 
-    A null manipulation is not executed: state and traces carry over.
+    A null manipulation is not executed, so the state and the traces do not change.
     """
     if len(plan.steps) < 2:
         raise InputError(f"{name}: has one step, so nothing is left to plan after it; plan afresh, without --after")

@@ -1,4 +1,4 @@
-"""What commands assume of your cloth, your camera and your robot."""
+"""Settings of the command line that describe your cloth, camera and robot."""
 
 from typing import Annotated
 
@@ -13,21 +13,21 @@ from clothkit.simulation.settings import SimulationConfig
 
 @config
 class AppConfig:
-    """Settings of the command line, for every scale; options of a command win over them."""
+    """Settings of the command line, the same at every scale; a command's options override them."""
 
     side: Annotated[float, Gt(0)] = SimulationConfig().cloth_side
-    """Of the flat cloth [m]."""
+    """Side of the flat cloth [m]."""
     table: tuple[float, float, float, float] | None = None
-    """a, b, c, d of the table's plane a x + b y + c z = d [m] in the clouds' frame, (a, b, c) up; None: it is found."""
+    """a, b, c, d of the table's plane a x + b y + c z = d [m] in the clouds' frame, (a, b, c) up; None: fitted."""
     up: Triple | None = None
-    """Which way is up in the clouds' frame, of any length; None: told by the table, the viewpoint, or the cloth."""
+    """Up direction in the clouds' frame, of any length; None: inferred from the table, the viewpoint or the cloth."""
     viewpoint: Triple | None = None
-    """Where the camera is in the clouds' frame [m]; None: where a cloud says, else the origin, if its cloth agrees."""
+    """Camera position in the clouds' frame [m]; None: that in a cloud's file, else the origin, if the cloth agrees."""
     y_up: bool = False
-    """Whether OBJ and PLY meshes, and clouds of which nothing else is told, have y up, and not z."""
+    """Whether y, and not z, is up in OBJ and PLY meshes, and in clouds if table, up and viewpoint are not given."""
     cloud: CloudConfig = CloudConfig()
     agreement: AgreementConfig = AgreementConfig()
-    """From which agreement on an estimate is said to explain what was seen."""
+    """Thresholds of agreement from which an estimate counts as explaining its observation."""
     motion: MotionConfig = MotionConfig()
     reach: ReachConfig | None = None
-    """The box that the hands reach; None: they reach everything."""
+    """The box that the hands reach; None: no limit."""

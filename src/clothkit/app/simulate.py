@@ -1,4 +1,4 @@
-"""`clothkit simulate`: the hands of a plan in the simulator."""
+"""`clothkit simulate`: execute a plan in the simulator."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,18 +27,18 @@ from clothkit.simulation.executor import execute
 from clothkit.simulation.settings import SimulationConfig
 
 _BESIDE = 0.1
-"""How far beside the cloth a hand may grasp, as a share of the cloth's side: predictions are not exact."""
+"""Largest distance of a grasp from the cloth [cloth sides]. Later steps grasp predicted cloth, which is not exact."""
 
 Mesh = Float[np.ndarray, "u v 3"]
 
 
 class Score(NamedTuple):
-    """How near an outcome comes to a goal."""
+    """How near an outcome is to a goal."""
 
     error: float | None
-    """Cloth lengths, whatever the labels, moved to fit; None if the goal is no mesh."""
+    """Error [cloth length], aligned, smallest over the equivalents; None if the goal is no mesh."""
     iou: float
-    """Of what both cover, centred."""
+    """Intersection over union of the centred silhouettes."""
 
 
 @click.command()
@@ -101,7 +101,7 @@ def command(
             mesh = np.asarray(estimated(vtm_of(data, given), seen, given).mesh[0])
         warn(explained(seen, mesh, given))
     assert mesh is not None
-    # Where cloth is crammed into a point, each of its vertices touches all others, and a step takes minutes.
+    # If the cloth is crammed into a point, each vertex touches all others, and one simulation step takes minutes.
     check_grid(state or f"{source}: start.state", mesh * pose.scale, side=plan.side_m, unit="m")
     with part("simulate"):
         hands = seen.pose if seen and seen.kind == "points" and plan.frame == "camera" else None
@@ -135,11 +135,11 @@ def simulated(
     hands: Pose | None = None,
     name: str,
 ) -> list[Mesh]:
-    """The cloth before the first step of a plan and after each [normalised], where it lies on the table.
+    """Return the cloth before the first step of a plan and after each step, at its place on the table [normalised].
 
-    `mesh` [normalised, centred] lies at `pose`; only the first `steps` are made, if told. `hands` brings
-    positions of the plan to the table, if its own table does not. Raises InputError when a hand grasps beside the
-    cloth.
+    `mesh` [normalised, centred] lies at `pose`. Only the first `steps` are simulated, if that is given. `hands` is the
+    pose that converts the plan's positions to the table's frame (default: the plan's own). Raises InputError when a
+    hand grasps beside the cloth, or an outcome is not finite.
     """
     centre = pose.centre / pose.scale
     states = [(mesh + np.append(centre, 0)).astype(np.float32)]
@@ -164,13 +164,13 @@ def simulated(
 
 
 def _grasps(step: Step, pose: Pose) -> Float[np.ndarray, "2 2"]:
-    """Where the hands grasp on the table [normalised]; one hand: the same point twice."""
+    """Return the hands' grasp points on the table, xy [normalised]; for one hand the same point twice."""
     points = np.array([hand.grasp_m for hand in (step.hands[0], step.hands[-1])], float)
     return (pose.camera_to_table(points)[:, :2] / pose.scale).astype(np.float32)
 
 
 def _start(plan: Plan, name: Path) -> tuple[Mesh, Pose]:
-    """What the plan took its state for."""
+    """Return the mesh and the pose of the plan's start. Raises InputError if the start is voxels."""
     found = believed_of(plan, plan.start)
     if found.ndim != 3 or found.shape[-1] != 3:
         raise InputError(f"{name}: start: holds voxels, give --state with a mesh, or with what one is estimated from")
@@ -178,7 +178,7 @@ def _start(plan: Plan, name: Path) -> tuple[Mesh, Pose]:
 
 
 def scored(state: Mesh, goal: Seen, matrix: Float[np.ndarray, "2 2"] | None) -> Score:
-    """A state [normalised] held against a goal that was turned by `matrix`, if by anything."""
+    """Compare a state [normalised] with a goal, turned by `matrix` if that is given."""
     mesh, wanted, points = centred(state)[0], mesh_of(goal), goal.observation.points
     if matrix is not None:
         points = np.concatenate([points[:, :2] @ matrix.T.astype(np.float32), points[:, 2:]], axis=1)

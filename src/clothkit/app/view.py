@@ -1,4 +1,4 @@
-"""`clothkit view`: a local page on which sessions are played, and made."""
+"""`clothkit view`: a local page that plays recorded sessions and runs new ones."""
 
 import contextlib
 import errno
@@ -90,15 +90,15 @@ def command(
         raise InputError(f"{data}: not found, expected the folder that dvc repro fills")
     _check_there_is_something(data, name, own)
     _check_address(host, port)
-    # A device that JAX is asked for and that is not there is told here, too.
+    # Fails here, not first on the page, if JAX was asked for a device that is not there.
     jax.devices()
     how = seeing(given.app, **options)
     if own is not None:
-        # What is wrong with a file is told here, and not on a page that nobody has opened yet.
+        # A bad file must be reported here, and not on a page that nobody has opened yet.
         look(own.state, how, mask=mask), look(own.goal, how)
-    with contextlib.redirect_stdout(io.StringIO()):  # viser tells its address whether asked or not
+    with contextlib.redirect_stdout(io.StringIO()):  # viser prints its address even if verbose is False
         server = viser.ViserServer(host=host, port=port, verbose=False)
-    # So that `kill` ends it as Ctrl-C does, a shell's background job included, which never sees Ctrl-C.
+    # `kill` must end the command as Ctrl-C does, because a shell's background jobs do not receive Ctrl-C.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         with tempfile.TemporaryDirectory(prefix="clothkit-view-") as uploads:
@@ -116,7 +116,7 @@ def command(
 
 
 def _check_there_is_something(data: Path, name: str, own: Ask | None) -> None:
-    """That there are sessions to play, or nets to make one with. Raises InputError."""
+    """Check that there are recorded sessions to play, or nets to run a new one. Raises InputError."""
     missing = [path for path in artifacts(SYSTEMS[name], data).values() if not path.exists()]
     if missing and own is not None:
         raise InputError(f"{missing[0]}: not found, system {name} plans with it; dvc repro makes it")
@@ -128,7 +128,7 @@ def _check_there_is_something(data: Path, name: str, own: Ask | None) -> None:
 
 
 def _check_address(host: str, port: int) -> None:
-    """That a page can be served there: where it can't, the server tries one port after another. Raises InputError."""
+    """Check that the page can be served there; viser would try one port after another instead. Raises InputError."""
     try:
         found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
     except (socket.gaierror, UnicodeError) as error:
@@ -148,5 +148,5 @@ def _check_address(host: str, port: int) -> None:
 
 
 def _has_screen() -> bool:
-    """Whether a browser would be a window, and not take over the terminal."""
+    """Return whether there is a display; without one, a text browser could take over the terminal."""
     return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

@@ -1,1 +1,1 @@
-"""The page on which sessions are played: what it shows as plain arrays, and what draws that in a browser."""
+"""The page that plays sessions: scenes as plain arrays, and the code that draws them in a browser."""

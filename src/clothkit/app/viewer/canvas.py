@@ -1,4 +1,4 @@
-"""Draws scenes with viser."""
+"""Draw scenes with viser."""
 
 import numpy as np
 import trimesh
@@ -13,8 +13,8 @@ from clothkit.app.viewer.scene import Caption, Cloth, Dots, Path, Scene
 from clothkit.cloth.grid import triangles
 
 _TABLE = (236, 234, 230)
-_FIELD = np.deg2rad(32)  # of view, upwards
-_FROM = np.array([0.0, -0.68, 0.73])  # direction of the camera
+_FIELD = np.deg2rad(32)  # vertical field of view [rad]
+_FROM = np.array([0.0, -0.68, 0.73])  # from the target to the camera
 
 
 class Canvas:
@@ -26,10 +26,10 @@ class Canvas:
         scene = server.scene
         scene.set_up_direction("+z")
         scene.configure_default_lights(enabled=False)
-        # Colours that tell something are better off without a surrounding that tints them.
+        # An environment map would tint the colours, which encode values.
         scene.configure_environment_map(None)
         scene.add_light_ambient("/lights/all_around", intensity=1.2)
-        # From the upper left, as the report's pictures are lit.
+        # Light from the upper left, as in the report's pictures.
         scene.add_light_directional("/lights/sun", intensity=1.6, position=(-3.0, 3.0, 5.0))
         scene.add_grid(
             "/table",
@@ -45,10 +45,10 @@ class Canvas:
         )
 
     def look_from(self, scene: Scene) -> None:
-        """Bring everything into view."""
+        """Place the camera so that the whole scene is in view."""
         low, high = np.min(scene.middles, axis=0), np.max(scene.middles, axis=0)
         target = np.append((low + high) / 2, 0.0)
-        # Seen from this far, `across` fills the height of the page.
+        # At this distance, a length of `across` fills the height of the page.
         across = 1.2 * float((high - low).max()) + 1.9
         position = target + across / (2 * np.tan(_FIELD / 2)) * _FROM
         camera = self._server.initial_camera
@@ -57,7 +57,7 @@ class Canvas:
             client.camera.position, client.camera.look_at = position, target
 
     def draw(self, scene: Scene) -> None:
-        """Put a scene in place of the last one."""
+        """Draw a scene, and remove the last one."""
         with self._server.atomic():
             for handle in self._drawn:
                 handle.remove()
@@ -107,7 +107,7 @@ class Canvas:
 
 
 def two_sided(cloth: Cloth) -> bytes:
-    """The cloth as GLB: its faces twice, each of which is seen from one side alone, in that side's colours."""
+    """Return the cloth as GLB with each face twice, once per side: visible from that side only, in its colours."""
     mesh = finer(cloth.mesh, degree=3)
     faces, vertices = triangles(len(mesh)), mesh.reshape(-1, 3)
     scene = trimesh.Scene()
@@ -130,7 +130,10 @@ def two_sided(cloth: Cloth) -> bytes:
 
 
 def finer(values: Float[np.ndarray, "u v 3"], *, degree: int) -> Float[np.ndarray, "fu fv 3"]:
-    """An array over vertices at twice their number by splines: folds across the grid would look like stairs."""
+    """Interpolate an array over vertices to about twice the resolution, by splines of that degree.
+
+    Without that, folds that are diagonal to the grid look like stairs.
+    """
     for axis in (0, 1):
         knots = np.arange(values.shape[axis])
         between = np.linspace(0, knots[-1], 2 * knots[-1] + 1)
@@ -139,6 +142,6 @@ def finer(values: Float[np.ndarray, "u v 3"], *, degree: int) -> Float[np.ndarra
 
 
 def _linear(colours: np.ndarray) -> np.ndarray:
-    """Bytes of linear light, which vertex colours in GLB are."""
+    """Convert sRGB colours 0..1 to RGBA bytes of linear light, as GLB stores vertex colours."""
     light = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
     return np.column_stack([np.rint(light * 255), np.full(len(light), 255)]).astype(np.uint8)

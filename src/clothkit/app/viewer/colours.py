@@ -1,4 +1,4 @@
-"""What a vertex's colour tells, and the legend that says so."""
+"""Colours of vertices by mode, and the legend that explains them."""
 
 from typing import Literal, NamedTuple, get_args
 
@@ -15,13 +15,13 @@ Mode = Literal["side", "height", "sigma", "disagreement"]
 MODES: tuple[Mode, ...] = get_args(Mode)
 
 UNKNOWN = (0.72, 0.72, 0.72)
-"""Of vertices of which the mode tells nothing."""
+"""Colour of vertices whose value is not known in the mode."""
 GHOST = (0.25, 0.25, 0.33)
 HANDS = ((0.776, 0.157, 0.157), (0.180, 0.490, 0.196))
-"""Of the paths of the first and the second hand, as the report has them."""
+"""Colours of the paths of the first and the second hand, as in the report."""
 CANDIDATE = (0.557, 0.357, 0.816)
 
-# From pale to dark: luminance falls steadily, so that colour-blind eyes and prints in grey read the same.
+# Luminance falls steadily from pale to dark, so that the scale can be read by colour-blind people and in grey prints.
 _SIGMA = ((0.96, 0.95, 0.98), (0.66, 0.47, 0.85), (0.24, 0.08, 0.42))
 _DISAGREEMENT = ((0.98, 0.96, 0.93), (0.95, 0.55, 0.24), (0.50, 0.06, 0.10))
 
@@ -33,14 +33,14 @@ _SAYS = {
 
 
 class Scale(NamedTuple):
-    """The mode, and the value [normalised] that has the darkest colour."""
+    """A mode, and the value [normalised] at the upper end of its colour scale."""
 
     mode: Mode
     highest: float
 
 
 def colours(values: Float[np.ndarray, "*shape"], scale: Scale) -> Float[np.ndarray, "*shape 3"]:
-    """Colours 0..1 of values [normalised] of a mode that has values; from 0 to the scale's highest."""
+    """Map values [normalised] to colours 0..1, from 0 to the scale's highest value; not for mode side."""
     share = np.clip(values / scale.highest, 0, 1)
     if scale.mode == "height":
         return relief_colours(share)
@@ -50,12 +50,12 @@ def colours(values: Float[np.ndarray, "*shape"], scale: Scale) -> Float[np.ndarr
 
 
 def sigma_of(sigma: Float[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape"]:
-    """One figure for how unsure a vertex's place is: the root mean square over its coordinates."""
+    """Return one standard deviation per vertex: the root mean square over its coordinates."""
     return np.sqrt(np.mean(np.square(sigma, dtype=np.float32), axis=-1))
 
 
 def round_up(value: float) -> float:
-    """The next of 1, 2, 5 times a power of ten: an end of a scale that can be said."""
+    """Round up to 1, 2 or 5 times a power of ten, for the end of a scale; 0.001 if not positive or not finite."""
     if not np.isfinite(value) or value <= 0:
         return 0.001
     power = 10.0 ** np.floor(np.log10(value))
@@ -63,7 +63,7 @@ def round_up(value: float) -> float:
 
 
 def legend(scale: Scale) -> str:
-    """What the colours mean, as HTML."""
+    """Return the legend of a colour scale as HTML."""
     if scale.mode == "side":
         return _LEGEND.format(body=_swatch(FRONT, "front") + _swatch(BACK, "back"), says="sides of the cloth")
     shown = colours(np.linspace(0, scale.highest, 9), scale)
@@ -88,11 +88,11 @@ def _swatch(colour: Colour, name: str) -> str:
 
 
 def css(colour: Colour) -> str:
-    """A colour as style sheets have it."""
+    """Return a colour in CSS notation."""
     return "rgb({},{},{})".format(*rgb(colour))
 
 
 def rgb(colour: Colour) -> tuple[int, int, int]:
-    """A colour 0..1 as three bytes."""
+    """Return a colour 0..1 as three bytes."""
     red, green, blue = (round(255 * float(channel)) for channel in colour)
     return red, green, blue

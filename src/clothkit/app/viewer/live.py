@@ -1,8 +1,7 @@
-"""A session that is made while one looks: a plan is searched for, its first step is simulated, and so on.
+"""A live session: search for a plan, simulate its first manipulation, observe, and search again.
 
-As in `planning.session`, with two differences: a person says when, and what is not expected to improve the state is
-executed all the same when asked for.
-What is simulated of a file that holds no mesh is the estimate: one that is tangled is simulated for long.
+As in `planning.session`, with two differences: a person starts each action, and may execute a plan that is not expected
+to improve the state. If a file holds no mesh, the estimate is simulated; a tangled estimate takes long to simulate.
 """
 
 import dataclasses
@@ -39,40 +38,40 @@ from clothkit.simulation.executor import execute
 
 @dataclasses.dataclass(frozen=True)
 class Live:
-    """A session under way, and what its next plan starts from."""
+    """A running session, and the inputs of its next plan."""
 
     session: Session
     planner: Planner
     data: Path
     settings: Settings
     centre: Float[np.ndarray, "2"]
-    """Where the cloth's centre is on the table [normalised]."""
+    """Position of the cloth's centre on the table [normalised]."""
     goal: Believed
-    """As the system takes it."""
+    """The goal in the system's representation."""
     look: Look
-    """What the system takes the current state for, in the labels of its own."""
+    """The system's estimate of the current state, in the estimate's own labels."""
     past: Past | None = None
     planned: Planned | None = None
     """The plan that waits to be executed."""
 
     @property
     def at(self) -> int:
-        """How many manipulations are behind."""
+        """Number of manipulations that are done."""
         return len(self.session.states) - 1
 
     @property
     def left(self) -> int:
-        """How many are left."""
+        """Number of manipulations that are left."""
         return self.session.length - self.at
 
 
 def begin(
     planner: Planner, start: Seen, goal: Seen, length: int, *, title: str, data: Path, settings: Settings
 ) -> Live:
-    """A session of `length` manipulations, before its first plan.
+    """Start a session of `length` manipulations; it has no plan yet.
 
-    What is simulated is the mesh that the file holds, or else the estimate. Raises InputError when the files do not
-    hold what the system plans from.
+    The mesh in the file of `start` is simulated or, if there is none, the estimate. Raises InputError when the system
+    cannot plan from these files.
     """
     system = planner.system
     look = look_at(planner, start, data, settings)
@@ -89,7 +88,7 @@ def begin(
 
 
 def look_at(planner: Planner, seen: Seen, data: Path, settings: Settings, *, past: Past | None = None) -> Look:
-    """What the system takes a cloth for, with how sure it is where an estimate is refined. Raises InputError."""
+    """Return the system's estimate of a cloth, with standard deviations if it is a refined one. Raises InputError."""
     system, expected = planner.system, past.expected if past else None
     if system.voxels or system.true_meshes or not system.refine:
         state, sigma = believed(system, seen, data, settings, expected=expected), None
@@ -100,7 +99,10 @@ def look_at(planner: Planner, seen: Seen, data: Path, settings: Settings, *, pas
 
 
 def plan(live: Live, *, seed: int, watch: Watch) -> Live:
-    """The session with a plan for the manipulations that are left. Raises InputError when none is."""
+    """Search for a plan for the manipulations that are left, and return the session with it.
+
+    Raises InputError when no manipulation is left.
+    """
     if not live.left:
         raise InputError("session: is over, expected manipulations that are left to plan")
     progress = find_watched(
@@ -110,7 +112,7 @@ def plan(live: Live, *, seed: int, watch: Watch) -> Live:
 
 
 def with_progress(live: Live, progress: Progress) -> Live:
-    """The session with the best plan so far of a search."""
+    """Return the session with the best plan of a search so far."""
     best = progress.best
     if best is None:
         return dataclasses.replace(live, planned=None, session=_with_step(live.session, Step(live.look)))
@@ -131,12 +133,12 @@ def with_progress(live: Live, progress: Progress) -> Live:
 
 
 def _with_step(session: Session, step: Step) -> Session:
-    """The session with its last step in place of what was there."""
+    """Return the session with its last step replaced by `step`."""
     return session._replace(steps=(*session.steps[:-1], matched(step, session.states[-1])))
 
 
 def perform(live: Live) -> Live:
-    """The session after the first manipulation of its plan, simulated. A null manipulation changes nothing.
+    """Simulate the first manipulation of the plan, and return the session after it. A null one changes nothing.
 
     Raises InputError when there is no plan or the outcome is not finite.
     """
@@ -184,6 +186,6 @@ def _simulated(live: Live, manipulation: Float[np.ndarray, "6"]) -> tuple[Mesh, 
 
 
 def _seen(truth: Mesh, centre: Float[np.ndarray, "2"], settings: Settings) -> Seen:
-    """What a camera sees of the simulated cloth."""
+    """Observe the simulated cloth as a camera would."""
     state = MeshState(truth, centre, settings.app.side / CLOTH_SIDE)
     return Seen("simulation", state, observe(state, cloth_side=settings.app.side, settings=settings.app.cloud))

@@ -1,4 +1,4 @@
-"""The tab on which a session is made: pick a test task or your own files, plan, execute, plan again."""
+"""The tab for live sessions: choose a test task or your own files, plan, execute, plan again."""
 
 import threading
 from collections.abc import Callable, Mapping
@@ -20,7 +20,7 @@ OWN = "own files"
 
 
 class LivePanel:
-    """Makes a session; one search or simulation at a time."""
+    """Runs a live session, with one search or simulation at a time."""
 
     def __init__(
         self,
@@ -66,7 +66,7 @@ class LivePanel:
             control.on_update(by_hand(self._reload))
 
     def begin(self) -> None:
-        """Load what is chosen."""
+        """Load the selected task."""
         self._work("looking at the cloth", self._begin)
 
     def _reload(self) -> None:
@@ -85,7 +85,7 @@ class LivePanel:
         self._said.content = f"{path.name} is here; *load* when state and goal are."
 
     def _work(self, what: str, job: Callable[[], str]) -> None:
-        """Do one thing, and nothing else meanwhile; bad input is told on the page."""
+        """Run a job, unless another one is running; errors are shown on the page."""
         if not self._running.acquire(blocking=False):
             return
         try:
@@ -162,8 +162,11 @@ class LivePanel:
 
 
 def keep_upload(folder: Path, what: str, name: str, content: bytes) -> Path:
-    """Where an uploaded file lies: of one name for state and goal there may be two. Raises InputError."""
-    # A browser may send a path of its machine, or anything.
+    """Save an uploaded file and return its path. Raises InputError.
+
+    State and goal have a folder each, because their files may have the same name.
+    """
+    # A browser may send a whole path, or anything else, as the name.
     path = folder / what / (Path(name.replace("\\", "/").replace("\0", "")).name or what)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""The whole page: two tabs to pick a session from, and the player below them."""
+"""The whole page: two tabs for choosing a session, and the player below them."""
 
 from pathlib import Path
 
@@ -22,10 +22,10 @@ def build(
     seeing: Seeing,
     uploads: Path,
 ) -> None:
-    """Put the page together, and show the first session on it. Raises InputError for artifacts that can't be read."""
+    """Build the page, and show the first session on it. Raises InputError for artifacts that can't be read."""
     systems, tasks = systems_in(data), test_tasks(data / "meshes.zarr")
     gui = server.gui
-    # The share button would send the page through a server elsewhere.
+    # The share button would send the page through an external server.
     gui.configure_theme(control_width="large", show_logo=False, show_share_button=False, brand_color=(111, 66, 193))
     gui.set_panel_label("clothkit")
     gui.main_panel.dock_right()

@@ -1,4 +1,4 @@
-"""The part of the page that plays a session: slider, what is shown and how, legend, and what there is to tell."""
+"""The part of the page that plays a session: step slider, view options, legend, and facts about the state."""
 
 import threading
 from collections.abc import Callable
@@ -19,7 +19,7 @@ T = TypeVar("T")
 
 
 def by_hand(callback: Callable[[], None]) -> Callable[[viser.GuiEvent[Any]], None]:
-    """A callback for what a person does to a control; what the page itself sets is passed over."""
+    """Wrap a control's callback, so that it is called for a person's changes and not for those by the page itself."""
 
     def called(event: viser.GuiEvent[Any]) -> None:
         if event.client is not None:
@@ -29,7 +29,7 @@ def by_hand(callback: Callable[[], None]) -> Callable[[viser.GuiEvent[Any]], Non
 
 
 def assign(control: viser.GuiInputHandle[T], value: T) -> None:
-    """Set a control. Types checkers take viser's property for one that can't be set."""
+    """Set a control's value. In one place, because type checkers take viser's property for a read-only one."""
     control.value = value  # type: ignore[misc]
 
 
@@ -40,7 +40,7 @@ class Player:
         self._canvas = Canvas(server)
         self._session: Session | None = None
         self._middles: object = None
-        # Callbacks come from a pool of threads, a search from one of its own.
+        # Callbacks run in several threads, and a search shows its progress while others run.
         self._lock = threading.RLock()
         gui = server.gui
         self._at = gui.add_slider("step", 0, 1, 1, 0, disabled=True)
@@ -52,7 +52,7 @@ class Player:
                 viser.uplot.Series(label="lowest loss", stroke="#8e5bd0", width=2),
             ),
             title="lowest loss against plans tried",
-            # The loss may be huge at first and negative in the end: arcsinh, which is a logarithm of either sign.
+            # The loss may be huge at first and negative in the end. distr=4 is arcsinh, logarithmic for either sign.
             scales={"x": viser.uplot.Scale(time=False), "y": viser.uplot.Scale(distr=4)},
             axes=(viser.uplot.Axis(), viser.uplot.Axis(size=70)),
             legend=viser.uplot.Legend(show=False),
@@ -72,7 +72,7 @@ class Player:
             control.on_update(by_hand(self._draw))
 
     def show(self, session: Session, *, at: int | None = None, shown: str | None = None) -> None:
-        """Play a session from state `at`, the first if not told; `shown` names the cloth to look at."""
+        """Show a session at state `at` (default: the first); `shown` names the cloth to show."""
         with self._lock:
             self._session = session
             last = len(session.states) - 1

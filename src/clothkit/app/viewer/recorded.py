@@ -1,4 +1,4 @@
-"""Sessions that the pipeline has recorded (planning.record), read one by one."""
+"""Read sessions that the pipeline has recorded (planning.record), one at a time."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -15,7 +15,7 @@ _KEYS = ("sequence", "start", "length")
 
 
 class Entry(NamedTuple):
-    """A recorded session, as a list of them has it."""
+    """An entry of a list of recorded sessions."""
 
     place: int
     """Its row in the record."""
@@ -24,16 +24,16 @@ class Entry(NamedTuple):
     start: int
     length: int
     error: float | None
-    """Of its outcome [cloth length]; None where there are no tidy rows beside the record."""
+    """Error of its outcome [cloth length]; None if there is no table of errors beside the record."""
 
     @property
     def title(self) -> str:
-        """What it is called."""
+        """The session's sequence and states in words."""
         return f"sequence {self.sequence}, state {self.start} to {self.start + self.length}"
 
     @property
     def label(self) -> str:
-        """Title and error."""
+        """Title and, if known, error."""
         return self.title if self.error is None else f"{self.title} · error {self.error:.3f}"
 
 
@@ -81,7 +81,7 @@ def _step(one: dict[str, np.ndarray], i: int, length: int) -> Step:
     plan = ShownPlan(
         manipulations=one["plan"][i, :left],
         means=means,
-        # Voxels have none.
+        # Predictions in voxels have no standard deviations.
         sigmas=np.swapaxes(sigmas, 0, 1) if sigmas.shape[2:] == means.shape[2:] else None,
         uncertainty=float(one["terms"][i, 2]) if len(means) > 1 else None,
         loss=float(one["loss"][i]),

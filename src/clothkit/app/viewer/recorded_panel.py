@@ -1,4 +1,4 @@
-"""The tab from which a recorded session is picked."""
+"""The tab for choosing a recorded session."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,7 +13,7 @@ _ORDERS = ("by sequence", "worst first", "best first")
 
 
 class RecordedPanel:
-    """Picks among the sessions that the pipeline has recorded, and plays what is picked."""
+    """Lists the sessions that the pipeline has recorded, and plays the selected one."""
 
     def __init__(self, server: viser.ViserServer, player: Player, data: Path, systems: Sequence[str]) -> None:
         self._player, self._data = player, data
@@ -30,7 +30,7 @@ class RecordedPanel:
         self._task.on_update(by_hand(self.play))
 
     def list_tasks(self) -> None:
-        """List what there is, and play the first of it."""
+        """List the sessions that match the filters, in the chosen order, and play the selected one."""
         try:
             found = entries(self._data, self._system.value)
         except InputError as error:
@@ -47,7 +47,7 @@ class RecordedPanel:
         self.play()
 
     def play(self) -> None:
-        """Play what is picked."""
+        """Play the selected session."""
         entry = self._listed.get(self._task.value)
         if entry is None:
             self._said.content = "No such session is recorded."

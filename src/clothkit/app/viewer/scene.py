@@ -1,4 +1,4 @@
-"""What is to be seen of a session: cloths, paths, points and captions as plain arrays, without a word about drawing."""
+"""The scene of a session: cloths, paths, points and captions as plain arrays, independent of how they are drawn."""
 
 from typing import Literal, NamedTuple
 
@@ -15,11 +15,11 @@ from clothkit.manipulation.geometry import arc, release_points, to_cartesian
 from clothkit.manipulation.vector import displacement, grasp_points, is_null, is_single
 
 SPACING = 1.9
-"""Between cloths side by side [normalised]."""
+"""Distance between cloths that are side by side [normalised]."""
 WAYPOINTS = 33
 LIFT = 0.004
-"""Points and paths stand off from the cloth by this [normalised], or it would hide half of each."""
-_BEFORE = np.array([0, -0.86, 0], np.float32)  # where a cloth's caption is
+"""Height of points and paths above the cloth [normalised], which would otherwise hide half of each."""
+_BEFORE = np.array([0, -0.86, 0], np.float32)  # from a cloth's middle to its caption
 _SURELY = 0.5  # probability from which a voxel counts as cloth
 
 Points = Float[np.ndarray, "points 3"]
@@ -28,23 +28,23 @@ Ghost = Literal["over the cloth", "beside it", "hidden"]
 
 
 class Shown(NamedTuple):
-    """A state of the cloth that can be looked at, and what is known of it."""
+    """A state of the cloth that can be shown, with its uncertainties, grasp points and manipulation."""
 
     name: str
     state: Believed
     sigma: Mesh | None = None
     apart: Float[np.ndarray, "u v"] | None = None
-    """Of each vertex: how far the nets' predictions of it are apart."""
+    """Distance between the two nets' predictions of each vertex [normalised]."""
     candidates: Float[np.ndarray, "points 2"] | None = None
     manipulation: Float[np.ndarray, "6"] | None = None
-    """What is to be done to it."""
+    """The manipulation that the plan has for this state."""
     row: int = 0
-    """Where it stands side by side: the first row is of what is, one for each net follows."""
+    """Row in the side-by-side view: the first holds the state and its estimate, then there is one row per net."""
     column: int = 0
 
 
 class Cloth(NamedTuple):
-    """A mesh to be drawn from both sides."""
+    """A mesh, with the colours of its two sides."""
 
     mesh: Mesh
     front: Float[np.ndarray, "u v 3"]
@@ -53,14 +53,14 @@ class Cloth(NamedTuple):
 
 
 class Path(NamedTuple):
-    """The way of a hand, from where it grasps to where it lets go."""
+    """The path of a hand from its grasp point to its release point."""
 
     points: Points
     colour: tuple[float, float, float]
 
 
 class Dots(NamedTuple):
-    """Balls of one size, or cubes of voxels."""
+    """Points, drawn as balls of one size or, for voxels, as boxes."""
 
     points: Points
     colours: Colours
@@ -69,25 +69,25 @@ class Dots(NamedTuple):
 
 
 class Caption(NamedTuple):
-    """Words at a place."""
+    """Text at a position."""
 
     text: str
     place: Float[np.ndarray, "3"]
 
 
 class Scene(NamedTuple):
-    """All that is to be drawn [normalised]; z is up, the table is z = 0."""
+    """Everything to draw [normalised]; z is up, the table is z = 0."""
 
     cloths: tuple[Cloth, ...] = ()
     paths: tuple[Path, ...] = ()
     dots: tuple[Dots, ...] = ()
     captions: tuple[Caption, ...] = ()
     middles: tuple[tuple[float, float], ...] = ((0.0, 0.0),)
-    """xy of each cloth's middle."""
+    """xy of the middle of each cloth and of the goal."""
 
 
 class View(NamedTuple):
-    """What a person has chosen to see."""
+    """The choices of the person at the page."""
 
     shown: str = "state"
     mode: Mode = "side"
@@ -95,13 +95,13 @@ class View(NamedTuple):
     candidates: bool = True
     paths: bool = True
     abreast: bool = False
-    """Everything side by side, in place of one."""
+    """Whether all cloths are shown side by side, and not one of them."""
 
 
 def to_show(session: Session, at: int) -> list[Shown]:
-    """The states that can be looked at when the slider is `at`: the true one, the estimate, and each prediction.
+    """Return the states that can be shown at state `at`: the true one, the estimate, and each net's predictions.
 
-    The state and the estimate are coloured by how far the nets are apart after the whole plan.
+    For the true state and the estimate, `apart` is the distance between the nets' predictions after the whole plan.
     """
     state = session.states[at]
     if at >= len(session.steps):
@@ -124,7 +124,7 @@ def to_show(session: Session, at: int) -> list[Shown]:
 
 
 def scale_of(session: Session, mode: Mode) -> Scale:
-    """One scale for a whole session, so that its steps can be compared."""
+    """Return one colour scale for a whole session, so that its steps can be compared."""
     every = [shown for at in range(len(session.states)) for shown in to_show(session, at)]
     found = [v for shown in every if (v := values(shown, mode)) is not None]
     highest = max((float(np.quantile(v, 0.995)) for v in found), default=0.0)
@@ -132,7 +132,7 @@ def scale_of(session: Session, mode: Mode) -> Scale:
 
 
 def values(shown: Shown, mode: Mode) -> Float[np.ndarray, "u v"] | None:
-    """What the mode is about, of each vertex of a mesh [normalised]; None where it is not known."""
+    """Return the mode's value at each vertex [normalised]; None if it is not known, or the state is no mesh."""
     if not is_mesh(shown.state):
         return None
     if mode == "height":
@@ -143,7 +143,7 @@ def values(shown: Shown, mode: Mode) -> Float[np.ndarray, "u v"] | None:
 
 
 def scene_of(session: Session, at: int, view: View) -> Scene:
-    """The scene of a session's state `at`: what is chosen of it, or everything side by side."""
+    """Return the scene of a session at state `at`: the cloth that the view names, or all of them side by side."""
     found = to_show(session, at)
     scale = scale_of(session, view.mode)
     if view.abreast:
@@ -195,7 +195,7 @@ def _cloth(shown: Shown, offset: np.ndarray, scale: Scale) -> Cloth:
 
 
 def _goal(goal: Believed, at: tuple[float, float], *, ghost: bool) -> Scene:
-    # A ghost is lifted a bit: surfaces at one height flicker.
+    # The ghost is raised, because two surfaces at the same height flicker.
     offset = np.array([*at, 3 * LIFT if ghost else 0], np.float32)
     captions = () if ghost else (Caption("goal", offset + _BEFORE),)
     if not is_mesh(goal):
@@ -206,7 +206,7 @@ def _goal(goal: Believed, at: tuple[float, float], *, ghost: bool) -> Scene:
 
 
 def hand_paths(state: Believed, manipulation: Float[np.ndarray, "6"]) -> list[Points]:
-    """The arcs of the hands over a state, from grasp to release points (eq. 1, section 4.2.2); none for a null one."""
+    """Return each hand's arc from grasp to release point (eq. 1, section 4.2.2); none for a null manipulation."""
     if bool(is_null(manipulation)):
         return []
     if is_mesh(state):
@@ -220,19 +220,19 @@ def hand_paths(state: Believed, manipulation: Float[np.ndarray, "6"]) -> list[Po
 
 
 def on_top(state: Believed, xy: Float[np.ndarray, "points 2"]) -> Points:
-    """Points in xy on the topmost of a state there."""
+    """Place points xy [normalised] on the top layer of a state."""
     if not is_mesh(state):
         return np.column_stack([xy, heights(state, xy)]).astype(np.float32)
     vertices = state.reshape(-1, 3)
     off = np.linalg.norm(vertices[:, :2] - xy[:, None], axis=-1)
-    # What lies within about a grid spacing may be the upper layer.
+    # A vertex that is almost as near as the nearest (by less than a grid spacing) may belong to an upper layer.
     near = off <= off.min(1, keepdims=True) + 0.03
     top = np.where(near, vertices[:, 2], -np.inf).max(1)
     return np.column_stack([xy, top + LIFT]).astype(np.float32)
 
 
 def cubes(voxels: Believed, offset: Float[np.ndarray, "3"]) -> Dots:
-    """Occupied voxels, coloured by height."""
+    """Return the occupied voxels as boxes, coloured by height."""
     occupied = np.argwhere(voxels >= _SURELY)
     size = np.array([2 / RESOLUTION[0], 2 / RESOLUTION[1], HEIGHT / RESOLUTION[2]])
     points = (occupied + 0.5) * size - [1, 1, 0]

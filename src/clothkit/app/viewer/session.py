@@ -1,6 +1,7 @@
-"""A session as the viewer plays it, the same whether it was recorded or is being made.
+"""A session as the viewer plays it, in one form for recorded and live sessions.
 
-All labels are those of the true states, so that sides match in colour; lengths are normalised.
+All labels are those of the true states, so that a side of the cloth has the same colour everywhere; lengths are
+normalised.
 """
 
 from typing import NamedTuple
@@ -18,53 +19,53 @@ from clothkit.manipulation.vector import is_null
 
 Mesh = Float[np.ndarray, "u v 3"]
 Believed = Shaped[np.ndarray, "*state"]
-"""A mesh [u v 3], or voxels [x y z] of a system that sees these."""
+"""A mesh [u v 3], or voxels [x y z] for a system that plans in voxels."""
 
 
 class Look(NamedTuple):
-    """What a system takes the cloth for."""
+    """A system's estimate of the cloth, and its candidate grasp points."""
 
     estimate: Believed
     sigma: Mesh | None
-    """Standard deviations of the estimate, where they are known."""
+    """Standard deviations of the estimate; None: not known."""
     candidates: Float[np.ndarray, "points 2"]
-    """Grasp points as the nets take them: geodesic, or Cartesian in voxels."""
+    """Grasp points in the nets' input coordinates: geodesic for meshes, Cartesian for voxels."""
 
 
 class ShownPlan(NamedTuple):
-    """A plan for the m manipulations that are left, and what each of the nets expects of it."""
+    """A plan for the m manipulations that are left, and each net's predictions for it."""
 
     manipulations: Float[np.ndarray, "m 6"]
     means: Shaped[np.ndarray, "net m *state"]
     sigmas: Float[np.ndarray, "net m u v 3"] | None
     uncertainty: float | None
-    """u of eq. (15); None for one net alone."""
+    """u of eq. (15); None if there is only one net."""
     loss: float
     progress: Float[np.ndarray, " evaluations"]
-    """The lowest loss so far, for each iteration of the search."""
+    """The lowest loss up to each iteration of the search."""
     tried: int
-    """Plans that each of these iterations has tried."""
+    """Number of plans that each iteration evaluates."""
     note: str = ""
-    """What became of it, in words."""
+    """What happened to the plan, in words."""
 
 
 class Step(NamedTuple):
-    """A state of a session: what it was taken for and what was planned from it, if anything was."""
+    """One state of a session: the system's estimate of it, and the plan from it, if there is one yet."""
 
     look: Look
     plan: ShownPlan | None = None
 
 
 class Session(NamedTuple):
-    """A session of `length` manipulations, as far as it has come."""
+    """A session of `length` manipulations, of which some may still be missing."""
 
     title: str
     length: int
     goal: Believed
     states: tuple[Mesh, ...]
-    """What the cloth really was, centred."""
+    """The true states, centred."""
     steps: tuple[Step, ...]
-    """One for each state but the outcome."""
+    """One for each state except the outcome."""
 
     @property
     def over(self) -> bool:
@@ -78,12 +79,12 @@ def is_mesh(state: np.ndarray) -> bool:
 
 
 def matched(step: Step, truth: Mesh) -> Step:
-    """The step under the labels in which its estimate comes nearest to the true state; voxels have none."""
+    """Relabel a step so that its estimate is nearest to the true state. Voxels have no labels and stay as they are."""
     look, plan = step
     if not is_mesh(look.estimate):
         return step
     k = int(labels_of_truth(look.estimate[None].astype(np.float32), truth[None])[0])
-    # A candidate is a manipulation's grasp point, relabelled like it.
+    # Candidates are grasp points, and are relabelled as those of a manipulation.
     points = np.concatenate([np.tile(look.candidates, 2), np.zeros_like(look.candidates)], axis=1)
     candidates = np.asarray(relabel_manipulation(points, k))[:, :2]
     look = Look(_relabelled(look.estimate, k), None if look.sigma is None else _relabelled(look.sigma, k), candidates)
@@ -101,21 +102,21 @@ def _relabelled(mesh: np.ndarray, k: int) -> np.ndarray:
 
 
 def places(state: Believed, grasps: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, "points 2"]:
-    """Where grasp points lie on a state, xy."""
+    """Return the positions of grasp points on a state, xy [normalised]."""
     if not is_mesh(state) or not len(grasps):
         return grasps
     return np.asarray(to_cartesian(np.broadcast_to(state, (len(grasps), *state.shape)), grasps))[:, :2]
 
 
 def error_of(state: Believed, goal: Shaped[np.ndarray, "*goal"]) -> float | None:
-    """How far a state is from a goal [cloth length, aligned, whatever the labels]; None unless both are meshes."""
+    """Return a state's error against a goal [cloth length], aligned, any labels; None unless both are meshes."""
     if not is_mesh(state) or not is_mesh(goal):
         return None
     return float(error(state.astype(np.float32), goal.astype(np.float32), aligned=True))
 
 
 def facts(session: Session, at: int) -> str:
-    """What there is to tell of a session's state `at`, as Markdown. Errors in cloth lengths."""
+    """Return the facts about a session at state `at`, as Markdown, with errors in cloth lengths."""
     now, start = (error_of(session.states[i], session.goal) for i in (at, 0))
     lines = [f"**{session.title}**", ""]
     many = f"{session.length} manipulation{'' if session.length == 1 else 's'}"
@@ -152,14 +153,14 @@ def _facts_of(step: Step, goal: Believed) -> list[str]:
 
 
 def expectation(step: Step, goal: Believed) -> tuple[float | None, float | None]:
-    """The errors that the mean of the nets' predictions comes to, and that of the estimate as it is."""
+    """Return the errors of the nets' mean prediction after the plan, and of the estimate; each None if not known."""
     if step.plan is None or not len(step.plan.means):
         return None, None
     return error_of(step.plan.means[:, -1].mean(0), goal), error_of(step.look.estimate, goal)
 
 
 def unlikely(step: Step, goal: Believed) -> bool:
-    """Whether a plan is not expected to improve the state."""
+    """Return whether there is a plan that is not expected to improve the state."""
     if step.plan is None:
         return False
     if all(bool(is_null(manipulation)) for manipulation in step.plan.manipulations):
@@ -169,7 +170,7 @@ def unlikely(step: Step, goal: Believed) -> bool:
 
 
 def disagreement(plan: ShownPlan) -> Float[np.ndarray, "m u v"] | None:
-    """How far apart the nets' predictions of each vertex are after each manipulation; None for one net or voxels."""
+    """Return the distance between two nets' predictions of each vertex, by manipulation; None for one net or voxels."""
     if len(plan.means) < 2 or not is_mesh(plan.means[0, 0]):
         return None
     return np.linalg.norm(plan.means[0] - plan.means[1], axis=-1)

@@ -1,4 +1,4 @@
-"""What a session can be made of: your own files, or test tasks."""
+"""Tasks for live sessions: your own files, or test tasks of the dataset."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -10,21 +10,21 @@ from clothkit.dataset.tasks import tasks_of
 
 
 class Ask(NamedTuple):
-    """What a session shall be about."""
+    """The task of a session."""
 
     state: str
-    """Files, as the commands take them."""
+    """A file, in the notation of the commands; so is `goal`."""
     goal: str
     steps: int
     mask: str | None = None
 
 
 MOST = 50
-"""Sequences that are offered: a list of all would be too long to pick from."""
+"""Number of sequences that are offered; a list of all would be too long."""
 
 
 def test_tasks(path: Path) -> dict[str, Ask]:
-    """Tasks of test sequences of a store of meshes by name; none where there is no store. Raises InputError."""
+    """Return the test tasks of a store of meshes, by name; none if there is no store. Raises InputError."""
     if not path.exists():
         return {}
     split, length = load_splits(path)

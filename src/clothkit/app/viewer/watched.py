@@ -1,8 +1,8 @@
-"""A search that can be watched: some of its strains after the others, and what is best after each lot.
+"""A search that reports its progress: it runs the strains in batches, and gives the best plan after each batch.
 
-A search is one compiled program, which says nothing until it is done. Strains know nothing of one another, so one of 64
-strains is four of 16, of which the best plan is taken; between these there is something to see, and it can be stopped.
-Its random numbers are others than those of `clothkit plan`, so the plan that it finds may differ, too.
+A search is one compiled program, which returns nothing until its end. Strains are independent of one another, so a
+search with 64 strains can be replaced by four with 16, of which the best plan is kept. Between these, progress can be
+shown and the search stopped. Its random numbers differ from those of `clothkit plan`, so its plan may differ, too.
 """
 
 import dataclasses
@@ -18,26 +18,26 @@ from clothkit.app.viewer.session import Believed
 from clothkit.planning.planner import Planner
 
 AT_ONCE = 16
-"""Strains of a lot. A multiple of eight, as searches are."""
+"""Strains in a batch. A multiple of eight, as a search's number of strains must be."""
 
 
 class Progress(NamedTuple):
-    """How far a search is."""
+    """The progress of a search."""
 
     done: int
-    """Strains."""
+    """Number of strains that are done."""
     strains: int
-    """In all."""
+    """Number of strains in total."""
     best: Planned | None
-    """The best plan so far; none before the first lot is through."""
+    """The best plan so far; None before the first batch is done."""
     lowest: Float[np.ndarray, " evaluations"]
-    """The lowest loss so far, for each iteration of each lot."""
+    """The lowest loss up to each iteration, over the batches one after the other."""
     tried: int
-    """Plans that an iteration tries."""
+    """Number of plans that an iteration evaluates."""
 
 
 Watch = Callable[[Progress], bool]
-"""Is told of progress, and says whether to go on."""
+"""Called with the progress of a search; returns whether to continue."""
 
 
 def find_watched(
@@ -50,9 +50,10 @@ def find_watched(
     watch: Watch,
     past: Past | None = None,
 ) -> Progress:
-    """A search that tells of its progress; what it came to when it was through, or stopped.
+    """Run a search that calls `watch` before each batch and at the end; return its final progress.
 
-    Raises InputError when the nets have no reference values for plans of that length.
+    Stops early when `watch` returns False. Raises InputError when the nets have no reference values for plans of that
+    length.
     """
     strains = planner.settings.search.strains
     lot = min(AT_ONCE, strains)
@@ -72,7 +73,7 @@ def find_watched(
         if best is None or float(found.loss) < best.loss:
             best = planned_of(planner, problem, found)
         progress = Progress(min(progress.done + lot, strains), strains, best, lowest, lot)
-        # The last plan's rest is a start of the first lot: the same start again would find the same again.
+        # The carried plan is an initial value in the first batch only; in later ones it would give the same result.
         problem = problem._replace(later=np.array(False))
     watch(progress)
     return progress
