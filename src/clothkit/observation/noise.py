@@ -30,7 +30,7 @@ class NoiseConfig:
     lateral: NotNegative = 0.5
     """Standard deviation of the position at which a pixel measures [pixels], in each direction."""
     step: NotNegative = 0.0028
-    """Quantisation step of 1 / depth, as of structured light [1/m]; 0 for none. Steps of depth are this times depth²."""
+    """Quantisation step of 1 / depth, as of structured light [1/m]; 0: none. Steps of depth are this times depth²."""
     grazing: Annotated[float, Gt(0)] = 1.3
     """Angle between a ray and the surface's normal from which nothing is measured [rad]."""
     edge: Annotated[float, Gt(0)] = 0.006
