@@ -49,7 +49,7 @@ def read_numpy(path: Path, *, cloth_side: float) -> MeshState | VoxelState | Poi
             arrays = {role: _array(f"{path}: {name}", archive.read(members[name])) for role, name in names.items()}
     except InputError:
         raise
-    except Exception as error:  # of zipfile, zlib, struct, header parsing, the system
+    except Exception as error:  # zipfile, zlib, struct, NumPy and the system raise many kinds of errors
         if isinstance(error, OSError) and error.errno:
             raise system_error(error, path, expected="a cloth") from error
         raise InputError(f"{path}: can't be read as {path.suffix[1:].upper()}, it is none or is broken") from error

@@ -64,7 +64,7 @@ class NoiseConfig:
 def noisy(image: DepthImage, settings: NoiseConfig, *, seed: int) -> DepthImage:
     """The depth image with a camera's noise. Same seed, same image.
 
-    The mask of the cloth follows the jitter of the pixels, so it stays true; pixels that are not measured leave it.
+    The mask of the cloth is jittered in the same way, so it stays correct. Pixels that are not measured leave it.
     """
     random = np.random.default_rng(seed)
     rows, columns = image.depth.shape

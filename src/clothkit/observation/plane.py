@@ -77,9 +77,10 @@ def find(
     *,
     name: str = "cloud",
 ) -> Plane:
-    """The plane on which most of the given points, those outside the cloth, lie. Same seed, same plane.
+    """The plane on which most of the points lie. Same seed, same plane.
 
-    The normal may point to either side. Raises InputError when too few points lie on any one plane.
+    `points` are those outside the cloth. The normal may point to either side. Raises InputError when too few points lie
+    on one plane.
     """
     if len(points) < _LEAST_POINTS:
         raise InputError(

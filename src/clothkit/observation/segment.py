@@ -30,7 +30,8 @@ _UNITS = {"millimetres": 1000.0, "centimetres": 100.0, "inches": 39.37}
 _NARROWEST, _WIDEST = 0.15, 1.6
 # Largest share of the flat cloth's area that the cloth's points may cover; noise widens the cloth's border.
 _MOST_COVERED = 1.25
-# Multiple of the mean distance up to which no point is an outlier: at the corner of an even grid it is one and a half.
+# No point is an outlier up to this multiple of the mean distance to neighbours. At the corner of an even grid, the
+# distance is one and a half times the mean.
 _LEAST_OUTLYING = 2.0
 # Metres. Some cameras mark points that they did not measure by larger coordinates.
 _FARTHEST = 1e5

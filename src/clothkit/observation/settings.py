@@ -30,7 +30,7 @@ class CloudConfig:
     neighbours: Annotated[int, Ge(0)] = 8
     """Number of nearest neighbours whose mean distance identifies outliers; 0: no outliers are dropped."""
     deviations: Annotated[float, Gt(0)] = 4.0
-    """Standard deviations above the mean of that distance from which a point is an outlier."""
+    """A point is an outlier if that distance is more than this many standard deviations above its mean."""
     second: Annotated[float, Gt(0), Le(1)] = 0.1
     """Share of the cloth's area from which a further piece is a second object; smaller pieces are dropped."""
     smoothing: NotNegative = 0.009
@@ -41,7 +41,7 @@ class CloudConfig:
     In a column that the cloth covers less, a mesh has no vertex.
     """
     closed: Annotated[int, Ge(0)] = 4
-    """Largest gap within the cloth that is filled, in columns of voxels; no gap where the table was measured is."""
+    """Largest gap within the cloth that is filled, in columns of voxels. Gaps that show the table are not filled."""
     surface: NotNegative = 0.0
     """Height of the surface that the camera sees above a mesh's vertices: half the thickness of a real cloth [m]."""
     height: Annotated[float, Gt(0)] = HEIGHT

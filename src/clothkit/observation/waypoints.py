@@ -30,7 +30,7 @@ class MotionConfig:
     shortest_move: Annotated[float, Gt(0)] = _SIMULATED.shortest_move
     """Shortest duration of a move [s]."""
     highest_lift: Annotated[float, Gt(0)] = _SIMULATED.highest_lift
-    """Normalised: hands end at min(highest_lift, k / 2) above where they grasped."""
+    """Normalised: hands end min(highest_lift, k / 2) above the grasp point, where k is the distance that they move."""
     waypoints: Annotated[int, Ge(2)] = 21
     """Number of waypoints per hand, including both ends."""
 

@@ -51,7 +51,7 @@ def _draw(
     image: np.ndarray,
     owner: np.ndarray,
 ) -> None:
-    """Enter the chosen triangles into the buffers."""
+    """Draws the chosen triangles into the buffers `image` and `owner`, in place."""
     count = pairs[chosen]
     triangle = np.repeat(chosen, count)
     place = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)

@@ -67,7 +67,7 @@ def build(folder: Path, inputs: Inputs, settings: ReportConfig) -> dict[str, pd.
         "attempts": tables.attempts(inputs.attempts),
     }
     drawn = draw_figures(folder / "figures", inputs, made["largest"], settings)
-    # Pages are written anew from old reports, whose pictures can't be drawn again: captions are stored beside pictures.
+    # The pages of an old report can be written again, but not its pictures, so their captions are stored beside them.
     told = {name: CAPTIONS[name] for name in sorted(drawn)}
     (folder / "figures" / CAPTIONS_FILE).write_text(json.dumps(told, indent=1, ensure_ascii=False) + "\n")
     for name, table in made.items():

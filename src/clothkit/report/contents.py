@@ -117,7 +117,7 @@ def _figures(folder: Path) -> dict[str, str]:
 def _planned(tables: Mapping[str, pd.DataFrame], settings: MadeWith) -> dict[str, int]:
     """Number of sequences that were planned for, by split.
 
-    Older reports lack this table. For these, the number comes from the planners' comparisons or from the settings.
+    Older reports lack the table `planned`. For these, the number is that of the planners' comparisons or the settings.
     """
     if "planned" in tables:
         rows = tables["planned"]

@@ -56,7 +56,7 @@ class MadeWith:
 def read(path: Path) -> MadeWith:
     """The settings in a params.yaml that the report stage wrote: those of one scale, defaults filled in.
 
-    Raises InputError that names the file and the key that is missing or impossible.
+    Raises InputError that names the file and the key that is missing or has an invalid value.
     """
     try:
         text = path.read_text()

@@ -34,7 +34,7 @@ def camera(
 ) -> None:
     """Writes a figure with a block per example: a column without a camera, then a column per condition.
 
-    Columns show heights (without a camera the true mesh), voxels, and the refined estimate.
+    The rows of a block show heights (without a camera the true mesh), voxels, and the refined estimate.
     """
     count = len(pictures["sequence"])
     heights = [*([1.0] * 3 + [0.12]) * count, _BAR, 0.12]
