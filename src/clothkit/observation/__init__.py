@@ -1,1 +1,1 @@
-"""What a camera sees, and what people bring: files, point clouds, depth images -> voxels and poses (section 6.5)."""
+"""Converts observations (files, point clouds, depth images) to voxels and poses (section 6.5)."""

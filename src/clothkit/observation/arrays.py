@@ -1,6 +1,7 @@
-"""Cloths and clouds in NumPy's files: one array in NPY, several under names in NPZ, told by their shapes.
+"""Reads cloths and point clouds from NumPy files: one array in NPY, several named arrays in NPZ.
 
-Nothing is unpickled, and of an NPZ nothing is read but what is known by its name.
+The shape of an array decides whether it is a mesh, voxels or points. Pickled objects are refused. Arrays of an NPZ file
+that have no known role are not read.
 """
 
 import io
@@ -31,7 +32,10 @@ _EXTRAS = {
     "viewpoint": ("viewpoint", "view_point", "camera_position"),
 }
 _LEAST_IMAGE = 60
-"""Rows and columns from which [rows, columns, 3] is a camera's image and not a mesh of another grid."""
+"""Least rows and columns of an array [rows, columns, 3] that is read as a camera's image of points.
+
+A smaller array is taken for a mesh of another grid size and refused.
+"""
 
 
 def read_numpy(path: Path, *, cloth_side: float) -> MeshState | VoxelState | PointCloud:
@@ -45,7 +49,7 @@ def read_numpy(path: Path, *, cloth_side: float) -> MeshState | VoxelState | Poi
             arrays = {role: _array(f"{path}: {name}", archive.read(members[name])) for role, name in names.items()}
     except InputError:
         raise
-    except Exception as error:  # of zipfile, zlib, struct, header parsing, the system
+    except Exception as error:  # zipfile, zlib, struct, NumPy and the system raise many kinds of errors
         if isinstance(error, OSError) and error.errno:
             raise system_error(error, path, expected="a cloth") from error
         raise InputError(f"{path}: can't be read as {path.suffix[1:].upper()}, it is none or is broken") from error
@@ -56,7 +60,11 @@ def read_numpy(path: Path, *, cloth_side: float) -> MeshState | VoxelState | Poi
 
 
 def _chosen(path: Path, names: Iterable[str]) -> dict[str, str]:
-    """Which of the arrays is what: their names by role. A state of any other name is told by being alone."""
+    """The name of the array for each role.
+
+    If no array has the known name of a state and exactly one array is left, its role is "array": a state whose kind
+    follows from its shape. Raises InputError when there is no state or more than one array for a role.
+    """
     names = list(names)
     found: dict[str, str] = {}
     for role, known in {**_STATES, **_EXTRAS}.items():
@@ -80,14 +88,17 @@ def _chosen(path: Path, names: Iterable[str]) -> dict[str, str]:
 
 
 def _array(name: str, content: bytes) -> np.ndarray:
-    """The array in an NPY file's bytes, which its header is held against before memory is asked for."""
+    """The array in the bytes of an NPY file. The header's size is checked against the bytes before memory is allocated.
+
+    Raises InputError when the array holds Python objects or is larger than the bytes.
+    """
     file = io.BytesIO(content)
     version = np.lib.format.read_magic(file)
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     shape, _, dtype = read(file)
     if dtype.hasobject:
         raise InputError(f"{name}: holds Python objects, expected numbers")
-    # Python's whole numbers, which do not overflow.
+    # Python integers, because NumPy's could overflow for a malformed shape.
     bytes_said = dtype.itemsize
     for length in shape:
         bytes_said *= length
@@ -108,10 +119,11 @@ def from_array(
     viewpoint: np.ndarray | None = None,
     unread: tuple[str, ...] = (),
 ) -> MeshState | VoxelState | PointCloud:
-    """The state that an array is, by its shape: a normalised mesh, voxels, or points [m] with what is known of them.
+    """The state in an array, chosen by its shape: a normalised mesh, voxels, or points [m] with their attributes.
 
-    Points may stand in rows and columns, as cameras give them, or in a table with columns x, y, z and colours. `name`
-    is what messages call it, `unread` what else there is. Raises InputError when shape or values are none of these.
+    Points may also have the shape [rows, columns, 3] of a camera's image, or be a structured array with columns x, y, z
+    and colours. Messages call the array `name`; `unread` lists the file's other arrays. Raises InputError when shape or
+    values fit none of these.
     """
     told = _notices(name, unread)
     if array.dtype.names:
@@ -151,7 +163,7 @@ def from_array(
 
 
 def _binary(array: np.ndarray) -> Bool[np.ndarray, "*shape"] | None:
-    """Whether values are not 0, if they are all 0 and 1, or 0 and 255 as images have it."""
+    """The mask of the values that are not 0; None unless all values are 0 and 1, or 0 and 255 as in images."""
     for one in (1, 255):
         if np.isin(array, (0, one)).all():
             return array == one
@@ -159,7 +171,7 @@ def _binary(array: np.ndarray) -> Bool[np.ndarray, "*shape"] | None:
 
 
 def _table(name: str, table: np.ndarray, unread: tuple[str, ...], notices: tuple[str, ...]) -> PointCloud:
-    """A cloud as a structured array, which ROS makes of its messages."""
+    """The point cloud in a structured array, as made from ROS messages."""
     columns = {column: table[column].ravel() for column in table.dtype.names or () if table[column].dtype.kind in "fiu"}
     if not all(axis in columns and len(columns[axis]) == table.size for axis in "xyz"):
         raise InputError(f"{name}: is a table of {', '.join(table.dtype.names or ())}, expected numbers x, y, z")
@@ -185,7 +197,7 @@ def _notices(name: str, unread: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _remedy(shape: tuple[int, ...]) -> str:
-    """What to do with an array that is nearly one of points."""
+    """The end of an error message: how to make an array with nearly the right shape an array of points."""
     if len(shape) == 2 and shape[0] == 3:
         return "; transpose it"
     if len(shape) == 2 and shape[1] in (4, 6, 7):

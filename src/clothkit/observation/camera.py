@@ -1,4 +1,4 @@
-"""A depth camera that looks at a simulated cloth on a table: depth images, and the point clouds that they are.
+"""A simulated depth camera above a cloth on a table: depth images, and point clouds from them.
 
 The camera's frame is that of OpenCV: x to the right, y down, z forward. Depth is z, not the length of the ray. The
 table is the plane z = 0 of the table's frame.
@@ -17,29 +17,29 @@ from clothkit.observation.states import PointCloud
 from clothkit.observation.zbuffer import topmost
 
 _ROUNDING = 1e-9
-_NEAREST = 0.01  # m before the camera, nothing nearer is seen
+_NEAREST = 0.01  # m in front of the camera; triangles with a nearer vertex are left out
 
 
 @config
 class CameraConfig:
-    """A pinhole camera over the table. As a Kinect has it: a field of view of 57 by 44 degrees, at half resolution."""
+    """A pinhole camera above the table. Default: a Kinect's field of view, 57 by 44 degrees, at half its resolution."""
 
     columns: Annotated[int, Gt(0)] = 320
     rows: Annotated[int, Gt(0)] = 240
     focal: Annotated[float, Gt(0)] = 295.0
     """Focal length [pixels]."""
     principal: tuple[float, float] | None = None
-    """Column and row of the principal point [pixels], (0, 0) the image's upper left corner; None: the middle."""
+    """Column and row of the principal point [pixels]; (0, 0) is the image's upper left corner. None: the middle."""
     height: Annotated[float, Gt(0)] = 0.8
-    """Of the camera above the table [m]."""
+    """Height of the camera above the table [m]."""
     tilt: Annotated[float, Ge(0), Lt(1.5)] = 0.0
-    """Of the view from straight down [rad]."""
+    """Angle between the viewing direction and straight down [rad]."""
     azimuth: float = 0.0
-    """By which the camera is turned about the table's z [rad]; at 0, the image's right is the table's x."""
+    """Rotation of the camera about the table's z axis [rad]; at 0, the image's right is the table's x."""
     aim: tuple[float, float] = (0.0, 0.0)
     """The point of the table that the principal point shows, xy [m]."""
     table_side: Annotated[float, Gt(0)] = 1.5
-    """Side of the square table around `aim` [m]; beyond it nothing is seen."""
+    """Side of the square table around `aim` [m]; pixels that look past it measure nothing."""
 
     def middle(self) -> tuple[float, float]:
         """Column and row of the principal point [pixels]; pixel (i, j) is centred at row i + 0.5, column j + 0.5."""
@@ -53,7 +53,7 @@ class CameraConfig:
         return level @ np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
 
     def position(self) -> Float[np.ndarray, "3"]:
-        """Where the camera is, in the table's frame [m]."""
+        """The camera's position in the table's frame [m]."""
         forward = self.axes()[2]
         return np.append(self.aim, 0.0) - forward * (self.height / -forward[2])
 
@@ -62,7 +62,7 @@ class CameraConfig:
         return Plane(self.axes()[:, 2].copy(), -self.height)
 
     def rays(self) -> Float[np.ndarray, "rows columns 3"]:
-        """What each pixel's centre sees at depth 1, in the camera's frame [m]."""
+        """The point at depth 1 on the ray through each pixel's centre, in the camera's frame [m]."""
         column, row = self.middle()
         x = (np.arange(self.columns) + 0.5 - column) / self.focal
         y = (np.arange(self.rows) + 0.5 - row) / self.focal
@@ -71,7 +71,7 @@ class CameraConfig:
 
 @dataclasses.dataclass(frozen=True)
 class DepthImage:
-    """What a depth camera gives, and which of it is cloth."""
+    """A depth image and the mask of the cloth in it."""
 
     depth: Float[np.ndarray, "rows columns"]
     """Metres along the camera's z, 0 where nothing was measured."""
@@ -87,10 +87,10 @@ class DepthImage:
 def render(
     vertices: Float[np.ndarray, "*vertices 3"], triangles: Int[np.ndarray, "triangles 3"], camera: CameraConfig
 ) -> DepthImage:
-    """What the camera sees of a cloth and the table, without noise; the cloth hides what lies behind it.
+    """The depth image of a cloth on the table, without noise; the cloth hides what lies behind it.
 
-    Vertices are in metres in the table's frame. Triangles have no thickness: what is seen is where the vertices are.
-    Those that reach behind the camera are left out.
+    Vertices are in metres in the table's frame. Triangles have no thickness, so the visible surface passes through the
+    vertices. Triangles that reach behind the camera are left out.
     """
     inverse, owner = np.zeros((camera.rows, camera.columns)), np.full((camera.rows, camera.columns), -1)
     seen = (vertices.reshape(-1, 3).astype(float) - camera.position()) @ camera.axes().T
@@ -100,7 +100,7 @@ def render(
         pixels = corners[..., :2] / corners[..., 2:] * camera.focal + np.array(camera.middle())
         inverse, owner = topmost(pixels, 1 / corners[..., 2], inverse.shape)
     table = _inverse_depth_of_table(camera)
-    # What lies in the table's plane is on the table, whichever way rounding goes.
+    # Cloth in the table's plane is visible, even if rounding puts it slightly below.
     cloth = (owner >= 0) & (inverse >= table * (1 - _ROUNDING))
     nearest = np.where(cloth, inverse, table)
     depth = np.where(nearest > 0, 1 / np.where(nearest > 0, nearest, 1), 0)
@@ -118,6 +118,6 @@ def _inverse_depth_of_table(camera: CameraConfig) -> np.ndarray:
 
 
 def back_project(image: DepthImage) -> PointCloud:
-    """The depth image as a point cloud in the camera's frame [m], with the mask of the cloth; the table isn't told."""
+    """The depth image as a point cloud in the camera's frame [m], with the mask of the cloth but without the table."""
     measured = image.depth > 0
     return PointCloud(image.points()[measured], cloth=image.cloth[measured], viewpoint=np.zeros(3))

@@ -1,8 +1,8 @@
-"""From a point cloud to the voxels that nets are trained on, and the pose that brings plans back (section 6.5).
+"""Converts a point cloud to the voxels that nets take, and the pose that maps plans to metres (section 6.5).
 
 The cloud is cropped to the table, cleared of outliers, scaled by the cloth's known side, centred, voxelised and
-occluded as in training. A camera's points are noisier than a mesh's and uneven in density, so three things are done
-besides: heights are smoothed, columns that hardly any point falls into stay empty, and gaps of few columns are closed.
+occluded as in training. A camera's points are noisier than a mesh's vertices and uneven in density, so there are three
+more steps: heights are smoothed, columns with very few points stay empty, and small gaps are closed.
 """
 
 import dataclasses
@@ -25,22 +25,22 @@ from clothkit.observation.side import Stated
 from clothkit.observation.states import PointCloud
 
 _DIAGONAL = 0.75  # of the cloth's side: half of its diagonal, and some slack
-_SMOOTHED_OVER = (9, 64)  # points: fewer help little, more take long
+_SMOOTHED_OVER = (9, 64)  # points: fewer reduce noise little, more are slow
 _NOWHERE = 9.0  # normalised, outside the viewport
 
 
 @dataclasses.dataclass(frozen=True)
 class Observation:
-    """What is known of a cloth that a camera saw."""
+    """An observed cloth: voxels, pose and points."""
 
     voxels: Bool[np.ndarray, "32 32 16"]
-    """Occluded and centred: what `estimation.estimate` takes."""
+    """Occluded and centred: the input of `estimation.estimate`."""
     pose: Pose
-    """Where the cloth is on the table, and the table before the camera."""
+    """The position of the cloth on the table, and of the table in the camera's frame."""
     points: Float[np.ndarray, "points 3"]
     """The cloth's points, normalised and centred, heights smoothed."""
     notices: tuple[str, ...] = ()
-    """What of the cloth the voxels don't show, in sentences."""
+    """Notices for the user, a sentence each: parts of the cloth that the voxels don't show."""
 
 
 def observe_cloud(
@@ -52,12 +52,12 @@ def observe_cloud(
     stated: Stated = Stated(),  # noqa: B008
     name: str = "cloud",
 ) -> Observation:
-    """The voxels of the cloth in a point cloud, and its pose.
+    """The voxels and the pose of the cloth in a point cloud.
 
-    `cloth_side` [m] is that of the flat cloth. The table is `table`, else the cloud's own, else it is found among the
-    points that are not the cloth's; which side of it is up tells `observation.side` by what is `stated`, the cloud's
-    viewpoint, and the cloth. `name` is what messages call the cloud. Raises InputError, one sentence, when the cloud is
-    not one of a single cloth on a table.
+    `cloth_side` is the side of the flat cloth [m]. The table's plane is `table`, else the cloud's own, else it is
+    fitted to the points outside the cloth. `observation.side` decides which side of the plane is up, from `stated`, the
+    cloud's viewpoint and the cloth's heights. Messages call the cloud `name`. Raises InputError, one sentence, when the
+    cloud does not show a single cloth on a table.
     """
     if not (np.isfinite(cloth_side) and cloth_side > 0):
         raise InputError(f"cloth side {cloth_side:g}: expected metres above 0")
@@ -74,9 +74,10 @@ def observe_cloud(
 
 
 def smoothed(points: Float[np.ndarray, "points 3"], *, radius: float) -> Float[np.ndarray, "points 3"]:
-    """The points, each at the median height of its nearest in xy: as many as a disc of the radius usually holds.
+    """The points, each with its height replaced by the median height of its nearest neighbours in xy.
 
-    Any one length unit; radius 0 changes nothing. A median keeps the steps between layers that a mean would blur.
+    The number of neighbours is that of a disc of `radius` at the usual density, limited to 9..64. Points and radius are
+    in one length unit; radius 0 changes nothing. A median keeps the steps between layers, which a mean would blur.
     """
     if radius == 0:
         return points
@@ -87,7 +88,7 @@ def smoothed(points: Float[np.ndarray, "points 3"], *, radius: float) -> Float[n
 
 
 def columns_of(points: Float[np.ndarray, "points 3"]) -> np.ndarray:
-    """How many of the points [normalised] fall above each voxel's xy, int [32, 32]."""
+    """The number of points [normalised] in each column of voxels, int [32, 32]."""
     edges = [np.linspace(-1, 1, n + 1) for n in RESOLUTION[:2]]
     return np.histogram2d(points[:, 0], points[:, 1], bins=edges)[0].astype(int)
 
@@ -95,10 +96,14 @@ def columns_of(points: Float[np.ndarray, "points 3"]) -> np.ndarray:
 def voxels_of_points(
     points: Float[np.ndarray, "points 3"], *, covered: float = 0.0, height: float = HEIGHT
 ) -> Bool[np.ndarray, "32 32 16"]:
-    """The occluded voxels of points [normalised], but for columns with fewer than a share of the usual count."""
+    """The occluded voxels of points [normalised].
+
+    Columns with fewer points than `covered` times the median of the columns that hold points stay empty. `height` is
+    the upper end of the viewport [normalised].
+    """
     counts = columns_of(points)
     least = covered * np.median(counts[counts > 0]) if counts.any() else 0
-    # Filled up to a power of two, for which the program may be compiled already.
+    # Padded to a power of two, so that JAX compiles for few different shapes.
     padded = np.full((1 << max(len(points) - 1, 1).bit_length(), 3), _NOWHERE, np.float32)
     padded[: len(points)] = points
     voxels = np.asarray(occlude(voxelise(padded, height=height)))
@@ -108,9 +113,10 @@ def voxels_of_points(
 def closed(
     voxels: Bool[np.ndarray, "32 32 16"], unseen: Bool[np.ndarray, "32 32"], *, most: int
 ) -> Bool[np.ndarray, "32 32 16"]:
-    """The voxels with gaps of at most so many columns filled, up to the median height of the columns around them.
+    """The voxels with gaps of at most `most` columns filled, up to the median height of the columns around them.
 
-    A gap is empty, surrounded by cloth, and not a place where the table is seen (`unseen` everywhere else).
+    A gap is a connected group of empty columns that cloth surrounds and in none of which the table was measured:
+    `unseen` is true in all of them.
     """
     empty = ~voxels[..., 0]
     gaps, count = ndimage.label(empty)

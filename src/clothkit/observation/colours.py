@@ -1,4 +1,4 @@
-"""Colours of points as files hold them: packed into one number, or red, green and blue, whole or as shares of 1."""
+"""Decodes the colours of points: packed into one number, or red, green and blue as integers or as floats 0..1."""
 
 from collections.abc import Mapping
 
@@ -10,7 +10,7 @@ _APART = (("r", "g", "b"), ("red", "green", "blue"), ("diffuse_red", "diffuse_gr
 
 
 def colours_of(columns: Mapping[str, np.ndarray]) -> UInt8[np.ndarray, "points 3"] | None:
-    """Red, green and blue of points from the columns of a table of points; None if no columns are colours."""
+    """Red, green and blue of points from the columns of a table of points; None if no columns hold valid colours."""
     for names in _APART:
         if all(name in columns for name in names):
             return as_bytes(np.stack([columns[name] for name in names], axis=-1))
@@ -19,9 +19,9 @@ def colours_of(columns: Mapping[str, np.ndarray]) -> UInt8[np.ndarray, "points 3
 
 
 def as_bytes(colours: Shaped[np.ndarray, "points 3"]) -> UInt8[np.ndarray, "points 3"] | None:
-    """Colours of 0 to 255; of floats at most 1 they are shares of 1. None if they are neither.
+    """Colours as bytes, from whole numbers 0..255 or floats 0..1; None if the values are neither.
 
-    Floats that are not finite, as cameras have them where they measured nothing, become 0.
+    Floats that are not finite, which cameras write where they measured nothing, become 0.
     """
     if colours.dtype.kind not in "iuf":
         return None
@@ -38,14 +38,15 @@ def as_bytes(colours: Shaped[np.ndarray, "points 3"]) -> UInt8[np.ndarray, "poin
 
 
 def unpacked(numbers: Shaped[np.ndarray, " points"]) -> UInt8[np.ndarray, "points 3"] | None:
-    """Red, green and blue, which PCL packs into the bytes of a float or of a whole number. None of other types."""
+    """Red, green and blue that PCL packed into the bytes of a float or an integer; None for other types."""
     if numbers.ndim != 1 or numbers.dtype.kind not in "iuf":
         return None
     if numbers.dtype.kind == "f":
         if numbers.dtype.itemsize not in (4, 8):
             return None
         finite = numbers[np.isfinite(numbers)]
-        # Text says 16711680 or, as the float of the same bits, 2.3e-38. As a float no colour is a whole number from 1.
+        # Text files hold the integer, such as 16711680, or the float with the same bits, 2.3e-38. No float with the
+        # bits of a colour is a whole number of 1 or more, so such numbers are the integers.
         if finite.size and (finite == np.rint(finite)).all() and 1 <= finite.max() < 2**32 and finite.min() >= 0:
             return unpacked(np.nan_to_num(numbers).astype(np.int64))
         bits = np.ascontiguousarray(numbers.astype(np.float32)).view(np.uint32)

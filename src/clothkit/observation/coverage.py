@@ -1,4 +1,4 @@
-"""What measured points cover, seen from above: their silhouette, its centre, its overlap with a goal (section 6.5)."""
+"""The area that measured points cover, seen from above: silhouette, centre, overlap with a goal (section 6.5)."""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -9,7 +9,7 @@ from clothkit.cloth.silhouette import iou, pixel_centres, silhouette
 
 EXTENT = 1.1
 FINEST = 256
-"""Pixels a side that a cloth's silhouette has elsewhere; fewer where points are too sparse for them."""
+"""Most pixels per side, as many as a silhouette in `cloth.silhouette` has; sparse points get fewer."""
 _COARSEST = 32
 _SPACINGS_PER_PIXEL = 1.5
 _SAMPLE = 2000
@@ -17,26 +17,27 @@ _NEIGHBOURS = 12
 
 
 def spacing(xy: Float[np.ndarray, "points 2"]) -> float:
-    """How far apart the points usually are: the side of the square that each would have for itself in a grid."""
+    """The typical distance between points, in their unit: the spacing of a square grid of the same density."""
     some = xy[:: max(1, len(xy) // _SAMPLE)]
     reached = min(_NEIGHBOURS, len(xy) - 1)
-    # The k-th nearest is as far as the radius of a disc that holds k of them: steadier than the nearest.
+    # A disc with the distance to the k-th nearest point as radius holds k points. This varies less than the distance
+    # to the nearest point.
     radius = np.median(cKDTree(xy).query(some, k=[reached + 1])[0])
     return max(float(radius) * np.sqrt(np.pi / max(reached, 1)), 1e-9)
 
 
 def resolution_for(xy: Float[np.ndarray, "points 2"], extent: float) -> int:
-    """Pixels along the side of a raster that the points' gaps don't show in: pixels of one and a half spacings.
+    """Pixels per side of a raster of the square -extent..extent in which gaps between points don't show.
 
-    A pixel is not smaller than 1 / 256 of the square, as `cloth.silhouette` has it.
+    A pixel is one and a half times as wide as the points' spacing. The result is limited to 32..256.
     """
     return int(np.clip(2 * extent / (_SPACINGS_PER_PIXEL * spacing(xy)), _COARSEST, FINEST))
 
 
 def covered(xy: Float[np.ndarray, "points 2"], *, resolution: int, extent: float = EXTENT) -> Bool[np.ndarray, "x y"]:
-    """The pixels of the square -extent..extent that hold a point, gaps as small as a pixel closed. Any one length unit.
+    """The mask of the pixels of the square -extent..extent that hold a point, with gaps as small as a pixel closed.
 
-    Pixels are indexed as those of `cloth.silhouette.silhouette`.
+    Points and extent are in one length unit. Pixels are indexed as in `cloth.silhouette.silhouette`.
     """
     pixel = np.floor((xy + extent) * (resolution / (2 * extent)))
     pixel = pixel[((pixel >= 0) & (pixel < resolution)).all(1)].astype(int)
@@ -46,9 +47,10 @@ def covered(xy: Float[np.ndarray, "points 2"], *, resolution: int, extent: float
 
 
 def centre(xy: Float[np.ndarray, "points 2"], *, extent: float) -> Float[np.ndarray, "2"]:
-    """Mean x, y over the pixels that points cover: uneven density doesn't move it. Any one length unit.
+    """Mean x, y over the pixels that points cover, in the points' unit. Uneven density does not change it.
 
-    `extent` is half the side of a square that surely holds the cloth; it is laid around the points' middle.
+    `extent` is half the side of a square that is large enough for the cloth. The square is centred on the middle of the
+    points' bounding box.
     """
     middle = (xy.max(0) + xy.min(0)) / 2
     moved = xy - middle
@@ -61,9 +63,9 @@ def centre(xy: Float[np.ndarray, "points 2"], *, extent: float) -> Float[np.ndar
 def goal_iou(
     goal: Float[np.ndarray, "u v 3"], points: Float[np.ndarray, "points 3"], *, extent: float = EXTENT
 ) -> float:
-    """Intersection over union of a goal's silhouette and of what points of the outcome cover (section 6.5), 0..1.
+    """Intersection over union of a goal's silhouette and the area that the outcome's points cover (section 6.5), 0..1.
 
-    Both normalised and centred.
+    Goal and points are normalised and centred.
     """
     resolution = resolution_for(points[:, :2], extent)
     return iou(

@@ -1,9 +1,9 @@
-"""Cloths and clouds in files: OBJ, PLY, GLB, PCD, NPY, NPZ, and arrays in zarr stores.
+"""Reads cloths and point clouds from files: OBJ, PLY, GLB, PCD, NPY, NPZ, and arrays in zarr stores.
 
 OBJ, PLY, GLB       a mesh in metres (`observation.surfaces`); a PLY without faces is a point cloud
 PCD                 a point cloud in metres (`observation.pcd`)
-NPY                 one array, told by its shape: mesh [32, 32, 3], normalised; voxels [32, 32, 16]; points [n, 3]
-NPZ                 such an array; beside `points` there may be `cloth` [n], `colours` [n, 3] and `viewpoint` [3]
+NPY                 one array; its shape decides: mesh [32, 32, 3], normalised; voxels [32, 32, 16]; points [n, 3]
+NPZ                 such an array; with `points` also `cloth` [n], `colours` [n, 3] and `viewpoint` [3]
                     (`observation.arrays`)
 S.zarr:4/2          state 2 of sequence 4 of a store of meshes, data/meshes.zarr
 S.zarr[:GROUP]      one array, as in NPY
@@ -36,11 +36,11 @@ State = MeshState | VoxelState | PointCloud
 
 
 def read(source: str | Path, *, cloth_side: float = DEFAULT_SIDE, y_up: bool = False, as_points: bool = False) -> State:
-    """The state in a file, by its ending. Lengths are metres unless an array is normalised.
+    """The state in a file; the file's ending decides how it is read. Lengths are metres unless an array is normalised.
 
-    `cloth_side` [m] is that of the flat cloth; `y_up` tells that OBJ and PLY meshes have y up; `as_points` takes the
-    vertices of a mesh that is no grid for what a camera measured. Raises InputError, one sentence, that names the file,
-    what was expected and what was found.
+    `cloth_side` is the side of the flat cloth [m]. `y_up` states that OBJ and PLY meshes have y up. `as_points` reads
+    the vertices of a mesh that is not our grid as points that a camera measured. Raises InputError, one sentence, that
+    names the file, what was expected and what was found.
     """
     if not (np.isfinite(cloth_side) and cloth_side > 0):
         raise InputError(f"{source}: cloth side {cloth_side:g}, expected metres above 0")
@@ -78,14 +78,15 @@ def _read_zarr(path: Path, inside: str | None, cloth_side: float) -> State:
         raise
     except (KeyError, IndexError, TypeError) as error:
         raise InputError(f"{path}: has nothing called {inside}") from error
-    except Exception as error:  # zarr tells of damaged metadata by many kinds of errors
+    except Exception as error:  # zarr raises many kinds of errors for damaged metadata
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"{name}: can't be read as zarr ({reason})") from error
     if len(arrays) != 1:
         raise InputError(f"{name}: is a group of {len(arrays)} arrays, expected one {SHAPES}")
     if not isinstance(arrays[0], zarr.Array):
         raise InputError(f"{name}: is no array")
-    # Nothing is allocated for what has no chance. Most voxels are empty: of theirs a chunk of zeros need not be there.
+    # The shape is checked before memory is allocated. Zarr may leave out chunks of zeros, and most voxels are empty, so
+    # voxels may lack chunks.
     shape = arrays[0].shape
     if shape not in ((SIDE, SIDE, 3), RESOLUTION) and (len(shape) != 2 or shape[1] != 3):
         raise InputError(f"{name}: has shape {list(shape)}, expected {SHAPES}")
@@ -94,7 +95,7 @@ def _read_zarr(path: Path, inside: str | None, cloth_side: float) -> State:
 
 
 def _stored(path: Path, inside: str | None, cloth_side: float) -> MeshState:
-    """A state of our own store; only what it needs is read."""
+    """A state of a store of meshes. Only its sequence is read."""
     wanted = re.fullmatch(r"(\d+)/(\d+)", inside or "")
     if not wanted:
         raise InputError(f"{path}: is a store of meshes, expected {path.name}:SEQUENCE/STATE, found {inside or 'none'}")

@@ -1,4 +1,4 @@
-"""What GLB files say that their reader doesn't mind: compressed geometry, and counts that the file can't hold."""
+"""Reads GLB files by trimesh, after checks that trimesh lacks: compressed geometry, arrays larger than the file."""
 
 import io
 import json
@@ -15,10 +15,10 @@ _JSON = 0x4E4F534A
 
 
 def load_glb(path: Path, content: bytes) -> trimesh.Scene:
-    """The scene in a GLB file, by trimesh.
+    """The scene in a GLB file, read by trimesh.
 
-    Raises InputError when its meshes are compressed, or it promises more numbers than it has bytes; else what trimesh
-    raises.
+    Raises InputError when its meshes are compressed, or when an array has more elements than the file has bytes. Other
+    errors are those of trimesh.
     """
     description = _description(content)
     required = description.get("extensionsRequired", [])
@@ -29,14 +29,14 @@ def load_glb(path: Path, content: bytes) -> trimesh.Scene:
                 "compression"
             )
     for accessor in description.get("accessors", []):
-        # Compressed and sparse accessors need not lie in the file; none of a cloth is so large all the same.
+        # The elements of compressed and sparse accessors need not be in the file, but no cloth needs that many.
         if accessor.get("count", 0) > len(content):
             raise InputError(f"{path}: an array of {accessor['count']} numbers is more than the file's bytes hold")
     return trimesh.load_scene(io.BytesIO(content), file_type="glb", process=False, skip_materials=True)
 
 
 def _description(content: bytes) -> dict[str, Any]:
-    """The JSON that tells what is where; empty if there is none, which trimesh tells of."""
+    """The file's JSON chunk; empty if there is none, for which trimesh raises an error."""
     if len(content) < 20:
         return {}
     size, kind = struct.unpack_from("<II", content, 12)

@@ -1,8 +1,8 @@
-"""Whether triangles are those of our grid of 32 x 32 vertices, and in which order its vertices stand.
+"""Recognises triangles that form our grid of 32 x 32 vertices, and finds the order of its vertices.
 
-Other programs write a grid's vertices in orders of their own, and write a vertex once for each texture coordinate or
-normal that it has. Positions and triangles still tell the grid: its border is one loop of 124 edges, and from three
-corners of a quad its triangles lead to the fourth. Only which of the eight symmetric orders it was is not told.
+Other programs change the order of a grid's vertices, and write a vertex once for each of its texture coordinates or
+normals. The grid can still be found from positions and triangles: its border is one loop of 124 edges, and the
+triangles lead from three corners of a quad to the fourth. They don't decide between the eight symmetric orders.
 """
 
 from collections import defaultdict
@@ -21,7 +21,7 @@ Faces = Int[np.ndarray, "faces 3"]
 
 
 def is_grid(vertices: int, faces: Faces) -> bool:
-    """Whether triangles are those of our grid in our order: two within each quad, on whichever diagonal."""
+    """Whether the triangles form our grid with its vertices row by row: two in each quad, cut along either diagonal."""
     if vertices != SIDE**2 or len(faces) != 2 * _QUADS:
         return False
     u, v = np.divmod(faces, SIDE)
@@ -29,7 +29,8 @@ def is_grid(vertices: int, faces: Faces) -> bool:
     if not within.all() or (np.diff(np.sort(faces, axis=1), axis=1) == 0).any():
         return False
     quad, corner = u.min(1) * SIDE + v.min(1), 2 * (u - u.min(1, keepdims=True)) + v - v.min(1, keepdims=True)
-    # Corners are 0 to 3: of a triangle one is missing, of the two of a quad those that face one another.
+    # Corners of a quad are 0 to 3. Each triangle lacks one of them; the two triangles of a quad lack opposite ones,
+    # whose sum is 3.
     counts, missing = np.bincount(quad), np.bincount(quad, 6 - corner.sum(1))
     return bool((counts <= 2).all() and (missing == 1.5 * counts).all() and (counts == 2).sum() == _QUADS)
 
@@ -37,14 +38,15 @@ def is_grid(vertices: int, faces: Faces) -> bool:
 def grid_order(
     vertices: Float[np.ndarray, "vertices 3"], faces: Faces, *, tolerance: float
 ) -> Int[np.ndarray, "1024"] | None:
-    """The vertices of a mesh in our order, row by row; None if it is no grid of ours.
+    """The indices of a mesh's vertices in our order, row by row [1024]; None if the mesh is not our grid.
 
-    Vertices nearer to one another than `tolerance` count as one where they must. Triangles that are there twice, as on
-    both sides of a sheet, count once. Of the eight symmetric orders it is that which the file's order resembles most.
+    Vertices nearer to one another than `tolerance` are merged if the mesh is no grid without that. Triangles that occur
+    twice, as on both sides of a sheet, count once. Of the eight symmetric orders, the result is the one that is most
+    similar to the file's order.
     """
     if is_grid(len(vertices), faces):
         return np.arange(SIDE**2)
-    # Layers that touch may share positions, so vertices are first taken for what they are.
+    # Vertices of layers that touch may have equal positions, so the mesh is first tried without merging.
     own = np.arange(len(vertices))
     for place in (own, welded(vertices, tolerance)):
         order = _layout(place[faces])
@@ -54,11 +56,11 @@ def grid_order(
 
 
 def welded(vertices: Float[np.ndarray, "vertices 3"], tolerance: float) -> Int[np.ndarray, " vertices"]:
-    """For each vertex the first of those that lie where it lies, give or take `tolerance`."""
+    """For each vertex, the index of the first vertex that lies within `tolerance` of it, directly or by a chain."""
     cells = np.floor(vertices / tolerance)
     _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
     cell = cell.reshape(-1)
-    # One vertex of each cell, so that however many lie in one place there are few pairs.
+    # One vertex per cell, so that many vertices in one place do not make many pairs.
     pairs = cKDTree(vertices[first]).query_pairs(tolerance, output_type="ndarray")
     graph = coo_matrix((np.ones(len(pairs), bool), pairs.T), shape=(len(first), len(first)))
     count, place = connected_components(graph, directed=False)
@@ -68,7 +70,7 @@ def welded(vertices: Float[np.ndarray, "vertices 3"], tolerance: float) -> Int[n
 
 
 def _layout(faces: Faces) -> np.ndarray | None:
-    """The vertices that triangles name in the order of a grid, None if they are none."""
+    """The vertices of the triangles in the order of our grid, row by row; None if they form no such grid."""
     faces = np.sort(faces, axis=1)
     faces = np.unique(faces[(np.diff(faces, axis=1) > 0).all(1)], axis=0)
     names, compact = np.unique(faces, return_inverse=True)
@@ -91,7 +93,7 @@ def _layout(faces: Faces) -> np.ndarray | None:
 
 
 def _border(apexes: dict[tuple[int, int], set[int]]) -> list[int] | None:
-    """The vertices of the border in turn, None if it is not one loop of the right length."""
+    """The vertices along the border, in order; None if the border is not one loop of the right length."""
     beside: dict[int, list[int]] = defaultdict(list)
     for (x, y), across in apexes.items():
         if len(across) == 1:
@@ -109,7 +111,10 @@ def _border(apexes: dict[tuple[int, int], set[int]]) -> list[int] | None:
 
 
 def _filled(loop: list[int], apexes: dict[tuple[int, int], set[int]]) -> np.ndarray | None:
-    """The grid whose first row and column the border tells, if its corner is the loop's first vertex."""
+    """The grid of vertices [32, 32] whose first row and column follow from the border; None if it can't be completed.
+
+    `loop` must begin at a corner of the grid.
+    """
     grid = np.full((SIDE, SIDE), -1)
     grid[0] = loop[:SIDE]
     grid[1:, 0] = loop[:-SIDE:-1]
@@ -117,7 +122,7 @@ def _filled(loop: list[int], apexes: dict[tuple[int, int], set[int]]) -> np.ndar
     for i in range(1, SIDE):
         for j in range(1, SIDE):
             a, b, c = int(grid[i - 1, j - 1]), int(grid[i - 1, j]), int(grid[i, j - 1])
-            # Either the diagonal runs from b to c, or from a to the vertex that is looked for.
+            # The quad's diagonal runs either from b to c, or from a to the fourth corner.
             if c in apexes.get((a, b), ()):
                 found = apexes.get((b, c), set()) - {a}
             else:
@@ -131,6 +136,6 @@ def _filled(loop: list[int], apexes: dict[tuple[int, int], set[int]]) -> np.ndar
 
 
 def _most_alike(grid: np.ndarray) -> np.ndarray:
-    """Of the eight symmetric orders that which is most like the order in which the vertices are numbered."""
+    """The one of the eight symmetric orders of the grid in which the vertex numbers are nearest to 0, 1, 2, ..."""
     orders = [np.rot90(side, turns).ravel() for side in (grid, grid.T) for turns in range(4)]
     return min(orders, key=lambda order: int(np.abs(order - np.arange(SIDE**2)).sum()))

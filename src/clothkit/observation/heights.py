@@ -1,4 +1,4 @@
-"""A cloth's heights, held against what a cloth on a table can have and against the viewport in which nets see it."""
+"""Checks of a cloth's heights: it must lie on its table, and a notice is given if it leaves the nets' viewport."""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -7,24 +7,27 @@ from clothkit.cloth.voxels import RESOLUTION
 from clothkit.errors import InputError
 
 MESH_REMEDY = "meshes have z up and the table at 0 (in GLB y is up); if an OBJ or PLY has y up, --y-up turns it"
-"""How a sentence ends that refuses a mesh for how it stands."""
+"""End of the message about a mesh that stands upright or lies below the table."""
 MOST_CLAMPED = 0.02
 """Share of the points, or columns, that may lie outside the viewport in z without a notice."""
-# Of the cloth's side: real towels, folded twice or crumpled, lie up to 0.28 high, and wider than high.
+# Shares of the cloth's side. Real towels that are folded twice or crumpled are up to 0.28 high, and wider than high.
 _TALL = 0.15
 _TALLEST = 0.45
 _BELOW = 0.005
 _LOPSIDED = 2.0
 _MOST_BELOW = 0.1
-"""Share of the points that may lie below the table by more than a voxel: borders of a mask show what is beside it."""
-# Of the columns: of a cloth that lies, few reach the viewport's upper end.
+"""Share of the points that may lie more than a voxel below the table without a notice.
+
+Points at the border of a mask often belong to what is beside the cloth.
+"""
+# Share of the columns. Few columns of a cloth that lies on the table reach the viewport's upper end.
 _MOST_AT_TOP = 0.9
 
 
 def check_lying(name: str, points: Float[np.ndarray, "points 3"], *, side: float, remedy: str) -> None:
-    """That a cloth of `side` lies and does not stand; z is up. Any one length unit.
+    """Raises InputError when a cloth stands upright: it is high and higher than wide, or far too high.
 
-    `remedy` ends the sentence of the InputError that is raised when it stands: it is high, and higher than it is wide.
+    Points (z up) and the side of the flat cloth are in one length unit. `remedy` ends the message.
     """
     if not len(points):
         return
@@ -41,9 +44,9 @@ def check_lying(name: str, points: Float[np.ndarray, "points 3"], *, side: float
 
 
 def check_above(name: str, points: Float[np.ndarray, "points 3"], *, side: float, remedy: str) -> None:
-    """That a cloth of `side` does not lie below z = 0. Any one length unit.
+    """Raises InputError when a cloth lies below the table, z = 0, by more than rounding explains.
 
-    `remedy` ends the sentence of the InputError that is raised when it lies there, by more than what is rounding.
+    Points and the side of the flat cloth are in one length unit. `remedy` ends the message.
     """
     if not len(points):
         return
@@ -53,14 +56,14 @@ def check_above(name: str, points: Float[np.ndarray, "points 3"], *, side: float
 
 
 def clamped(points: Float[np.ndarray, "points 3"], *, height: float) -> float:
-    """The share of points [normalised] that lie higher than a viewport of that height, and that voxels show lower."""
+    """The share of points [normalised] above a viewport of that height; voxels show them at its upper end."""
     return float((points[:, 2] >= height).mean()) if len(points) else 0.0
 
 
 def notices_of_points(
     name: str, points: Float[np.ndarray, "points 3"], *, height: float, metres: float
 ) -> tuple[str, ...]:
-    """What should be said of points [normalised] that the viewport does not hold; `metres` per normalised unit."""
+    """Notices about points [normalised] above or below the viewport; `metres` is the length of a normalised unit."""
     above, said = clamped(points, height=height), []
     below = float((points[:, 2] < -height / RESOLUTION[2]).mean()) if len(points) else 0.0
     if above > MOST_CLAMPED:
@@ -76,9 +79,9 @@ def notices_of_points(
 
 
 def notices_of_voxels(name: str, voxels: Bool[np.ndarray, "32 32 16"]) -> tuple[str, ...]:
-    """What should be said of voxels whose columns reach the viewport's upper end: they may be cut off.
+    """A notice if many columns of voxels reach the viewport's upper end, where the cloth may be cut off.
 
-    Raises InputError when almost all of them do, as those of a cloth that stands upright.
+    Raises InputError when almost all columns reach it, as for a cloth that stands upright.
     """
     columns = voxels.any(-1)
     share = float(voxels[..., -1].sum() / max(columns.sum(), 1))

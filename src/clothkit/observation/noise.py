@@ -1,7 +1,7 @@
-"""What depth cameras do to depth images: noise along the ray and across it, steps, holes.
+"""Noise of depth cameras: along the ray and across it, quantised depth, pixels without a measurement.
 
-Of the size that Nguyen, Izadi and Lovell, "Modeling Kinect sensor noise for improved 3D reconstruction and tracking"
-(3DIMPVT 2012), measured at a first-generation Kinect. Noise is independent from pixel to pixel.
+Its size is what Nguyen, Izadi and Lovell, "Modeling Kinect sensor noise for improved 3D reconstruction and tracking"
+(3DIMPVT 2012), measured with a first-generation Kinect. Noise is independent from pixel to pixel.
 """
 
 import dataclasses
@@ -21,32 +21,34 @@ Share = Annotated[float, Ge(0), Le(1)]
 
 @config
 class NoiseConfig:
-    """Sizes of what a depth camera does wrong."""
+    """Sizes of a depth camera's errors."""
 
     axial: NotNegative = 0.0005
-    """Standard deviation of depth near the camera [m] ..."""
+    """Standard deviation of depth near the camera [m]."""
     axial_growth: NotNegative = 0.0015
-    """... and what is added to it times depth squared [1/m]."""
+    """Growth of the standard deviation: this times depth squared is added to it [1/m]."""
     lateral: NotNegative = 0.5
-    """Standard deviation of where a pixel looks [pixels], in each direction."""
+    """Standard deviation of the position at which a pixel measures [pixels], in each direction."""
     step: NotNegative = 0.0028
-    """Step of 1 / depth, in which structured light measures [1/m]; 0 for none. Depth has steps of it times depth²."""
+    """Quantisation step of 1 / depth, as of structured light [1/m]; 0: none. Steps of depth are this times depth²."""
     grazing: Annotated[float, Gt(0)] = 1.3
     """Angle between a ray and the surface's normal from which nothing is measured [rad]."""
     edge: Annotated[float, Gt(0)] = 0.006
-    """Difference of depth between neighbouring pixels that is an edge [m] ..."""
+    """Difference of depth between neighbouring pixels above which they are an edge [m]."""
     edge_dropout: Share = 0.5
-    """... and the chance that a pixel at an edge is not measured."""
+    """Probability that a pixel at an edge is not measured."""
     dropout: Share = 0.01
-    """The chance that any pixel is not measured."""
+    """Probability that any pixel is not measured."""
     holes: Annotated[int, Ge(0)] = 10
-    """Round spots of the image that are not measured."""
+    """Number of round spots in the image that are not measured."""
     hole_radius: NotNegative = 3.0
-    """Their radius [pixels]."""
+    """Radius of these spots [pixels]."""
 
     def times(self, factor: float) -> "NoiseConfig":
-        """All that is measured wrong by so much, and all that is not measured so often; what counts as grazing and as
-        an edge stays."""
+        """The settings with noise, dropout probabilities and the number of holes multiplied by `factor`.
+
+        The thresholds `grazing` and `edge` and the radius of holes are kept.
+        """
         return dataclasses.replace(
             self,
             axial=self.axial * factor,
@@ -60,13 +62,13 @@ class NoiseConfig:
 
 
 def noisy(image: DepthImage, settings: NoiseConfig, *, seed: int) -> DepthImage:
-    """The depth image as a camera gives it. Same seed, same image.
+    """The depth image with a camera's noise. Same seed, same image.
 
-    A pixel still tells rightly whether what it looks at, jitter included, is cloth.
+    The mask of the cloth is jittered in the same way, so it stays correct. Pixels that are not measured leave it.
     """
     random = np.random.default_rng(seed)
     rows, columns = image.depth.shape
-    # Drawn in full whatever the settings are, so that one setting doesn't change what another draws.
+    # Everything is drawn for every pixel, whatever the settings are, so that one setting doesn't change other draws.
     jitter = random.standard_normal((2, rows, columns)) * settings.lateral
     along = random.standard_normal((rows, columns))
     lost = random.random((rows, columns))
@@ -90,7 +92,7 @@ def noisy(image: DepthImage, settings: NoiseConfig, *, seed: int) -> DepthImage:
 
 
 def incidence(image: DepthImage) -> Float[np.ndarray, "rows columns"]:
-    """The angle between each pixel's ray and the normal of what it shows [rad], from differences to its neighbours."""
+    """The angle between each pixel's ray and the surface normal [rad], which differences between neighbours give."""
     points = image.points()
     normal = np.cross(np.gradient(points, axis=1), np.gradient(points, axis=0))
     length = np.linalg.norm(normal, axis=-1) * np.linalg.norm(points, axis=-1)

@@ -1,4 +1,4 @@
-"""OBJ files, less what makes several meshes of one: the positions of a surface and its polygons are kept."""
+"""Reads OBJ files as one mesh: keeps positions and polygons, and leaves out what trimesh splits a mesh by."""
 
 import io
 from pathlib import Path
@@ -9,10 +9,10 @@ from clothkit.errors import InputError
 
 
 def load_obj(path: Path, content: bytes) -> trimesh.Trimesh | trimesh.PointCloud | None:
-    """The mesh, or the points, in an OBJ file by trimesh; None if it holds no vertices.
+    """The mesh, or the points, in an OBJ file, read by trimesh; None if it holds no vertices.
 
-    Groups, objects, materials, texture coordinates and normals are left out: they are what trimesh cuts a mesh by.
-    Raises InputError when a face is of vertices that are not there; else what trimesh raises.
+    Groups, objects, materials, texture coordinates and normals are left out, because trimesh splits a mesh by them.
+    Raises InputError when a face is malformed or refers to vertices that don't exist. Other errors are trimesh's.
     """
     text, count = _positions(path, content.decode("utf-8", "replace"))
     if not count:
@@ -23,9 +23,10 @@ def load_obj(path: Path, content: bytes) -> trimesh.Trimesh | trimesh.PointCloud
 
 
 def _positions(path: Path, text: str) -> tuple[str, int]:
-    """Lines v and f alone, faces by positions counted from 1, and how many positions there are.
+    """The file's lines v and f alone, faces with vertex numbers from 1, and the number of vertices.
 
-    Negative numbers count back from their line. trimesh counts them back from the file's end.
+    Negative numbers count back from the last vertex above their line; trimesh would count them back from the file's
+    last vertex.
     """
     vertices, faces, highest, where = [], [], 0, 0
     for number, line in enumerate(text.replace("\\\r\n", " ").replace("\\\n", " ").splitlines(), start=1):

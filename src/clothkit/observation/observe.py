@@ -1,4 +1,4 @@
-"""Voxels and pose of a cloth, whatever it is known by: a mesh, voxels or a point cloud."""
+"""Voxels and pose of a cloth that is given as a mesh, as voxels or as a point cloud."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -32,12 +32,12 @@ def observe(
     stated: Stated = Stated(),  # noqa: B008
     name: str = "cloud",
 ) -> Observation:
-    """What a camera above sees of the state: occluded, centred voxels, and the pose that brings plans back.
+    """The state as a camera above it sees it: occluded, centred voxels, and the pose that maps plans to metres.
 
-    A mesh is doubled as in training. Voxels are moved by whole voxels to have their centre in the middle; their frame
-    is the table's, its origin the middle of the viewport. Raises InputError when a cloud is not one of a single cloth
-    on a table (`observe_cloud`), a mesh or voxels stand upright or lie below the table, or voxels don't fit into the
-    viewport once they are centred.
+    The resolution of a mesh is doubled as in training. Voxels are shifted by whole voxels so that their centre is in
+    the middle; their frame is the table's, with its origin in the middle of the viewport. Raises InputError when a
+    cloud does not show a single cloth on a table (`observe_cloud`), a mesh or voxels stand upright, a mesh lies below
+    the table, or voxels don't fit into the viewport once they are centred.
     """
     if isinstance(state, PointCloud):
         return observe_cloud(state, cloth_side=cloth_side, settings=settings, table=table, stated=stated, name=name)
@@ -55,7 +55,7 @@ def observe(
 
 
 def _centred(voxels: Bool[np.ndarray, "32 32 16"], name: str) -> tuple[np.ndarray, np.ndarray]:
-    """The voxels moved by whole ones, and where their centre was [normalised]."""
+    """The voxels shifted by whole voxels to be centred, and the centre that they had [normalised]."""
     columns = voxels.any(-1)
     if not columns.any():
         raise InputError(f"{name}: has no occupied voxel")
@@ -70,7 +70,7 @@ def _centred(voxels: Bool[np.ndarray, "32 32 16"], name: str) -> tuple[np.ndarra
 
 
 def _tops(voxels: Bool[np.ndarray, "32 32 16"], height: float = HEIGHT) -> Float[np.ndarray, "columns 3"]:
-    """The middle of the highest voxel of every column that has one [normalised]."""
+    """The middle of the highest occupied voxel of each column that has one [normalised]."""
     x, y = np.nonzero(voxels.any(-1))
     top = voxels[x, y].sum(-1) - 1
     place = (np.stack([x, y, top], axis=-1) + 0.5) / RESOLUTION

@@ -1,4 +1,4 @@
-"""The triangles in OBJ, PLY and GLB files as one mesh: parts that share vertices are joined."""
+"""Reads all triangles of an OBJ, PLY or GLB file as one mesh, and checks that its parts share vertices."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -18,25 +18,28 @@ from clothkit.observation.ply import load_ply
 from clothkit.observation.states import named
 
 _MOST_VERTICES = 20_000_000
-"""Of all objects of a scene, in which one mesh may stand many times."""
+"""Largest number of vertices in all objects of a scene, which can contain one mesh many times."""
 
 
 class Loaded(NamedTuple):
-    """What a file holds, in its own frame and unit."""
+    """The content of a file, in its own frame and unit."""
 
     vertices: Float[np.ndarray, "vertices 3"]
     faces: Int[np.ndarray, "faces 3"]
-    """None at all if the file holds points."""
+    """Empty if the file holds points."""
     colours: UInt8[np.ndarray, "vertices 3"] | None
-    """Of the vertices."""
+    """Colours of the vertices; None unless all parts have them."""
     names: tuple[str, ...]
-    """Of the parts, which are as many."""
+    """Names of the parts."""
     part: Int[np.ndarray, " faces"]
-    """To which part a triangle belongs."""
+    """The index in `names` of the part that each triangle belongs to."""
 
 
 def load(path: Path, content: bytes) -> Loaded:
-    """All parts of a file. Of parts with and without triangles, those with triangles. Raises InputError."""
+    """The parts of a file that have triangles, or all parts if none has any.
+
+    Raises InputError when the file can't be read, holds no vertices, or a triangle refers to vertices that don't exist.
+    """
     try:
         parts = _parts(path, content)
         some = {name: part for name, part in parts.items() if len(getattr(part, "faces", ()))} or parts
@@ -45,7 +48,7 @@ def load(path: Path, content: bytes) -> Loaded:
         colours = [_colours(part) for part in some.values()]
     except InputError:
         raise
-    except Exception as error:  # the readers raise what they like: KeyError, IndexError, struct.error, ...
+    except Exception as error:  # the readers raise many kinds of errors: KeyError, IndexError, struct.error, ...
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"{path}: can't be read as {path.suffix[1:].upper()} ({reason})") from error
     if not sum(map(len, vertices)):
@@ -65,12 +68,15 @@ def load(path: Path, content: bytes) -> Loaded:
 
 
 def check_joined(path: Path, loaded: Loaded, *, tolerance: float) -> None:
-    """That parts share vertices, in `tolerance`, and so are one surface. Raises InputError that names them."""
+    """Raises InputError that names the parts unless shared vertices connect all of them to one surface.
+
+    Vertices within `tolerance` of one another count as shared.
+    """
     count = len(loaded.names)
     if count == 1:
         return
     place = welded(loaded.vertices, tolerance)
-    # Parts and vertices are the nodes, and each triangle joins its part to its vertices.
+    # The nodes of the graph are parts and vertices; each triangle connects its part to its vertices.
     edges = np.repeat(loaded.part, 3), count + place[loaded.faces].ravel()
     size = count + len(place)
     graph = coo_matrix((np.ones(len(edges[0]), bool), edges), shape=(size, size))
@@ -91,7 +97,7 @@ def _parts(path: Path, content: bytes) -> dict[str, trimesh.Trimesh | trimesh.Po
     scene = load_glb(path, content)
     parts = {}
     place = {name: k for k, name in enumerate(scene.geometry)}
-    # trimesh gives them in any order, and a grid's is told by it.
+    # trimesh lists nodes in any order, but the order of a grid's vertices depends on it.
     nodes = sorted(scene.graph.nodes_geometry, key=lambda node: (place[scene.graph[node][1]], str(node)))
     count = sum(len(getattr(scene.geometry[scene.graph[node][1]], "vertices", ())) for node in nodes)
     if count > _MOST_VERTICES:

@@ -1,4 +1,4 @@
-"""Point clouds in PCD files (Point Cloud Library, versions .5 to .7): ASCII, binary and compressed by LZF."""
+"""Reads point clouds in PCD files (Point Cloud Library, versions .5 to .7): ASCII, binary and compressed by LZF."""
 
 import re
 import struct
@@ -19,11 +19,11 @@ _NEEDED = ("FIELDS", "SIZE", "TYPE", "DATA")
 _MOST_LINES = 200  # of a header, comments included
 _USED = ("x", "y", "z", "rgb", "rgba", "r", "g", "b")
 _LZF_RATIO = 128
-"""LZF makes at most 264 bytes of 3."""
+"""Upper bound of the compression ratio: LZF unpacks 3 bytes to at most 264."""
 
 
 class Field(NamedTuple):
-    """A field of a point: `numbers` of one type."""
+    """A field of a point: `numbers` values of one type."""
 
     name: str
     type: np.dtype
@@ -31,16 +31,16 @@ class Field(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Bytes."""
+        """Bytes per point."""
         return self.type.itemsize * self.numbers
 
 
 def read_pcd(path: Path) -> PointCloud:
-    """The cloud in a PCD file, with its viewpoint and, where it has `rgb`, `rgba`, or `r`, `g`, `b`, its colours.
+    """The cloud in a PCD file with its viewpoint, and with colours if it has `rgb`, `rgba`, or `r`, `g`, `b`.
 
-    A viewpoint at the origin is not taken for one: writers put it there, in whatever frame, when they know none.
-    Raises InputError when the header is not one of a PCD file or disagrees with itself or with what follows, or x, y
-    and z are not among the fields. What a header promises is held against the file's size before memory is asked for.
+    A viewpoint at the origin is ignored: programs write the origin, in any frame, when they don't know the viewpoint.
+    Raises InputError when the header is not that of a PCD file, contradicts itself or the data, or lacks x, y or z. The
+    sizes in the header are checked against the file's size before memory is allocated.
     """
     try:
         content = path.read_bytes()
@@ -58,7 +58,7 @@ def read_pcd(path: Path) -> PointCloud:
     readers = {"ascii": _ascii, "binary": _binary, "binary_compressed": _compressed}
     if encoding not in readers:
         raise InputError(f"{path}: DATA is {encoding}, expected {', '.join(readers)}")
-    # Cameras write all kinds of NaN.
+    # Cameras write many kinds of NaN, some of which raise a warning when they are converted.
     with np.errstate(invalid="ignore"):
         columns = readers[encoding](path, content[begin:], fields, points)
         xyz = np.stack([columns[axis].astype(float) for axis in "xyz"], axis=-1)
@@ -66,7 +66,7 @@ def read_pcd(path: Path) -> PointCloud:
 
 
 def _header(path: Path, content: bytes) -> tuple[dict[str, list[str]], int]:
-    """The header's entries, and where the data begin."""
+    """The header's entries by name, and the offset at which the data begin [bytes]."""
     header: dict[str, list[str]] = {}
     position, lines = 0, 0
     while "DATA" not in header:
@@ -86,7 +86,7 @@ def _header(path: Path, content: bytes) -> tuple[dict[str, list[str]], int]:
 
 
 def _points(path: Path, header: dict[str, list[str]]) -> int:
-    """How many there are: POINTS, or WIDTH times HEIGHT, which agree."""
+    """The number of points: POINTS, or WIDTH times HEIGHT. Raises InputError when they differ or both are missing."""
     said = {}
     for name in ("POINTS", "WIDTH", "HEIGHT"):
         words = header.get(name)
@@ -106,7 +106,7 @@ def _points(path: Path, header: dict[str, list[str]]) -> int:
 
 
 def _fields(path: Path, header: dict[str, list[str]]) -> list[Field]:
-    """How a point is laid out."""
+    """The fields of a point, in order."""
     names, sizes, kinds = header["FIELDS"], header["SIZE"], header["TYPE"]
     counts = header.get("COUNT", ["1"] * len(names))
     if not len(names) == len(sizes) == len(kinds) == len(counts):
@@ -157,7 +157,7 @@ def _binary(path: Path, data: bytes, fields: list[Field], points: int) -> dict[s
 
 
 def _compressed(path: Path, data: bytes, fields: list[Field], points: int) -> dict[str, np.ndarray]:
-    """Field after field, each of all points, compressed as one."""
+    """The columns of compressed data: the first field of all points, then the second, ..., compressed as one block."""
     expected = points * sum(field.size for field in fields)
     if len(data) < 8:
         raise short(path, 0, points)
@@ -168,7 +168,7 @@ def _compressed(path: Path, data: bytes, fields: list[Field], points: int) -> di
         raise InputError(f"{path}: ends too early, or is broken: {len(data) - 8} bytes of compressed data")
     try:
         unpacked = lzf.decompress(data[8 : 8 + compressed], size)
-    except Exception as error:  # a C extension's own
+    except Exception as error:  # a C extension with its own errors
         raise InputError(f"{path}: its compressed data are broken") from error
     if unpacked is None or len(unpacked) != size:
         raise InputError(f"{path}: its compressed data are broken")
@@ -181,7 +181,7 @@ def _compressed(path: Path, data: bytes, fields: list[Field], points: int) -> di
 
 
 def _viewpoint(path: Path, header: dict[str, list[str]]) -> np.ndarray | None:
-    """Where the camera was; None for the origin."""
+    """The camera's position [m]; None if it is the origin."""
     values = header.get("VIEWPOINT", ["0"] * 7)
     try:
         found = np.array(values[:3], float).reshape(3)

@@ -1,4 +1,4 @@
-"""A simulated cloth as a depth camera pictures it: rendered, made noisy, and looked at as a user's cloud is."""
+"""Pictures of simulated cloths by a depth camera: rendered, made noisy, and observed as users' clouds are."""
 
 import dataclasses
 import zlib
@@ -17,42 +17,43 @@ from clothkit.observation.noise import NoiseConfig, noisy
 from clothkit.observation.settings import CloudConfig
 
 _OFF = 1 << 16
-"""Between the seeds of pictures of one cloth."""
+"""Distance between the seeds of two pictures of one cloth."""
 
 
 @config
 class PictureConfig:
-    """A camera, what it does wrong, and what is made of its clouds."""
+    """A camera, its noise, and how its clouds become voxels."""
 
     camera: CameraConfig = CameraConfig()
     noise: NoiseConfig | None = NoiseConfig()
-    """None: it measures what there is."""
+    """None: no noise."""
     cloud: CloudConfig = CloudConfig()
     side: Annotated[float, Gt(0)] = 0.4
-    """Of the flat cloth [m]."""
+    """Side of the flat cloth [m]."""
     off: Annotated[float, Ge(0)] = 0.05
-    """How far from the point that the camera aims at the cloth's centre may lie, along x and y [m]."""
+    """Largest distance of the cloth's centre from the point that the camera aims at, along x and along y [m]."""
     attempts: Annotated[int, Gt(0)] = 5
-    """Pictures that are taken until one shows a cloth on a table."""
+    """Largest number of pictures that are taken until one shows a cloth on a table."""
     seed: Annotated[int, Ge(0)] = 0
 
 
 @dataclasses.dataclass(frozen=True)
 class Picture:
-    """A depth image of a cloth and what was made of it."""
+    """A depth image of a cloth and the observation from it."""
 
     image: DepthImage
     observation: Observation
     shift: Float[np.ndarray, "2"]
     """From the cloth's true centre to the observed one [normalised]."""
     attempts: int
-    """Pictures that were taken."""
+    """Number of pictures that were taken."""
 
 
 def take(mesh: Float[np.ndarray, "u v 3"], settings: PictureConfig) -> Picture:
-    """A picture of a normalised, centred mesh that lies somewhere before the camera. Same mesh, same picture.
+    """A picture of a normalised, centred mesh at a random place in front of the camera. Same mesh, same picture.
 
-    The table is not told, but found. Raises InputError when none of the attempts shows a cloth on a table.
+    The table's plane is not given but found in the cloud. Raises InputError when none of the attempts shows a cloth on
+    a table.
     """
     base = zlib.crc32(np.ascontiguousarray(mesh, np.float32).tobytes())
     scale = settings.side / CLOTH_SIDE

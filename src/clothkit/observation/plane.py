@@ -1,4 +1,4 @@
-"""The table's plane: found in a point cloud by RANSAC, and the frame that it gives."""
+"""The table's plane: a search for it in a point cloud by RANSAC, and the table's frame."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -18,12 +18,12 @@ _LEAST_POINTS = 50
 
 @config
 class PlaneConfig:
-    """How the table is looked for."""
+    """Settings of the search for the table's plane."""
 
     tolerance: Annotated[float, Gt(0)] = 0.008
-    """How far from the plane a point of the table may be measured [m]."""
+    """Largest distance of a table point from the plane [m]."""
     tries: Annotated[int, Gt(0)] = 200
-    """Planes through three random points."""
+    """Number of candidate planes, each through three random points."""
     share: Annotated[float, Gt(0), Le(1)] = 0.4
     """Least share of the points outside the cloth that must lie on the table."""
     seed: Annotated[int, Ge(0)] = 0
@@ -39,14 +39,15 @@ class Plane:
     """Metres."""
 
     def heights(self, points: Float[np.ndarray, "*points 3"]) -> Float[np.ndarray, "*points"]:
-        """How far above the table points are [m]."""
+        """The heights of points above the table [m]."""
         return np.asarray(points @ self.normal - self.offset)
 
     def frame(self) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
-        """The table's axes as rows, and its origin [m], both in the plane's own frame.
+        """The table's axes as rows, and its origin [m], both in the frame in which the plane is given.
 
-        z is the normal, x the plane's nearest to the frame's x, the origin the frame's moved along z into the table:
-        seen from a camera that looks down, x is to the right and y up. For the plane z = 0 nothing changes.
+        z is the normal. x is the given frame's x axis projected onto the plane (its y axis, if x is almost the normal).
+        The origin is the given frame's origin projected onto the plane. A camera that looks down sees x to the right
+        and y upwards. For the plane z = 0 both frames are the same.
         """
         reference = np.eye(3)[0] if abs(self.normal[0]) < 0.9 else np.eye(3)[1]
         x = reference - (reference @ self.normal) * self.normal
@@ -55,13 +56,13 @@ class Plane:
 
 
 LEVEL = Plane(np.array([0.0, 0.0, 1.0]), 0.0)
-"""The table of a cloud that is in the table's own frame."""
+"""The plane z = 0: the table of a cloud that is in the table's frame."""
 
 
 def plane_of(coefficients: Sequence[float]) -> Plane:
-    """The plane a x + b y + c z = d [m] of calibration, (a, b, c) pointing up, of any length but 0.
+    """The plane a x + b y + c z = d [m], as from calibration; (a, b, c) points up and has any length but 0.
 
-    Raises InputError when there is no such plane.
+    Raises InputError unless `coefficients` are four finite numbers and (a, b, c) is not 0.
     """
     values = np.asarray(coefficients, float)
     length = np.linalg.norm(values[:3])
@@ -76,9 +77,10 @@ def find(
     *,
     name: str = "cloud",
 ) -> Plane:
-    """The plane that most of the points outside the cloth lie on, either side up. Same seed, same plane.
+    """The plane on which most of the points lie. Same seed, same plane.
 
-    Raises InputError when too few points lie on any one plane.
+    `points` are those outside the cloth. The normal may point to either side. Raises InputError when too few points lie
+    on one plane.
     """
     if len(points) < _LEAST_POINTS:
         raise InputError(
@@ -111,7 +113,7 @@ def _ransac(points: np.ndarray, settings: PlaneConfig, random: np.random.Generat
 
 
 def _fit(points: np.ndarray) -> Plane:
-    """The plane of least squares."""
+    """The least-squares plane through points."""
     middle = points.mean(0)
     moved = points - middle
     normal = np.linalg.eigh(moved.T @ moved)[1][:, 0]

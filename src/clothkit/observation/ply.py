@@ -1,4 +1,4 @@
-"""What PLY files say that their readers don't mind: counts that the file can't hold, and other names of colours."""
+"""Reads PLY files by trimesh or plyfile, after checks of the header's counts, and with other names of colours."""
 
 import io
 import re
@@ -22,21 +22,21 @@ _SIZES = {
     **dict.fromkeys(("double", "float64", "int64", "uint64"), 8),
 }
 _END = re.compile(rb"^end_header[ \t]*(\r\n|\n|\r)", re.MULTILINE)
-# MeshLab, VTK and others; the first of a row is what trimesh knows.
+# Names that MeshLab, VTK and others write; trimesh knows the first name of each row.
 _COLOURS = (("red", "diffuse_red", "r"), ("green", "diffuse_green", "g"), ("blue", "diffuse_blue", "b"))
 _FACES = ("vertex_indices", "vertex_index")
 
 
 class Element(NamedTuple):
-    """A table of a PLY file."""
+    """An element in a PLY file's header, which is a table of the file."""
 
     name: str
     rows: int
     size: int
-    """Bytes that a row takes at least."""
+    """Least number of bytes of a row."""
     properties: tuple[str, ...]
     whole: frozenset[str]
-    """Which of them are whole numbers."""
+    """Names of the properties that are integers."""
 
 
 _NONE = Element("", 0, 0, (), frozenset())
@@ -45,9 +45,9 @@ _NONE = Element("", 0, 0, (), frozenset())
 def load_ply(path: Path, content: bytes) -> trimesh.Trimesh | trimesh.PointCloud | None:
     """The mesh, or the points, in a PLY file; None if it holds no vertices.
 
-    Text with polygons is read by trimesh, binary files by plyfile: of these trimesh takes the first polygon's size for
-    that of all, and plyfile reads text slowly. Raises InputError when the header is none, promises more than the file
-    holds, or has triangle strips; else what the readers raise.
+    Text with polygons is read by trimesh, because plyfile reads text slowly. Binary files are read by plyfile, because
+    trimesh assumes that all their polygons have the size of the first one. Raises InputError when the header is
+    invalid, states more rows than the file holds, or has triangle strips. Other errors are those of the readers.
     """
     end = _END.search(content)
     if not content.startswith(b"ply") or not end:
@@ -75,7 +75,7 @@ def load_ply(path: Path, content: bytes) -> trimesh.Trimesh | trimesh.PointCloud
         if isinstance(found, trimesh.Trimesh | trimesh.PointCloud):
             return found
         raise InputError(f"{path}: can't be read as PLY, it holds neither a mesh nor points")
-    # plyfile maps tables into memory, for which it needs a true file.
+    # plyfile maps tables into memory, for which it needs a file of the operating system.
     with tempfile.TemporaryFile() as file:
         file.write(header)
         file.write(rest)
@@ -106,7 +106,7 @@ def _elements(path: Path, header: str, *, text: bool) -> list[Element]:
 
 
 def _renamed(header: bytes, properties: tuple[str, ...]) -> bytes:
-    """The header with the names of colours that trimesh knows."""
+    """The header with the properties for colours renamed to the names that trimesh knows."""
     for known, *others in _COLOURS:
         other = next((name for name in others if name in properties), None)
         if known not in properties and other:
@@ -116,7 +116,7 @@ def _renamed(header: bytes, properties: tuple[str, ...]) -> bytes:
 
 
 def _cut(header: bytes) -> bytes:
-    """The header up to the last table that is needed: what comes after it need not be read."""
+    """The header up to the last element that is needed, so that later ones are not read."""
     tables = re.split(rb"^(?=element\s)", header, flags=re.MULTILINE)
     needed = [k for k, table in enumerate(tables) if re.match(rb"element\s+(vertex|face)\s", table)]
     end = _END.search(header)
@@ -125,7 +125,7 @@ def _cut(header: bytes) -> bytes:
 
 
 def _cloud(path: Path, data: bytes, vertex: Element) -> trimesh.PointCloud:
-    """A table of points as text, which comes first."""
+    """The point cloud in a text file whose first element is the vertices."""
     lines = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n", vertex.rows)
     table = numbers(path, b"\n".join(lines[: vertex.rows]), width=len(vertex.properties))
     if len(table) < vertex.rows:
@@ -141,7 +141,7 @@ def _cloud(path: Path, data: bytes, vertex: Element) -> trimesh.PointCloud:
 def _by_plyfile(file: IO[bytes], elements: dict[str, Element]) -> trimesh.Trimesh | trimesh.PointCloud:
     lists = [name for name in elements["face"].properties if name in _FACES] if "face" in elements else []
     data = None
-    # If all polygons are of one size, which plyfile makes sure of, they are a table.
+    # If all polygons have one size, plyfile can read them as a table; it raises an error if they don't.
     for size in (3, 4) if lists else ():
         file.seek(0)
         try:

@@ -1,4 +1,4 @@
-"""Where an observed cloth is: from normalised coordinates to metres on the table and before the camera, and back."""
+"""Pose of an observed cloth: converts between normalised coordinates, the table's frame and the camera's frame."""
 
 import dataclasses
 
@@ -10,12 +10,12 @@ Points = Float[np.ndarray, "*points 3"]
 
 @dataclasses.dataclass(frozen=True)
 class Pose:
-    """Three frames: *normalised* (centred, as nets and plans have it), *table* [m, z up from z = 0], *camera* [m]."""
+    """Three frames: *normalised* (centred, as nets and plans use it), *table* [m, z up from z = 0], *camera* [m]."""
 
     rotation: Float[np.ndarray, "3 3"]
     """The table's axes as rows, in the camera's frame."""
     origin: Float[np.ndarray, "3"]
-    """The origin of the table's frame in the camera's [m]."""
+    """The origin of the table's frame in the camera's frame [m]."""
     centre: Float[np.ndarray, "2"]
     """The cloth's centre on the table [m]."""
     scale: float
@@ -46,7 +46,7 @@ class Pose:
         return self.table_to_normalised(self.camera_to_table(points))
 
     def moved(self, shift: Float[np.ndarray, "2"]) -> "Pose":
-        """The pose after the cloth's centre moved by a shift [normalised], as predictions of later states have it."""
+        """The pose after the cloth's centre has moved by a shift [normalised], such as a predicted one."""
         return dataclasses.replace(self, centre=self.centre + np.asarray(shift, float) * self.scale)
 
     @property

@@ -1,8 +1,9 @@
-"""Which points of a cloud are the cloth's, and where the table is: what is wrong with a cloud is told here.
+"""Separates the points of the cloth from the table's, finds the table's plane, and refuses unsuitable clouds.
 
-A cloth is thinner than a depth camera's noise, so heights don't tell a single layer from the table. What does: a mask
-that comes with the cloud; colours, with the range of those that are the table's; or that the cloud holds nothing but
-the cloth, and the table's plane is given. With a mask or colours the plane can be found in the other points.
+A cloth is thinner than a depth camera's noise, so heights can't separate a single layer from the table. There are three
+other ways: a mask comes with the cloud; or the points have colours, and the range of the table's colours is given; or
+the cloud holds the cloth alone, and the table's plane is given. With a mask or colours, the plane can be found in the
+other points.
 """
 
 from typing import NamedTuple
@@ -24,27 +25,29 @@ from clothkit.observation.states import PointCloud, named
 
 _LEAST_POINTS = 100
 _UNITS = {"millimetres": 1000.0, "centimetres": 100.0, "inches": 39.37}
-# Of the cloth's side: what a cloth can span along one axis, folded small and as a flat diagonal, with some slack.
+# Shares of the cloth's side: least and largest span of a cloth along one axis, folded small or along its diagonal, with
+# some slack.
 _NARROWEST, _WIDEST = 0.15, 1.6
-# Of the flat cloth's area, with the noise of its border.
+# Largest share of the flat cloth's area that the cloth's points may cover; noise widens the cloth's border.
 _MOST_COVERED = 1.25
-# Times the usual distance: at the corner of an even grid it is one and a half.
+# No point is an outlier up to this multiple of the mean distance to neighbours. At the corner of an even grid, the
+# distance is one and a half times the mean.
 _LEAST_OUTLYING = 2.0
-# Metres. What is said to be further away is how some cameras mark what they did not measure.
+# Metres. Some cameras mark points that they did not measure by larger coordinates.
 _FARTHEST = 1e5
-# Cloth sides from the middle of the cloth's points from which points are strays, if they are few.
+# Cloth sides. Points further from the median of the cloth's points are strays, if they are few.
 _ASTRAY = 20.0
-_BESIDE = 1.5  # cells: from one to the eight around it
-_VOXELS_A_SIDE = CLOTH_SIDE / 2 * RESOLUTION[0]  # that the flat cloth has
+_BESIDE = 1.5  # cells: reaches the eight cells around a cell
+_VOXELS_A_SIDE = CLOTH_SIDE / 2 * RESOLUTION[0]  # voxels along a side of the flat cloth
 
 
 class Segmented(NamedTuple):
-    """The points of a cloud in the table's frame [m], sorted."""
+    """The points of cloth and table in the table's frame [m], and that frame (`Plane.frame`)."""
 
     cloth: Float[np.ndarray, "cloth 3"]
     """Without outliers and strays."""
     table: Float[np.ndarray, "table 3"]
-    """The others that lie on the table, none if only the cloth's were given."""
+    """The other points that lie on the table; empty if the cloud holds the cloth alone."""
     rotation: Float[np.ndarray, "3 3"]
     origin: Float[np.ndarray, "3"]
 
@@ -58,11 +61,11 @@ def segment(
     stated: Stated = Stated(),  # noqa: B008
     name: str = "cloud",
 ) -> Segmented:
-    """The cloth's points of a cloud, checked and cleared of outliers, in the table's frame.
+    """The cloth's points, checked and without outliers, and the table's points, both in the table's frame.
 
-    `cloth_side` [m] is that of the flat cloth, `stated` what is known of up (`observation.side`). Raises InputError,
-    one sentence, when there are too few points, their units are wrong, the table isn't found, nothing tells which side
-    of it is up, the cloth stands, or there is more than the cloth.
+    `cloth_side` is the side of the flat cloth [m]. `stated` is what the user states about the up direction
+    (`observation.side`). Raises InputError, one sentence, when there are too few points, their unit is wrong, the table
+    isn't found, the side of it that is up can't be decided, the cloth stands upright, or there is a second object.
     """
     kept = _measured(cloud, settings, name)
     points = cloud.points[kept].astype(float)
@@ -80,7 +83,7 @@ def segment(
                 f"the table's plane with a cloud of the cloth alone{_besides(cloud)}"
             )
         plane = find(others, settings.plane, name=name)
-    # Every n-th, so that what a camera saw in rows and columns stays even.
+    # Every n-th point, so that points in a camera's rows and columns stay evenly spaced.
     thinned = slice(None, None, -(-len(cloth) // settings.most))
     near = settings.plane.tolerance
     heights = heights_of(plane, cloth[thinned], others, patch=cloth_side / _VOXELS_A_SIDE, flat=near)
@@ -100,7 +103,7 @@ def segment(
 
 
 def _measured(cloud: PointCloud, settings: CloudConfig, name: str) -> Bool[np.ndarray, " points"]:
-    """The points that the camera measured and that lie in the box."""
+    """The mask of the points that the camera measured and that lie in the box. Raises InputError if there are none."""
     if not len(cloud.points):
         raise InputError(f"{name}: is empty, expected points x y z in metres; the camera's view may be")
     for field in ("cloth", "colours"):
@@ -121,7 +124,7 @@ def _measured(cloud: PointCloud, settings: CloudConfig, name: str) -> Bool[np.nd
 
 
 def _mask(cloud: PointCloud, settings: CloudConfig, name: str) -> Bool[np.ndarray, " points"]:
-    """The points that are the cloth's: as the cloud says, else as their colours say, else all."""
+    """The mask of the cloth's points: the cloud's own mask, else from the points' colours, else all points."""
     if cloud.cloth is not None:
         return cloud.cloth
     if settings.table_colour is None:
@@ -133,8 +136,8 @@ def _mask(cloud: PointCloud, settings: CloudConfig, name: str) -> Bool[np.ndarra
 
 
 def _check_units(cloth: np.ndarray, cloth_side: float, *, masked: bool, name: str) -> None:
-    """That what is cloth spans what a cloth of its side can span."""
-    # Some strays may lie anywhere.
+    """Raises InputError when the cloth's points span more or less than a cloth of that side can."""
+    # Percentiles, because a few strays may lie anywhere.
     low, high = np.percentile(cloth, [1, 99], axis=0)
     span = float((high - low).max())
     narrowest, widest = _NARROWEST * cloth_side, _WIDEST * cloth_side
@@ -152,7 +155,7 @@ def _check_units(cloth: np.ndarray, cloth_side: float, *, masked: bool, name: st
 
 
 def _above_table(cloth: np.ndarray, settings: CloudConfig, name: str) -> np.ndarray:
-    """The cloth's points between table and `highest`, if the cloth lies there."""
+    """The cloth's points between the table and `settings.highest`. Raises InputError if their median lies outside."""
     middle = float(np.median(cloth[:, 2]))
     if not -settings.plane.tolerance <= middle <= settings.highest:
         raise _off_table(middle, name)
@@ -167,16 +170,16 @@ def _off_table(middle: float, name: str) -> InputError:
 
 
 def _without_strays(cloth: np.ndarray, cloth_side: float, settings: CloudConfig) -> np.ndarray:
-    """The points less those that are far from all cloth, if these are too few for another object.
+    """The points without those that are far from the cloth, if these are too few to be another object.
 
-    However far they are, they would spoil what is usual among distances.
+    Otherwise a few distant points would distort the mean distance by which outliers are found.
     """
     astray = (np.abs(cloth - np.median(cloth, axis=0)) > _ASTRAY * cloth_side).any(1)
     return cloth[~astray] if 0 < astray.mean() < settings.second else cloth
 
 
 def without_outliers(points: Float[np.ndarray, "points 3"], settings: CloudConfig) -> Float[np.ndarray, "kept 3"]:
-    """The points whose mean distance to their nearest neighbours is not far above what is usual in the cloud."""
+    """The points whose mean distance to their nearest neighbours is not far above the cloud's mean of it."""
     if not settings.neighbours or len(points) <= settings.neighbours:
         return points
     distance = cKDTree(points).query(points, k=settings.neighbours + 1)[0][:, 1:].mean(1)
@@ -185,10 +188,13 @@ def without_outliers(points: Float[np.ndarray, "points 3"], settings: CloudConfi
 
 
 def _one_piece(cloth: np.ndarray, cloth_side: float, settings: CloudConfig, name: str) -> np.ndarray:
-    """The largest connected piece, if the others are strays."""
+    """The points of the largest connected piece.
+
+    Raises InputError when another piece is too large to be strays, or the largest one is larger than the cloth can be.
+    """
     cell = cloth_side / _VOXELS_A_SIDE
     index = np.floor((cloth[:, :2] - cloth[:, :2].min(0)) / cell)
-    # Only cells that hold points are looked at: a raster would be as large as the points are far apart.
+    # Only cells that hold points are stored: the size of a raster would grow with the distance of stray points.
     cells, inverse = np.unique(index[:, 0] + 1j * index[:, 1], return_inverse=True)
     pairs = cKDTree(np.stack([cells.real, cells.imag], axis=-1)).query_pairs(_BESIDE, output_type="ndarray")
     graph = coo_matrix((np.ones(len(pairs), bool), pairs.T), shape=(len(cells), len(cells)))
@@ -203,7 +209,7 @@ def _one_piece(cloth: np.ndarray, cloth_side: float, settings: CloudConfig, name
         )
     cloth = cloth[pieces[inverse] == largest]
     span, area = float(np.ptp(cloth[:, :2], axis=0).max()), sizes[largest] * cell**2
-    # Cells at the border are only partly covered.
+    # Cells at the border count in full, though the cloth covers only a part of them.
     most = _MOST_COVERED * (cloth_side + 2 * cell) ** 2
     if span > _WIDEST * cloth_side or area > most:
         raise InputError(
@@ -214,5 +220,5 @@ def _one_piece(cloth: np.ndarray, cloth_side: float, settings: CloudConfig, name
 
 
 def _besides(cloud: PointCloud) -> str:
-    """What a cloud's file has under names that are not known, for the end of a sentence on what it lacks."""
+    """The end of a message about missing data: the names of arrays in the cloud's file that are not known."""
     return f"; its file has {named(cloud.unread)}, expected colours, cloth" if cloud.unread else ""

@@ -1,4 +1,4 @@
-"""Settings of the way from point clouds to voxels."""
+"""Settings of the conversion from point clouds to voxels."""
 
 from typing import Annotated
 
@@ -19,27 +19,30 @@ class CloudConfig:
     """How a point cloud becomes voxels."""
 
     box: tuple[Triple, Triple] | None = None
-    """Low and high corner of what is looked at [m], in the cloud's own frame; None: everything."""
+    """Low and high corner of the box to which points are cropped [m], in the cloud's own frame; None: no cropping."""
     table_colour: tuple[Colour, Colour] | None = None
-    """Least and greatest red, green, blue (0..255) of the table; all else is cloth. For clouds without a mask."""
+    """Least and greatest red, green, blue (0..255) of the table; other points are cloth. For clouds without a mask."""
     plane: PlaneConfig = PlaneConfig()
     highest: Annotated[float, Gt(0)] = 0.1
-    """What is further above the table is not the cloth [m]."""
+    """Largest height above the table at which points are taken for cloth [m]."""
     most: Annotated[int, Ge(1000)] = 60_000
-    """Points of the cloth that are looked at; of more, every second, third, ...: they cost time and add nothing."""
+    """Largest number of cloth points that are used; of more points, every second, third, ... one, to save time."""
     neighbours: Annotated[int, Ge(0)] = 8
-    """Nearest neighbours by whose distance outliers are told; 0: none are dropped."""
+    """Number of nearest neighbours whose mean distance identifies outliers; 0: no outliers are dropped."""
     deviations: Annotated[float, Gt(0)] = 4.0
-    """Standard deviations above the mean of that distance from which a point is an outlier."""
+    """A point is an outlier if that distance is more than this many standard deviations above its mean."""
     second: Annotated[float, Gt(0), Le(1)] = 0.1
-    """Share of the cloth's area from which another piece is another object, and below which it is dropped."""
+    """Share of the cloth's area from which a further piece is a second object; smaller pieces are dropped."""
     smoothing: NotNegative = 0.009
-    """Radius [m] around a point over which it takes the median height: less noise, while layers keep their edges."""
+    """Radius of the median filter of heights [m]. It reduces noise, while layers keep their edges."""
     covered: Share = 0.04
-    """Share of a voxel's area that points must cover for it to be occupied: at less, a mesh has no vertex there."""
+    """Least number of points in an occupied column of voxels, as a share of the median number.
+
+    In a column that the cloth covers less, a mesh has no vertex.
+    """
     closed: Annotated[int, Ge(0)] = 4
-    """Most voxels in xy of a gap within the cloth, where no table is seen, that is filled."""
+    """Largest gap within the cloth that is filled, in columns of voxels. Gaps that show the table are not filled."""
     surface: NotNegative = 0.0
-    """From a mesh's vertices up to the surface that the camera sees, half a real cloth's thickness [m]."""
+    """Height of the surface that the camera sees above a mesh's vertices: half the thickness of a real cloth [m]."""
     height: Annotated[float, Gt(0)] = HEIGHT
     """Upper end of the viewport [normalised]."""

@@ -1,8 +1,8 @@
-"""Which side of the table is up: what is stated of it, held against the side on which the cloth lies.
+"""Decides which side of the table is up, from the user's statement and the side on which the cloth lies.
 
-A plane has two sides, and a cloth that is looked at from the wrong one is mirrored, its folds below it. A cloth lies on
-the visible side of its table, so its heights tell the side, as far as they rise above what else moves them: noise, and
-a table that is not quite flat. Both show in how far patches of the table lie from the plane.
+A plane has two sides. Seen from the wrong one, a cloth is mirrored and its folds lie below it. A cloth lies on the
+visible side of its table, so its heights show the side if they are larger than their errors: noise, and a table that is
+not quite flat. The size of these errors is estimated from the distances of the table's patches from the plane.
 """
 
 from typing import Literal, NamedTuple
@@ -21,27 +21,27 @@ _LEAST_PATCHES = 20
 _SURE = 0.002
 _LIKELY = 0.0003
 _UNSEEN = 0.001
-# Times the deviation of the table's patches.
+# Multiples of the deviation of the table's patches.
 _SURE_DEVIATIONS = 3.0
-# The middle of hundreds of patches is surer than one patch.
+# The median of hundreds of patches is more certain than one patch.
 _LIKELY_DEVIATIONS = 0.5
-# What the heights of the farther side must be of those of the nearer.
+# Least ratio of the cloth's heights on one side of the plane to those on the other side.
 _LOPSIDED = 2.0
 _LEAST_COSINE = 0.5
-"""Of the angle between up and the table's normal: a table may lean, but not stand."""
+"""Least cosine of the angle between up and the table's normal: a table may lean, but not stand."""
 
 
 class Stated(NamedTuple):
-    """What is stated of up, in the cloud's frame; each may be None, for not stated."""
+    """What the user states about the up direction, in the cloud's frame; None: not stated."""
 
     up: tuple[float, float, float] | None = None
     """A vector of any length."""
     viewpoint: tuple[float, float, float] | None = None
-    """Where the camera is [m]; it wins over the cloud's own."""
+    """The camera's position [m]; it takes precedence over the cloud's own viewpoint."""
 
 
 class Heights(NamedTuple):
-    """How the patches of a cloth lie above a plane, medians of each patch [m]."""
+    """Statistics of the heights of a cloth's patches above a plane [m]; a patch's height is its points' median."""
 
     low: float
     """5th percentile of the patches."""
@@ -49,10 +49,10 @@ class Heights(NamedTuple):
     high: float
     """95th percentile."""
     deviation: float
-    """Of patches of the table from the plane, one standard deviation; where no table is seen, what is usual."""
+    """Standard deviation of the table's patches from the plane; a usual value where no table was measured."""
 
     def flipped(self) -> "Heights":
-        """The same seen from the plane's other side."""
+        """The heights above the plane's other side."""
         return Heights(-self.high, -self.middle, -self.low, self.deviation)
 
 
@@ -64,9 +64,10 @@ def heights_of(
     patch: float,
     flat: float,
 ) -> Heights:
-    """The heights of a cloth's patches over a plane; those of the other points within `flat` of it tell how sure.
+    """The heights of a cloth's patches above a plane, and the deviation of the table's patches from it.
 
-    Patches are `patch` wide. All in metres, in the frame of the plane.
+    The table's points are those of `others` within `flat` of the plane. Patches are `patch` wide. All lengths are in
+    metres, all points in the frame in which the plane is given.
     """
     rotation, origin = plane.frame()
     cloth, others = ((part - origin) @ rotation.T for part in (cloth, others))
@@ -80,10 +81,10 @@ def heights_of(
 
 
 def evidence(heights: Heights, *, sure: bool) -> Evidence:
-    """On which side of a plane a cloth of such heights lies.
+    """The side of a plane on which a cloth with these heights lies.
 
-    The side to which it rises farther, if that is much farther. `sure` asks for a rise that noise, a bent table or a
-    calibration that is off by a little don't explain; else, for what is more likely than not.
+    It is the side to which the cloth rises much farther than to the other. With `sure`, the rise must be more than
+    noise, a bent table or a slightly wrong calibration can explain; otherwise the result is the more likely side.
     """
     rise, fall = max(heights.high, 0.0), max(-heights.low, 0.0)
     farthest = max(_SURE, _SURE_DEVIATIONS * heights.deviation)
@@ -104,13 +105,14 @@ def oriented(
     near: float,
     name: str,
 ) -> Plane:
-    """The plane with its normal up.
+    """The plane with its normal pointing up.
 
-    What is stated counts in this order: `stated.up`; the viewpoint (`stated.viewpoint`, else the cloud's own); the
-    normal of a plane that was `told`, and not found. If nothing is, the origin is taken for the camera, provided that
-    the cloth lies on its side; an origin within 2 `near` [m] of the table says nothing, and the cloth alone decides.
+    The first of these that is given decides: `stated.up`; the viewpoint (`stated.viewpoint`, else the cloud's own); the
+    normal of the plane, if the plane was given (`told`) and not found in the cloud. If none is given, the origin is
+    assumed to be the camera, and the cloth must lie on its side of the table. If the origin is within 2 `near` [m] of
+    the table, the cloth's heights alone decide.
 
-    Raises InputError when what is stated contradicts itself or the cloth, and when nothing tells.
+    Raises InputError when these contradict one another or the cloth, and when nothing decides.
     """
     if stated.up is not None:
         return _checked(_towards(plane, stated.up, name), plane, heights, "up", name)
@@ -119,7 +121,7 @@ def oriented(
         seen_from = np.array(stated.viewpoint, float)
     if seen_from is not None:
         side = float(plane.heights(seen_from))
-        # So written, a viewpoint that is not a number is refused too.
+        # `not >=` instead of `<`, so that NaN is refused, too.
         if not abs(side) >= 2 * near:
             raise InputError(
                 f"{name}: the viewpoint lies in the table, so no side is up; mend it, or say which way is up (--up)"
@@ -162,7 +164,7 @@ def oriented(
 
 
 def _checked(up: Plane, plane: Plane, heights: Heights, by: str, name: str) -> Plane:
-    """The plane whose normal is up, if its cloth does not surely lie below it."""
+    """The plane `up`, whose normal points up. Raises InputError when the cloth surely lies below it."""
     found = heights if up is plane else heights.flipped()
     if evidence(found, sure=True) == "below":
         raise InputError(
@@ -200,5 +202,5 @@ def _patches(points: np.ndarray, width: float) -> Float[np.ndarray, " patches"]:
     first = np.flatnonzero(np.r_[True, (np.diff(index, axis=0) != 0).any(1)])
     counts = np.diff(np.r_[first, len(index)])
     enough = counts >= _LEAST_IN_PATCH
-    # Sorted by height within each patch, so that the median is in the middle.
+    # Points are sorted by height within each patch, so the median is in the middle.
     return heights[(first + counts // 2)[enough]]

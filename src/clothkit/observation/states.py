@@ -1,4 +1,4 @@
-"""What an observed cloth can be: a mesh, voxels, or a point cloud."""
+"""Representations of an observed cloth: a mesh, voxels, or a point cloud."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -13,55 +13,55 @@ _TOLD = 8
 
 
 def named(names: Sequence[str]) -> str:
-    """Names as a message has them: the first few of many."""
+    """Names for a message, separated by commas; of many names, the first few."""
     return ", ".join(names[:_TOLD]) + (", .." if len(names) > _TOLD else "")
 
 
 @dataclasses.dataclass(frozen=True)
 class MeshState:
-    """A cloth whose every vertex is known, and where it lies."""
+    """A cloth as a mesh, and its position."""
 
     mesh: Float[np.ndarray, "32 32 3"]
     """Normalised and centred."""
     centre: Float[np.ndarray, "2"]
-    """Where its centre was [normalised], in the file's own frame."""
+    """The mesh's centre in the file's own frame [normalised]."""
     scale: float
     """Metres per normalised unit."""
     notices: tuple[str, ...] = ()
-    """What should be said of how its file was read, in sentences."""
+    """Notices for the user about how its file was read, a sentence each."""
 
     @property
     def pose(self) -> Pose:
-        """What brings the mesh back to metres where it lay: the file's frame is the table's."""
+        """The pose that maps the mesh to metres at its place in the file; the file's frame is the table's."""
         return Pose(np.eye(3), np.zeros(3), self.centre.astype(float) * self.scale, self.scale)
 
 
 @dataclasses.dataclass(frozen=True)
 class VoxelState:
-    """A cloth of which only the occupied voxels are known; taken as centred."""
+    """A cloth as occupied voxels of the viewport, which need not be centred."""
 
     voxels: Bool[np.ndarray, "32 32 16"]
     notices: tuple[str, ...] = ()
-    """What should be said of how its file was read, in sentences."""
+    """Notices for the user about how its file was read, a sentence each."""
 
 
 @dataclasses.dataclass(frozen=True)
 class PointCloud:
-    """Points that a camera measured, in metres in its own frame or any other, and what else is known of them."""
+    """Points that a camera measured, in metres in the camera's or any other frame, and their attributes."""
 
     points: Float[np.ndarray, "points 3"]
-    """Metres. Points that are not finite, or exactly (0, 0, 0), are how cameras mark what they did not see."""
+    """Metres. Points that are not finite, or exactly (0, 0, 0), were not measured: cameras mark them in this way."""
     cloth: Bool[np.ndarray, " _"] | None = None
-    """[points]; which points are the cloth's; the others are the table's or anything's."""
+    """Mask of the cloth's points [points]; the others belong to the table or to anything else."""
     colours: UInt8[np.ndarray, "_ 3"] | None = None
-    """[points, 3]; red, green and blue, from which a range can tell the table."""
+    """Red, green and blue [points, 3], by which the table's points can be separated from the cloth's."""
     viewpoint: Float[np.ndarray, "3"] | None = None
-    """Where the camera was [m], in the frame of the points; it tells which side of the table is up."""
+    """The camera's position in the frame of the points [m]; it decides which side of the table is up."""
     table: Plane | None = None
-    """The table, where it is known."""
+    """The table's plane, if it is known."""
     surface: bool = False
-    """Whether these are points of a mesh, as they are seen from above, and not of a camera."""
+    """Whether the points were sampled from a mesh as seen from above, and not measured by a camera."""
     unread: tuple[str, ...] = ()
-    """What else its file holds under names that say nothing here."""
+    """Names of other arrays in the file, which were not read."""
     notices: tuple[str, ...] = ()
-    """What should be said of how its file was read, in sentences."""
+    """Notices for the user about how its file was read, a sentence each."""

@@ -1,10 +1,10 @@
-"""Triangle meshes in OBJ, PLY and GLB files.
+"""Reads triangle meshes in OBJ, PLY and GLB files.
 
-OBJ and PLY have z up, GLB y up, the table is at height 0: as `dataset.export` writes them. A mesh of our grid, in
-whatever order of vertices, is a mesh state. Any other surface says nothing of which point of the cloth is where, so it
-becomes what a camera straight above would see: a dense point cloud, layers below others hidden.
+OBJ and PLY have z up, GLB has y up, and the table is at height 0, as in the files that `dataset.export` writes. A mesh
+of our grid, with its vertices in any order, becomes a mesh state. Any other surface does not show which point of the
+cloth is where, so it becomes what a camera straight above would measure: a dense point cloud without hidden layers.
 
-A file may also hold what a camera measured: points without faces, or, where its program has meshed them, with faces.
+A file may also hold points that a camera measured, without faces or, if a program has meshed them, with faces.
 """
 
 import dataclasses
@@ -25,28 +25,29 @@ from clothkit.observation.zbuffer import topmost
 
 ENDINGS = (".obj", ".ply", ".glb")
 _PITCH = 0.005
-"""Distance of the points that a surface is sampled at, as a share of the cloth's side."""
+"""Distance between the points at which a surface is sampled, as a share of the cloth's side."""
 _OFF_TABLE = 0.1
-"""How far from height 0 the lowest vertex may be, as a share of the cloth's side."""
+"""Largest distance of the lowest vertex from height 0, as a share of the cloth's side."""
 _NARROWEST, _WIDEST = 0.8, 1.2
-"""How wide a grid may be along its edges, in cloth sides: cloths stretch, and files may round."""
+"""Least and largest width of a grid along its edges, in cloth sides: cloths stretch, and files may round."""
 _MOST_SPAN = 1.6
-"""What a cloth may span along one axis, in cloth sides: its diagonal, and some slack."""
+"""Largest span of a cloth along one axis, in cloth sides: its diagonal, and some slack."""
 _FARTHEST = 1e7
-"""In cloth sides: a mesh in micrometres is told that its unit is wrong, one beyond is none."""
+"""Largest coordinate, in cloth sides: a mesh in micrometres stays below it and is refused for its unit."""
 _SAME_PLACE = 1e-5
-"""How near vertices are that count as one, as a share of the cloth's side."""
+"""Distance below which vertices are merged, as a share of the cloth's side."""
 _MESHED = "holds a mesh with colours that does not lie on z = 0: taken for points that a camera measured, without faces"
 
 
 def read_surface(
     path: Path, *, cloth_side: float, y_up: bool = False, as_points: bool = False
 ) -> MeshState | PointCloud:
-    """The state in a mesh file; a PLY without faces is the point cloud that it holds.
+    """The state in a mesh file: a mesh of our grid or a point cloud.
 
-    `y_up` tells that an OBJ or PLY mesh has y up, as GLB always has. Points stay as they are.
-    `as_points` takes the vertices of what is no grid for what a camera measured, wherever they lie, and leaves faces
-    out. So is, without being asked for, a PLY whose vertices have colours and that is neither a grid nor on the table.
+    `y_up` states that an OBJ or PLY mesh has y up, as GLB always has; points are not turned. `as_points` reads the
+    vertices of a mesh that is not our grid as points that a camera measured, wherever they lie, and leaves out the
+    faces. A PLY mesh is read in this way without `as_points`, too, if its vertices have colours and it is neither our
+    grid nor on the table. A PLY without faces is a point cloud.
 
     Raises InputError when the file can't be read, or does not hold a cloth of `cloth_side` [m] on the table.
     """
@@ -68,7 +69,7 @@ def read_surface(
         vertices = _z_up(vertices)
     used, faces = np.unique(faces, return_inverse=True)
     vertices, faces = vertices[used], faces.reshape(-1, 3)
-    # So written, what is not a number counts as far away, too.
+    # With `<`, NaN counts as too far away, too.
     finite = bool((np.abs(vertices) < _FARTHEST * cloth_side).all())
     order = grid_order(vertices, faces, tolerance=tolerance) if finite else None
     if order is None and as_points:
@@ -81,14 +82,18 @@ def read_surface(
 
 
 def _z_up(vertices: Float[np.ndarray, "vertices 3"]) -> Float[np.ndarray, "vertices 3"]:
-    """Vertices with y up as vertices with z up."""
+    """Vertices with y up, turned so that z is up."""
     return np.stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]], axis=-1)
 
 
 def _surface(
     path: Path, loaded: Loaded, order: Int[np.ndarray, "1024"] | None, cloth_side: float, tolerance: float
 ) -> MeshState | PointCloud:
-    """A cloth of finite vertices, z up, as a mesh in the given order, or as it is seen from above."""
+    """The state of a cloth with finite vertices, z up: a mesh if `order` is given, else its points seen from above.
+
+    `order` lists the vertices of our grid row by row. Raises InputError when the cloth has another size, consists of
+    several parts, stands upright, or does not lie on the table.
+    """
     vertices = loaded.vertices
     if order is not None:
         vertices = vertices[order]
@@ -115,7 +120,7 @@ def _on_table(vertices: Float[np.ndarray, "vertices 3"], cloth_side: float) -> b
 
 
 def check_grid(name: str, mesh: Float[np.ndarray, "u v 3"], *, side: float, unit: str) -> None:
-    """That a grid is as wide as the cloth along its edges, folded or not, in a named unit. Raises InputError."""
+    """Raises InputError when a grid, folded or not, is not as wide along its edges as a cloth of `side` [`unit`]."""
     edges = [np.median(np.linalg.norm(np.diff(mesh.astype(float), axis=axis), axis=-1)) for axis in (0, 1)]
     found = float(np.mean(edges)) * (mesh.shape[0] - 1)
     if not _NARROWEST <= found / side <= _WIDEST:
@@ -128,7 +133,10 @@ def check_grid(name: str, mesh: Float[np.ndarray, "u v 3"], *, side: float, unit
 def check_span(
     name: str, vertices: Float[np.ndarray, "vertices 3"], *, side: float, unit: str, meshed: bool = False
 ) -> None:
-    """That nothing spans more than the cloth's diagonal; `meshed` may be what a camera saw. Raises InputError."""
+    """Raises InputError when vertices span more than the cloth's diagonal along an axis.
+
+    `meshed` states that the vertices may be a camera's points; the message then mentions --as-points.
+    """
     span = float(np.ptp(vertices.astype(float), axis=0).max())
     if span > _MOST_SPAN * side:
         other = ", or give --as-points if its vertices are what a camera measured" if meshed else ""
@@ -138,10 +146,10 @@ def check_span(
 def from_above(
     vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"], *, pitch: float
 ) -> PointCloud:
-    """The points of a surface that are seen from straight above, `pitch` [m] apart; the table is z = 0."""
+    """The points of a surface that are visible from straight above, sampled `pitch` [m] apart; the table is z = 0."""
     low, span = vertices[:, :2].min(0), np.ptp(vertices[:, :2], axis=0)
     rows, columns = (int(n) for n in np.ceil(span / pitch) + 1)
-    # Rows run along x here.
+    # Rows of the raster run along x.
     places = (vertices[:, 1::-1] - low[::-1]) / pitch
     heights, owner = topmost(places[faces], vertices[:, 2][faces], (rows, columns))
     row, column = np.nonzero(owner >= 0)

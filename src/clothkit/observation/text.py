@@ -1,4 +1,4 @@
-"""Tables of numbers as text, which clouds are in ASCII files."""
+"""Reads tables of numbers in text, as in point clouds in ASCII files."""
 
 import io
 import re
@@ -11,7 +11,10 @@ from clothkit.errors import InputError
 
 
 def numbers(path: Path, data: bytes, *, width: int) -> Float[np.ndarray, "rows width"]:
-    """The numbers of all lines that are not blank. Raises InputError that shows the first line of another width."""
+    """The numbers in all lines that are not blank.
+
+    Raises InputError that shows the first line without exactly `width` numbers.
+    """
     if not data.strip():
         return np.zeros((0, width))
     try:
@@ -24,18 +27,18 @@ def numbers(path: Path, data: bytes, *, width: int) -> Float[np.ndarray, "rows w
 
 
 def short(path: Path, found: int, points: int) -> InputError:
-    """What to raise when there are fewer points than a header says."""
+    """The error for a file with fewer points than its header says."""
     return InputError(f"{path}: ends after {found} points, its header says {points}")
 
 
 def _no_row(path: Path, data: bytes, width: int, error: ValueError | None) -> InputError:
-    """The row that can't be read, as NumPy's words tell which it is."""
+    """The error that shows the first row that can't be read; NumPy's message says where to search for it."""
     number = re.search(r"at row (\d+)", str(error))
     row = int(number[1]) if number else 0
     lines = (line for line in data.decode("latin-1").splitlines() if line.strip())
     for index, line in enumerate(lines):
         words = line.split()
-        # NumPy counts from 0 or 1, as the case may be.
+        # NumPy's messages count rows from 0 in some cases and from 1 in others.
         if index >= row - 1 and not _are_numbers(words, width):
             return InputError(f"{path}: point {index} is {' '.join(words)[:60]!r}, expected {width} numbers")
     return InputError(f"{path}: can't be read as ASCII, expected {width} numbers in each line")

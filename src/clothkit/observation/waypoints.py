@@ -1,4 +1,4 @@
-"""A plan in metres: where the hands are when, and turned or mirrored so that a robot reaches it all (section 4.2.2)."""
+"""Paths of the hands in metres over time (section 4.2.2), turned or mirrored so that a robot can reach them."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -23,21 +23,21 @@ _SIMULATED = SimulationConfig()
 
 @config
 class MotionConfig:
-    """How the hands move; as they do in simulation."""
+    """Settings of the hands' motion; the defaults are those of the simulation."""
 
     hand_speed: Annotated[float, Gt(0)] = _SIMULATED.hand_speed
-    """Mean along the longer arc [m/s]."""
+    """Mean speed along the longer arc [m/s]."""
     shortest_move: Annotated[float, Gt(0)] = _SIMULATED.shortest_move
-    """Seconds."""
+    """Shortest duration of a move [s]."""
     highest_lift: Annotated[float, Gt(0)] = _SIMULATED.highest_lift
-    """Normalised: hands end at min(highest_lift, k / 2) above where they grasped."""
+    """Normalised: hands end min(highest_lift, k / 2) above the grasp point, where k is the distance that they move."""
     waypoints: Annotated[int, Ge(2)] = 21
-    """For each hand, both ends among them."""
+    """Number of waypoints per hand, including both ends."""
 
 
 @config
 class ReachConfig:
-    """The box that a robot's hands reach [m], in the table's frame."""
+    """The box that a robot's hands can reach [m], in the table's frame."""
 
     low: tuple[float, float, float]
     high: tuple[float, float, float]
@@ -45,7 +45,7 @@ class ReachConfig:
 
 @dataclasses.dataclass(frozen=True)
 class HandPaths:
-    """Where the hands are when, during one manipulation. No hands: the null manipulation."""
+    """The positions of the hands over time during one manipulation; without hands for a null manipulation."""
 
     times: Float[np.ndarray, " waypoints"]
     """Seconds from the grasp."""
@@ -55,11 +55,11 @@ class HandPaths:
 
 @dataclasses.dataclass(frozen=True)
 class Turned:
-    """Paths that were turned or mirrored, and how."""
+    """Paths after a turn or a mirroring, and its matrix."""
 
     paths: tuple[HandPaths, ...]
     matrix: Float[np.ndarray, "2 2"]
-    """Of the plane, as manipulation.turns has it: the goal that is now reached is the goal turned by it."""
+    """Acts on the table's plane, as in `manipulation.turns`: the paths now lead to the goal turned by it."""
 
 
 def hand_paths(
@@ -68,10 +68,10 @@ def hand_paths(
     pose: Pose,
     settings: MotionConfig = MotionConfig(),  # noqa: B008
 ) -> HandPaths:
-    """The arcs of a manipulation of a cloth, slow at both ends, in metres.
+    """The hands' paths for a manipulation of a cloth [m]: arcs, slow at both ends.
 
-    `mesh` is the cloth as it is estimated or predicted before the manipulation, normalised and centred, `pose` where it
-    is then: for a later step of a plan, `pose.moved` by the predicted shifts of its centre.
+    `mesh` is the cloth as estimated or predicted before the manipulation, normalised and centred. `pose` is its pose at
+    that time: for a later step of a plan, the observed pose after `Pose.moved` by the predicted centre shifts.
     """
     grasps = np.stack([np.asarray(to_cartesian(mesh, uv), float) for uv in grasp_points(manipulation)])
     return paths_from(grasps, manipulation, pose, settings)
@@ -83,7 +83,7 @@ def paths_from(
     pose: Pose,
     settings: MotionConfig = MotionConfig(),  # noqa: B008
 ) -> HandPaths:
-    """The same for a manipulation whose grasp points are known to lie at `grasps` [normalised, centred]."""
+    """The hands' paths for a manipulation whose grasp points lie at `grasps` [normalised, centred]."""
     if bool(is_null(manipulation)):
         return HandPaths(np.zeros(settings.waypoints), np.zeros((0, settings.waypoints, 3)))
     hands = 1 if bool(is_single(manipulation)) else 2
@@ -97,10 +97,10 @@ def paths_from(
 
 
 def symmetries(mesh: Float[np.ndarray, "u v 3"], *, within: float = 0.02) -> list[Float[np.ndarray, "2 2"]]:
-    """The turns by right angles, and mirrorings, under which a cloth looks as before; the identity first.
+    """The matrices of the turns by right angles and the mirrorings under which a cloth looks the same; identity first.
 
-    All eight for a flat cloth, however it lies: they are about its own axes. A turned cloth looks as before if an
-    equivalent of it is within so many cloth lengths of the cloth.
+    They refer to the cloth's own axes, so a flat cloth has all eight in any direction. A turned cloth looks the same if
+    the error of one of its equivalents against the cloth is at most `within` [cloth lengths].
     """
     along = (mesh[-1] - mesh[0]).mean(0)
     lean = float(np.arctan2(along[1], along[0]))
@@ -116,13 +116,13 @@ def symmetries(mesh: Float[np.ndarray, "u v 3"], *, within: float = 0.02) -> lis
 
 
 def turned(paths: HandPaths, matrix: Float[np.ndarray, "2 2"], *, about: Float[np.ndarray, "2"]) -> HandPaths:
-    """The paths turned or mirrored in the plane about a point [m] of the table."""
+    """The paths turned or mirrored by `matrix` in the table's plane, about the point `about` [m]."""
     xy = about + (paths.points[..., :2] - about) @ matrix.T
     return HandPaths(paths.times, np.concatenate([xy, paths.points[..., 2:]], axis=-1))
 
 
 def beyond(paths: Sequence[HandPaths], reach: ReachConfig) -> float:
-    """How far the farthest waypoint is outside the box along one axis [m]; 0 if all are in it."""
+    """The largest distance of a waypoint from the box along one axis [m]; 0 if all waypoints are in it."""
     points = np.concatenate([path.points.reshape(-1, 3) for path in paths] or [np.zeros((0, 3))])
     return float(np.maximum(reach.low - points, points - reach.high).max(initial=0.0))
 
@@ -130,10 +130,10 @@ def beyond(paths: Sequence[HandPaths], reach: ReachConfig) -> float:
 def within_reach(
     paths: Sequence[HandPaths], reach: ReachConfig, mesh: Float[np.ndarray, "u v 3"], pose: Pose
 ) -> Turned:
-    """The first of the plan's turned or mirrored forms whose waypoints all lie in the box, the plan itself first.
+    """The plan's paths, turned or mirrored only if needed so that all waypoints lie in the box.
 
-    `mesh` [normalised, centred] and `pose` are the cloth's before the plan: it may be turned only so that this cloth
-    looks as before. All steps turn about its centre. Raises InputError when no form is in reach.
+    `mesh` [normalised, centred] and `pose` are those of the cloth before the plan. The allowed turns and mirrorings are
+    the `symmetries` of this cloth, about its centre. Raises InputError when no form of the plan is in reach.
     """
     nearest = np.inf
     for matrix in symmetries(mesh):

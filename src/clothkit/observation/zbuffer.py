@@ -1,4 +1,4 @@
-"""Which triangle is seen at each pixel: a depth buffer of all triangles at once."""
+"""Which triangle is visible at each pixel: a depth buffer that is filled for many triangles at once."""
 
 import itertools
 
@@ -6,17 +6,17 @@ import numpy as np
 from jaxtyping import Float, Int
 
 _PAIRS_TOGETHER = 1 << 21
-"""Pairs of a triangle and a pixel of its bounding box that are looked at in one pass."""
+"""Pairs of a triangle and a pixel of its bounding box that are tested in one pass."""
 _SLACK = 1e-9
 
 
 def topmost(
     corners: Float[np.ndarray, "triangles 3 2"], values: Float[np.ndarray, "triangles 3"], shape: tuple[int, int]
 ) -> tuple[Float[np.ndarray, "rows columns"], Int[np.ndarray, "rows columns"]]:
-    """The greatest value at each pixel's centre, and whose triangle it is; -inf and -1 where there is none.
+    """The greatest value at each pixel's centre, and the index of its triangle; -inf and -1 where there is no triangle.
 
-    `corners` are (column, row); pixel (i, j) is centred at row i + 0.5, column j + 0.5. Values are linear on each
-    triangle: heights seen from above without perspective, 1 / depth with it.
+    `corners` are (column, row); pixel (i, j) is centred at row i + 0.5, column j + 0.5. Values must be linear on each
+    triangle: heights seen from above without perspective, 1 / depth with perspective.
     """
     rows, columns = shape
     image = np.full(rows * columns, -np.inf)
@@ -34,7 +34,7 @@ def topmost(
 
 
 def _runs(labels: np.ndarray) -> list[tuple[int, int]]:
-    """Beginnings and ends of the runs of equal labels."""
+    """First and last + 1 index of each run of equal labels."""
     cuts = np.flatnonzero(np.diff(labels)) + 1
     edges = [0, *cuts.tolist(), len(labels)]
     return list(itertools.pairwise(edges))
@@ -51,7 +51,7 @@ def _draw(
     image: np.ndarray,
     owner: np.ndarray,
 ) -> None:
-    """Enter the chosen triangles into the buffers."""
+    """Draws the chosen triangles into the buffers `image` and `owner`, in place."""
     count = pairs[chosen]
     triangle = np.repeat(chosen, count)
     place = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
@@ -67,7 +67,7 @@ def _draw(
     weights = np.stack([weight_a, weight_b, weight_c], -1)[inside]
     triangle, pixel = triangle[inside], (row * columns + column)[inside]
     value = (weights * values[triangle]).sum(-1)
-    # Of several values for one pixel NumPy keeps the last: the greatest.
+    # Values are sorted, because of several values for one pixel NumPy keeps the last.
     order = np.argsort(value, kind="stable")
     triangle, pixel, value = triangle[order], pixel[order], value[order]
     seen = value > image[pixel]

@@ -1,1 +1,1 @@
-"""Tables and figures from tidy rows; nothing is computed here."""
+"""Tables, figures and pages, made from the tidy rows that evaluation has computed."""

@@ -1,4 +1,4 @@
-"""What a page is made of, whoever renders it: sections of paragraphs, pictures and tables."""
+"""The blocks of a page, independent of the renderer: sections of paragraphs, pictures and tables."""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -18,7 +18,7 @@ class Text:
 
 @dataclass(frozen=True)
 class Figure:
-    """A picture that was drawn."""
+    """A picture in the report's folder."""
 
     name: str
     caption: str
@@ -27,53 +27,53 @@ class Figure:
 
 @dataclass(frozen=True)
 class Table:
-    """A table with its heading and what is told of it."""
+    """A table with its heading and the paragraphs above it."""
 
     name: str
-    """Of its CSV."""
+    """Name of its CSV."""
     title: str
     data: pd.DataFrame
     words: Sequence[str] = ()
     """Paragraphs in Markdown."""
     keys: Sequence[str] = ()
-    """What tells the rows of a table apart that has the paper's figures beside ours; other tables stand as they are."""
+    """Columns that identify a row in a table with the paper's figures beside ours; empty for other tables."""
     judged: Collection[str] = JUDGED
-    """Values of the last key that have the better of two figures marked."""
+    """Values of the last key in whose rows the better of our figure and the paper's is marked."""
     ideal: float = -math.inf
     heads: Mapping[str, str] = field(default_factory=dict)
-    """How columns are called where there is room."""
+    """Longer names of columns, for renderers that have room for them."""
     unit: str = ""
     file: str = ""
-    """Its CSV, in the report's folder."""
+    """Path of its CSV in the report's folder; empty: `tables/<name>.csv`."""
 
     @property
     def csv(self) -> str:
-        """Its CSV, in the report's folder."""
+        """Path of its CSV in the report's folder."""
         return self.file or f"tables/{self.name}.csv"
 
 
 @dataclass(frozen=True)
 class Missing:
-    """A table that an older report lacks."""
+    """The place of a table that the report lacks because it is older than the table."""
 
     title: str
 
 
 @dataclass(frozen=True)
 class Cards:
-    """The figures that say most, large, where a page can show them so."""
+    """The most important figures in large print, for renderers that can show them."""
 
 
 @dataclass(frozen=True)
 class Stages:
-    """What every stage cost."""
+    """Time and memory of every stage."""
 
     timings: pd.DataFrame
 
 
 @dataclass(frozen=True)
 class Params:
-    """What the report was made with."""
+    """The settings that the report was made with."""
 
 
 Block = Text | Figure | Table | Missing | Cards | Stages | Params

@@ -1,4 +1,4 @@
-"""What each system plans and learned with, and which systems are held against one another with unequal budgets."""
+"""Budgets of each system for planning and training, and which systems are compared with unequal budgets."""
 
 import math
 from collections.abc import Mapping
@@ -16,27 +16,27 @@ from clothkit.report.layout import LENGTHS
 from clothkit.report.made_with import Learned, MadeWith, Net
 
 EQUAL = 0.05
-"""Budgets that differ by no more than this share count as equal."""
+"""Budgets count as equal if they differ by at most this share of the larger one."""
 
 DAGGER = " †"
-"""Stands behind the name of a system that is held against another one with another budget."""
+"""Suffix of the name of a system that is compared with a system with another budget."""
 
 VTM = "vtm"
 
 PAPER: Mapping[str, Net] = {"main": PEMDConfig(), "b4": EMDVoxelConfig()}
-"""The paper's forward models; its searches and its training are the defaults of their settings."""
+"""The paper's forward models. Its search and its training are the defaults of SearchConfig and TrainingConfig."""
 
 ITERATIONS = tuple(f"iterations_{length}" for length in LENGTHS)
 EVALUATIONS = tuple(f"evaluations_{length}" for length in LENGTHS)
 
 
 def budgets(made_with: MadeWith, timings: pd.DataFrame | None, systems: list[str]) -> pd.DataFrame:
-    """A row per planner, one of VtM, and the paper's.
+    """The table of budgets: a row per planner, one for VtM, and the paper's rows.
 
-    source, system; nets (forward models that a plan is made with; two are trained, of which one net plans with the
-    better), parameters (of each), training_iterations, batch, training_cpu_minutes (of both forward models, or of VtM;
-    missing where their trainings left no note), strains, iterations_1, _2, _3 (of a search, by plan length),
-    evaluations_1, _2, _3 (of the loss with its gradient: strains times iterations).
+    Columns: source, system; nets (number of forward models used in planning; two are trained, and a system with one net
+    uses the better of them), parameters (of each net), training_iterations, batch, training_cpu_minutes (of both
+    forward models together, or of VtM; NaN where the training left no note), strains, iterations_1, _2, _3 (of a
+    search, by plan length), evaluations_1, _2, _3 (of the loss with its gradient: strains times iterations).
     """
     rows = []
     for name in systems:
@@ -77,7 +77,7 @@ def _parameters(net: Net) -> int:
 
 
 def _minutes(timings: pd.DataFrame | None, stage: str) -> float:
-    """CPU minutes of a training's last runs, of all its nets; NaN where none is known."""
+    """CPU minutes of the last training run of each of a stage's nets, added up; NaN if there is no note of any."""
     if timings is None:
         return math.nan
     own = timings[timings["stage"].map(lambda name: name.split("@")[0] == stage)]
@@ -85,7 +85,7 @@ def _minutes(timings: pd.DataFrame | None, stage: str) -> float:
 
 
 def differ(table: pd.DataFrame, system: str, against: str) -> bool:
-    """Whether the budgets of two planners, for search or training, are unequal, as far as these are known."""
+    """Whether two planners have unequal budgets for search or training. Unknown budgets count as equal."""
     one, other = (_of(table, name) for name in (system, against))
     if one is None or other is None:
         return False
@@ -93,7 +93,7 @@ def differ(table: pd.DataFrame, system: str, against: str) -> bool:
 
 
 def told(table: pd.DataFrame) -> str:
-    """In words how the voxel baseline's budget differs from main's; nothing where there is no such planner."""
+    """How the voxel baseline's budget differs from main's, in words; "" if either planner is missing."""
     main = _of(table, "main")
     voxels = [name for name in dict.fromkeys(table["system"]) if name in SYSTEMS and SYSTEMS[name].voxels]
     other = _of(table, voxels[0]) if voxels else None
@@ -106,7 +106,10 @@ def told(table: pd.DataFrame) -> str:
 
 
 def told_of_nets(table: pd.DataFrame, whose: str) -> str:
-    """In words how long the nets of the voxel baseline learned (`whose` names them), and those of main."""
+    """How long the voxel baseline's nets and main's were trained, in words; "" if b4 or main is missing.
+
+    `whose` names the voxel baseline's nets in the sentence.
+    """
     voxels, main = (_of(table, name) for name in ("b4", "main"))
     if voxels is None or main is None:
         return ""

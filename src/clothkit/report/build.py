@@ -1,4 +1,4 @@
-"""Writes what the report's pages show: tables, figures and metrics."""
+"""Writes the tables, figures, plots and metrics that the report's pages show."""
 
 import json
 from pathlib import Path
@@ -29,14 +29,14 @@ from clothkit.report.plots import plots
 from clothkit.report.settings import ReportConfig
 
 PREDICTOR_OF = {"main": "main", "b1": "a1"}
-"""Which predictions start from what a planner starts from."""
+"""For a planner, the predictor with the same input: estimates or true meshes."""
 
 ABREAST = {1: 2, 2: 2, 3: 1}
-"""Sessions side by side in a picture, by length."""
+"""Number of sessions side by side in a picture, by length."""
 
 
 def build(folder: Path, inputs: Inputs, settings: ReportConfig) -> dict[str, pd.DataFrame]:
-    """Write tables, figures, plots and metrics into a new folder; the tables.
+    """Writes tables, figures, plots and metrics into a new folder. Returns the tables by name.
 
     Equal inputs give equal bytes.
     """
@@ -67,7 +67,7 @@ def build(folder: Path, inputs: Inputs, settings: ReportConfig) -> dict[str, pd.
         "attempts": tables.attempts(inputs.attempts),
     }
     drawn = draw_figures(folder / "figures", inputs, made["largest"], settings)
-    # Pictures can't be drawn again without their data: what is told of them stays with them.
+    # The pages of an old report can be written again, but not its pictures, so their captions are stored beside them.
     told = {name: CAPTIONS[name] for name in sorted(drawn)}
     (folder / "figures" / CAPTIONS_FILE).write_text(json.dumps(told, indent=1, ensure_ascii=False) + "\n")
     for name, table in made.items():
@@ -91,9 +91,9 @@ def build(folder: Path, inputs: Inputs, settings: ReportConfig) -> dict[str, pd.
 
 
 def draw_figures(folder: Path, inputs: Inputs, errors: pd.DataFrame, settings: ReportConfig) -> list[str]:
-    """Draw every figure as `<name>.png`; the names. What no session is about is left out.
+    """Draws every figure as `<name>.png`. Returns the names. Figures of sessions are left out if there is no session.
 
-    `errors`: the table of the largest ones.
+    `errors` is the table of the largest planning errors.
     """
     dataset, planner = inputs.dataset, settings.planners[0]
     sequences(dataset, folder / "sequences.png", count=settings.sequences)
@@ -145,7 +145,7 @@ def draw_figures(folder: Path, inputs: Inputs, errors: pd.DataFrame, settings: R
 
 
 def representations(folder: Path, inputs: Inputs) -> list[str]:
-    """Draw what states and manipulations are, from the first test sequences that serve; the names."""
+    """Draws the figures that explain representations, from the first suitable test sequences. Returns their names."""
     dataset, found = inputs.dataset, inputs.estimates
     test = dataset.indices("test").tolist()
     place = next(place for place, sequence in enumerate(found["sequence"]) if int(sequence) in test)
@@ -156,7 +156,7 @@ def representations(folder: Path, inputs: Inputs) -> list[str]:
     meshes(dataset.vertices[sequence, state], mean, std, folder / "meshes.png")
     voxels(dataset.vertices[sequence, state], folder / "voxels.png")
     equivalents(dataset.vertices[sequence, 1], folder / "equivalents.png")
-    # From a folded cloth if there is one: on the flat one, the silhouette says little.
+    # Folded states are tried first, because the silhouette of the flat cloth shows little.
     steps = [(sequence, step) for step in (1, 2, 0) for sequence in test if step < dataset.length[sequence]]
     examples = []
     for hands in (2, 1):
@@ -168,7 +168,10 @@ def representations(folder: Path, inputs: Inputs) -> list[str]:
 
 
 def picked(sequences: list[int], manipulations: list[int], length: int) -> list[Task]:
-    """A task of that length of each sequence that has one, the starts in turn: examples that nobody chose."""
+    """One task of that length from each sequence that has one, with the starts in rotation.
+
+    The rule makes the examples independent of their results.
+    """
     found = []
     for place, (sequence, longest) in enumerate(zip(sequences, manipulations, strict=True)):
         tasks = [task for task in tasks_of(sequence, longest) if task.length == length]

@@ -1,4 +1,4 @@
-"""What a depth camera's view and noise cost: group-bys of tidy rows, the condition without a camera first."""
+"""Tables of errors by a depth camera's view and noise: group-bys of tidy rows, the condition without a camera first."""
 
 import numpy as np
 import pandas as pd
@@ -9,9 +9,10 @@ KEYS = ["condition", "tilt", "noise"]
 
 
 def estimation(tidy: pd.DataFrame) -> pd.DataFrame:
-    """How states are seen and estimated: means by condition.
+    """Means of observations and estimates by condition.
 
-    condition, tilt [degrees], noise, states, seen (share), voxel_error, centre_error and estimate [cloth length], iou.
+    Columns: condition, tilt [degrees], noise, states (number), seen (share of states), voxel_error, centre_error and
+    estimate (error of the estimate) [cloth length], iou.
     """
     groups = tidy.assign(seen=tidy["seen"].astype(float)).groupby(KEYS, sort=False)
     found = groups[["seen", "voxel_error", "centre_error", "iou", "error"]].mean()
@@ -20,9 +21,10 @@ def estimation(tidy: pd.DataFrame) -> pd.DataFrame:
 
 
 def planning(tidy: pd.DataFrame) -> pd.DataFrame:
-    """What became of the same tasks: means by condition, and what they are if nothing is done.
+    """Means of planning outcomes for the same tasks by condition, and a last row without any action.
 
-    condition, tilt [degrees], noise, tasks; 1, 2, 3 (error of outcomes by plan length [cloth length]); iou, iou_seen.
+    Columns: condition, tilt [degrees], noise, tasks (number); 1, 2, 3 (error of outcomes by plan length [cloth
+    length]); iou, iou_seen.
     """
     lengths = sorted(tidy["length"].unique())
     groups = tidy.groupby(KEYS, sort=False)
@@ -39,7 +41,7 @@ def planning(tidy: pd.DataFrame) -> pd.DataFrame:
 
 
 def comparisons(tidy: pd.DataFrame) -> pd.DataFrame:
-    """Every condition against none, by length: condition, column, sequences, difference, low, high, p."""
+    """Every condition compared with no camera, by length: condition, column, sequences, difference, low, high, p."""
     chosen = tidy[tidy["column"].isin(list(BY_LENGTH))]
     named = chosen.rename(columns={"system": "condition"})
     return named[["condition", "column", "sequences", "difference", "low", "high", "p"]].reset_index(drop=True)

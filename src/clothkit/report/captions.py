@@ -1,6 +1,6 @@
-"""What the report says above its tables and below its figures, in Markdown; the same words on both pages.
+"""Texts above the report's tables and below its figures, in Markdown; the same on both pages.
 
-What depends on how a report was made, or on its figures, is in `said.py`.
+Texts that depend on a report's settings or figures are in `said.py`.
 """
 
 INTRO = (
@@ -165,10 +165,10 @@ SYSTEMS = {
     "pmr": "VtM's probabilistic mesh, its means",
     "dmr": "the refined mesh",
 }
-"""What the names of systems, and of kinds of estimates, stand for."""
+"""Meanings of the names of systems and of kinds of estimates."""
 
 CAPTIONS_FILE = "captions.json"
-"""Beside a report's figures: the captions of those that were drawn, as they were then."""
+"""File beside a report's figures with the captions that they had when they were drawn."""
 
 CAPTIONS = {
     "sequences": "Simulated test sequences: states from above, manipulations dotted (red and green: the two hands); "

@@ -1,4 +1,4 @@
-"""What a report's folder holds, read back from its CSVs: all that its pages are made from."""
+"""Reads a report's folder: the settings, tables and captions from which its pages are made."""
 
 import json
 from collections.abc import Mapping
@@ -38,35 +38,35 @@ TABLES: Mapping[str, tuple[str, ...]] = {
     "splits": ("split", "sequences", "manipulations", "single_handed"),
     "attempts": ("outcome", "attempts", "share"),
 }
-"""Every table under `tables/`, and the columns without which it can't be shown. Older reports lack some tables."""
+"""Every table under `tables/`, and the columns that it must have. Older reports lack some tables."""
 
 COSTS: Mapping[str, tuple[str, ...]] = {
     "table_8": ("source", "system", "machine", *LENGTHS, "estimate"),
     "timings": ("stage", "seconds", "cpu_seconds", "peak_memory_mib", "machine"),
 }
-"""Tables beside that folder."""
+"""Tables in the report's folder itself, and the columns that they must have."""
 
 
 COUNTS = (
     *("sequence", "start", "length", "sequences", "manipulations", "attempts", "states", "tasks"),
     "peak_memory_mib",
 )
-"""Columns of whole numbers; other numbers are figures, whole or not."""
+"""Columns of counts and indices, which stay integers; other columns of numbers are read as floats."""
 
 
 @dataclass(frozen=True)
 class Contents:
-    """What the pages show."""
+    """The content of the pages."""
 
     made_with: MadeWith
     tables: Mapping[str, pd.DataFrame]
-    """Those of TABLES and COSTS that are there, without intervals and p of fewer than `LEAST` sequences."""
+    """The tables of TABLES and COSTS that exist; intervals and p from fewer than `LEAST` sequences are NaN."""
     figures: Mapping[str, str]
-    """The captions of the pictures that were drawn, by name."""
+    """The captions of the pictures that exist, by name."""
     planned: Mapping[str, int]
-    """Sequences that were planned for, by split."""
+    """Number of sequences that were planned for, by split."""
     studied: bool
-    """Whether a study tells what the memory trace is worth."""
+    """Whether there is a study of the memory trace's effect."""
 
 
 def read(folder: Path) -> Contents:
@@ -88,9 +88,9 @@ def read(folder: Path) -> Contents:
 
 
 def enough(table: pd.DataFrame, planned: Mapping[str, int]) -> pd.DataFrame:
-    """The table without intervals and p of fewer than `LEAST` sequences.
+    """The table with NaN in place of intervals and p from fewer than `LEAST` sequences.
 
-    Comparisons tell their sequences; those of tables 6 and 7 are `planned`, by split.
+    Comparisons have a column with their number of sequences. For tables 6 and 7 it is `planned`, by split.
     """
     if {"sequences", "low", "high", "p"} <= set(table.columns):
         few = table["sequences"] < LEAST
@@ -103,7 +103,7 @@ def enough(table: pd.DataFrame, planned: Mapping[str, int]) -> pd.DataFrame:
 
 
 def _figures(folder: Path) -> dict[str, str]:
-    """Captions of the pictures that are there: as they were told when these were drawn, or as they are told today."""
+    """Captions of the pictures that exist: those stored with the pictures, or today's if none were stored."""
     path = folder / CAPTIONS_FILE
     try:
         told = json.loads(path.read_text()) if path.exists() else CAPTIONS
@@ -115,7 +115,10 @@ def _figures(folder: Path) -> dict[str, str]:
 
 
 def _planned(tables: Mapping[str, pd.DataFrame], settings: MadeWith) -> dict[str, int]:
-    """Sequences that were planned for, by split; reports of before they were counted tell them otherwise."""
+    """Number of sequences that were planned for, by split.
+
+    Older reports lack the table `planned`. For these, the number is that of the planners' comparisons or the settings.
+    """
     if "planned" in tables:
         rows = tables["planned"]
         return dict(zip(rows["split"], map(int, rows["sequences"]), strict=True))

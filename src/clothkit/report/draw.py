@@ -1,7 +1,8 @@
-"""Pictures of cloth seen from above: two-sided, lit, with the edges of its layers and the spread of a prediction.
+"""Draws cloth from above: two sides in different colours, shading, edges of layers, and the spread of a prediction.
 
-The cloth is splatted into a depth buffer from a finer mesh and reduced afterwards, which is quick and smooth. Front and
-back are told apart by the winding of the grid, so two meshes of one shape match in colour when their labels match.
+The vertices of a refined mesh are splatted into a depth buffer, and the picture is then reduced: this is fast and gives
+smooth edges. The winding of the grid decides between front and back, so two meshes of one shape match in colour if
+their labels match.
 """
 
 from functools import cache
@@ -15,19 +16,19 @@ from scipy.interpolate import make_interp_spline
 from clothkit.cloth.grid import CLOTH_SIDE
 
 EXTENT = 1.05
-"""Half the side of a picture [normalised]: a bit more than the voxel viewport."""
+"""Half the side of a picture [normalised]: slightly more than the viewport of the voxels."""
 
 PIXELS = 220
-"""Side of a picture."""
+"""Side of a picture [pixels]."""
 
 _OVERSAMPLING = 2
-# Points of the finer mesh a grid spacing in a picture of PIXELS: enough that slanted cloth has no holes between them.
+# Points of the refined mesh per grid spacing in a picture of PIXELS: enough that slanted cloth shows no holes.
 _FINER = 18
 _INDEX_BITS = 24
 FRONT = np.array([0.33, 0.53, 0.74], np.float32)
 BACK = np.array([0.95, 0.71, 0.38], np.float32)
 _SPREAD = np.array([0.66, 0.47, 0.85], np.float32)
-# Luminance falls steadily, so that a print in grey reads the same.
+# Luminance falls monotonically, so that a print in grey shows the same order.
 _RELIEF = np.array(
     [
         [0.99, 0.96, 0.75],
@@ -39,21 +40,21 @@ _RELIEF = np.array(
     ],
     np.float32,
 )
-# The corners [u v] of the geodesic texture: hues that stay apart, light enough for shading.
+# Colours of the corners [u v] of the geodesic texture: distinct hues, light enough for shading.
 _CORNERS = np.array(
     [[[0.93, 0.93, 0.60], [0.36, 0.72, 0.55]], [[0.93, 0.52, 0.45], [0.38, 0.40, 0.78]]],
     np.float32,
 )
 _LIGHT = np.array([-0.45, 0.45, 0.77], np.float32)
-# Of the grid texture: its squares along a side, and the width of its lines as a share of a square.
+# The grid texture's number of squares along a side, and the width of its lines as a share of a square.
 _SQUARES, _LINE = 8, 0.09
-# Neighbouring pixels whose grid coordinates differ by more vertices than this show two layers, not one.
+# Neighbouring pixels show two layers if their grid coordinates differ by more vertices than this.
 _LAYER_JUMP = 2.0
-# Standard deviations [normalised] below the first leave a cloth's colour alone, the second is all lilac.
+# Standard deviations in z [normalised] at which the cast on a cloth's colour begins and reaches its full strength.
 _CAST = (0.01, 0.06)
 
 Texture = Literal["plain", "grid", "geodesic"]
-"""What is printed on a cloth: a colour a side, the same with a grid (not the mesh's), or a gradient over u and v."""
+"""Texture of a cloth: one colour per side, the same with a grid (not the mesh's), or a gradient over u and v."""
 
 
 def draw(
@@ -64,10 +65,10 @@ def draw(
     texture: Texture = "plain",
     pixels: int = PIXELS,
 ) -> UInt8[np.ndarray, "row column 3"]:
-    """The cloth from above, in the square -EXTENT..EXTENT, y upwards.
+    """A picture of the cloth from above, of the square -EXTENT..EXTENT, y upwards.
 
-    `table` is the colour of what the cloth lies on, 0..1. With `std` [normalised], lilac around the cloth is the spread
-    in x and y of its vertices, and a lilac cast on the cloth the spread in z (the manner of the paper's figure 3).
+    `table` is the background colour, 0..1. With `std` [normalised], lilac around the cloth shows the standard
+    deviations of its vertices in x and y, and a lilac cast on the cloth those in z, as in the paper's figure 3.
     """
     size = pixels * _OVERSAMPLING
     cloth = _splat(mesh, size)
@@ -90,9 +91,9 @@ def draw(
 def draw_relief(
     mesh: Float[np.ndarray, "u v 3"], *, highest: float, pixels: int = PIXELS
 ) -> UInt8[np.ndarray, "r c 3"]:
-    """The cloth from above coloured by height, in the square -EXTENT..EXTENT, y upwards.
+    """A picture of the cloth from above, coloured by height, of the square -EXTENT..EXTENT, y upwards.
 
-    `relief_colours` from the table to `highest` [normalised]; what stands higher has the last colour.
+    `relief_colours` span heights from the table to `highest` [normalised]; greater heights have the last colour.
     """
     cloth = _splat(mesh, pixels * _OVERSAMPLING)
     share = np.clip(cloth.heights / highest, 0, 1)
@@ -103,13 +104,13 @@ def draw_relief(
 
 
 def relief_colours(share: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape 3"]:
-    """The colour of a height, a share 0..1 of the highest: from pale yellow over green and blue to near black."""
+    """Colours of heights, which are shares 0..1 of the greatest: from pale yellow over green and blue to near black."""
     stops = np.linspace(0, 1, len(_RELIEF))
     return np.stack([np.interp(share, stops, channel) for channel in _RELIEF.T], axis=-1).astype(np.float32)
 
 
 def draw_heights(voxels: Bool[np.ndarray, "x y z"], *, pixels: int = PIXELS) -> UInt8[np.ndarray, "row column 3"]:
-    """Voxels as a height map, in the square -EXTENT..EXTENT, y upwards: white is the table, dark is high."""
+    """A height map of voxels in the square -EXTENT..EXTENT, y upwards: white is the table, dark is high."""
     nx, ny, nz = voxels.shape
     height = np.where(voxels.any(-1), nz - np.argmax(voxels[..., ::-1], axis=-1), 0) / nz
     axis = ((np.arange(pixels) + 0.5) * (2 * EXTENT / pixels) - EXTENT + 1) / 2
@@ -121,23 +122,23 @@ def draw_heights(voxels: Bool[np.ndarray, "x y z"], *, pixels: int = PIXELS) -> 
 
 
 def grey_of_height(share: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
-    """How light a column of voxels is whose highest one lies at a share (above 0, to 1) of the viewport's height."""
+    """The grey value of a column of voxels, 1 for white; `share` is its height as a share (0, 1] of the viewport's."""
     return 0.82 - 0.7 * share
 
 
 def draw_silhouette(mesh: Float[np.ndarray, "u v 3"], *, pixels: int = PIXELS) -> UInt8[np.ndarray, "row column 3"]:
-    """The cloth's projection on the table, grey, in the square -EXTENT..EXTENT, y upwards."""
+    """A picture of the cloth's projection on the table, in grey, of the square -EXTENT..EXTENT, y upwards."""
     covered = _splat(mesh, pixels * _OVERSAMPLING).covered.astype(np.float32)
     grey = cv2.resize(1 - 0.18 * covered, (pixels, pixels), interpolation=cv2.INTER_AREA)
     return np.repeat(np.rint(grey * 255).astype(np.uint8)[..., None], 3, axis=-1)
 
 
 class _Cloth(NamedTuple):
-    """The finer mesh, which pixels show it, and which of its vertices lies on top there."""
+    """The refined mesh, the mask of the pixels that show it, and the index of the top vertex at each pixel."""
 
     fine: Float[np.ndarray, "fu fv 3"]
     finer: int
-    """Times the mesh's resolution."""
+    """Factor by which the mesh's resolution was increased."""
     covered: Bool[np.ndarray, "row column"]
     source: Int[np.ndarray, "row column"]
 
@@ -155,7 +156,7 @@ def _weights(side: int, finer: int) -> np.ndarray:
 
 
 def _refined(mesh: np.ndarray, finer: int) -> np.ndarray:
-    """The mesh, or any array over its vertices, at `finer` times its resolution by cubic splines along u and v."""
+    """The mesh, or any array over its vertices, interpolated by cubic splines to `finer` times its resolution."""
     along_u, along_v = _weights(mesh.shape[0], finer), _weights(mesh.shape[1], finer)
     return np.einsum("fu,uvc,gv->fgc", along_u, np.asarray(mesh, np.float32), along_v, optimize=True)
 
@@ -166,8 +167,8 @@ def _splat(mesh: np.ndarray, size: int) -> _Cloth:
     column = np.floor((fine[..., 0].ravel() + EXTENT) * (size / (2 * EXTENT))).astype(int)
     row = np.floor((EXTENT - fine[..., 1].ravel()) * (size / (2 * EXTENT))).astype(int)
     shown = np.flatnonzero((column >= 0) & (column < size) & (row >= 0) & (row < size))
-    # Of several values for one pixel NumPy keeps the last: the highest. Whole numbers sort several times faster than an
-    # argsort, and ties fall the same way everywhere.
+    # Vertices are sorted by height, because of several values for one pixel NumPy keeps the last. Sorting integers is
+    # several times faster than argsort, and the order of equal heights is the same on all machines.
     height = np.rint(fine[..., 2].ravel()[shown] * 1e6).astype(np.int64)
     upwards = np.sort((height << _INDEX_BITS) | shown) & ((1 << _INDEX_BITS) - 1)
     covered, source = np.zeros((size, size), bool), np.zeros((size, size), int)
@@ -187,7 +188,7 @@ def _shade(cloth: _Cloth, texture: Texture) -> np.ndarray:
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True) + 1e-12
     front = normal[:, 2:] >= 0
     lit = np.clip(np.where(front, normal, -normal) @ _LIGHT, 0, 1)
-    # Where the surroundings are higher than the pixel, less light arrives: layers stand off from those below.
+    # Pixels lower than their surroundings get less light, so that a layer stands out from those below.
     heights = cloth.heights
     hollow = np.clip(_blur(heights, 0.012 * len(heights)) - heights, 0, None)[cloth.covered]
     printed = _printed(u / last_u, v / last_v, front, texture)
@@ -198,7 +199,7 @@ def _shade(cloth: _Cloth, texture: Texture) -> np.ndarray:
 
 
 def _printed(u: np.ndarray, v: np.ndarray, front: np.ndarray, texture: Texture) -> np.ndarray:
-    """The unlit colour at places on the cloth, u and v in 0..1, of the side that is seen there."""
+    """The texture's colours, without light, at places u, v (0..1) of the cloth; `front` says which side is visible."""
     if texture == "geodesic":
         along_u = np.stack([1 - u, u], -1).astype(np.float32)
         along_v = np.stack([1 - v, v], -1).astype(np.float32)
@@ -211,7 +212,7 @@ def _printed(u: np.ndarray, v: np.ndarray, front: np.ndarray, texture: Texture) 
 
 
 def _layer_edges(cloth: _Cloth) -> np.ndarray:
-    """How much of an edge between layers, or of the cloth's outline, each pixel shows, 0..1."""
+    """A picture that is 1 at edges between layers and along the cloth's outline, else 0."""
     u, v = np.divmod(cloth.source, cloth.fine.shape[1])
     u, v = (np.where(cloth.covered, place, -100 * cloth.finer) for place in (u, v))
     edge = np.zeros(cloth.covered.shape, np.float32)
@@ -226,7 +227,7 @@ def _layer_edges(cloth: _Cloth) -> np.ndarray:
 
 
 def _halo(mesh: np.ndarray, std: np.ndarray, size: int) -> np.ndarray:
-    """Opacity of the spread in x and y: one minus the chance that no vertex falls on the pixel, 0..1."""
+    """Opacity 0..1 of the spread in x and y. It grows with the expected number of vertices at a pixel."""
     per_pixel = size / (2 * EXTENT)
     sigma = np.sqrt(std[..., 0] * std[..., 1]).ravel() * per_pixel
     levels = np.geomspace(max(sigma.min(), 1.0), max(sigma.max(), 1.01), 8)
@@ -240,7 +241,7 @@ def _halo(mesh: np.ndarray, std: np.ndarray, size: int) -> np.ndarray:
         impulses = np.zeros((size, size), np.float32)
         np.add.at(impulses, (row[chosen], column[chosen]), 1.0)
         expected += _blur(impulses, width)
-    # A vertex stands for a cell of the cloth as wide as the grid spacing.
+    # A vertex represents a cell of the cloth as wide as the grid spacing.
     cell = (CLOTH_SIDE / (mesh.shape[0] - 1) * per_pixel) ** 2
     return 0.85 * (1 - np.exp(-1.5 * expected * cell))
 

@@ -1,5 +1,7 @@
-"""What a report says first: whether the uncertainty term, two nets and refinement were worth anything, from the paired
-comparisons of planners, so that the words stay true when a chain is run again."""
+"""First paragraphs of a report: whether the uncertainty term, two nets and refinement reduced planning errors.
+
+The words are made from the paired comparisons of planners, so that they stay true when a chain is run again.
+"""
 
 import pandas as pd
 
@@ -7,7 +9,7 @@ from clothkit.report.layout import TASKS
 from clothkit.report.printed import LEAST, number
 
 LEVEL = 0.05
-"""A difference counts as found where p, times the columns that are compared, is below it."""
+"""Significance level: a difference counts as found where p times the number of compared columns is below it."""
 
 TERM = "the uncertainty term (alpha)"
 
@@ -29,7 +31,7 @@ RULE = (
 
 
 def findings(comparisons: pd.DataFrame) -> list[str]:
-    """Paragraphs in Markdown, from the table of planners' comparisons; none where there is nothing to compare."""
+    """Paragraphs in Markdown from the table of planners' comparisons; an empty list if nothing was compared."""
     errors = comparisons[(comparisons["split"] == "test") & (comparisons["measure"] == "error")]
     pairs = dict(iter(errors[errors["system"] == "main"].groupby("against")))
     said = []
@@ -88,9 +90,9 @@ def _sequences(rows: pd.DataFrame) -> int:
 
 
 def _found(rows: pd.DataFrame, *, better: bool, of_other: bool = False) -> str:
-    """The columns in which the first system's errors are smaller (`better`) or larger, in words.
+    """A list in words of the columns in which the first system's errors are significantly smaller (`better`) or larger.
 
-    `of_other`: told as how the other system's errors compare.
+    With `of_other`, the words say how the other system's errors compare with the first one's.
     """
     size = "smaller" if better != of_other else "larger"
     said = []

@@ -1,4 +1,4 @@
-"""Everything that the report is made from, read and checked at once."""
+"""Reads and checks all artifacts that the report is made from."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,21 +21,21 @@ NETS = ("a", "b")
 
 @dataclass(frozen=True)
 class Inputs:
-    """Tidy rows and the arrays of the pictures."""
+    """Tidy rows, and the arrays for the pictures."""
 
     dataset: Dataset
     attempts: pd.DataFrame
     histories: Mapping[str, pd.DataFrame]
-    """Of the nets a, b and vtm."""
+    """Histories of training of the nets a, b and vtm, by name."""
     estimation: pd.DataFrame
     prediction: pd.DataFrame
     calibration: pd.DataFrame
     comparisons: pd.DataFrame
     planning: pd.DataFrame
-    """Of all planners."""
+    """Rows of all planners."""
     planning_comparisons: pd.DataFrame
     intervals: pd.DataFrame
-    """Of mean errors of planning."""
+    """Bootstrap intervals of the planners' mean errors."""
     failures: pd.DataFrame
     camera_estimation: pd.DataFrame
     camera_planning: pd.DataFrame
@@ -43,9 +43,9 @@ class Inputs:
     estimates: Mapping[str, np.ndarray]
     predictions: Mapping[str, np.ndarray]
     sessions: Sessions
-    """Of the first planner."""
+    """Sessions of the first planner."""
     pictures: Mapping[str, np.ndarray]
-    """What depth cameras show."""
+    """Depth cameras' pictures of examples, with voxels and estimates from them."""
 
 
 def paths(data: Path, settings: ReportConfig) -> list[Path]:

@@ -1,16 +1,16 @@
-"""Names of the tables' rows and columns, for those who make tables and those who print them."""
+"""Names of the tables' rows and columns, for the modules that make tables and those that print them."""
 
 TASKS = ("1/0", "1/1", "1/2", "1/all", "2/0", "2/1", "2/all", "3/all")
 """Columns of tables 3, 4, 6 and 7: length / start."""
 
 BY_LENGTH = ("1/all", "2/all", "3/all")
-"""Those of every start; three manipulations have one start only."""
+"""The columns of TASKS with the mean over all starts; three manipulations have one start only."""
 
 STATES = ("1", "2", "3", "all")
-"""Columns of table 2: how many manipulations lie behind the state."""
+"""Columns of table 2: number of manipulations before the state."""
 
 LENGTHS = ("1", "2", "3")
-"""Columns of table 5: how many manipulations were predicted, from every start."""
+"""Columns of table 5: number of predicted manipulations, over all starts."""
 
 STATISTICS = ("mean", "std", "median")
 NO_ACTION = "no action"
@@ -21,4 +21,4 @@ LOW, HIGH = "mean 95 % low", "mean 95 % high"
 """Statistics of tables 6 and 7: the ends of the bootstrap interval of a mean."""
 
 LABELLED = "mean, labelled"
-"""The statistic that takes outcome and goal as they are labelled, in place of the best of eight labellings."""
+"""The statistic of errors under the dataset's labels, in place of the best of eight labellings."""

@@ -1,4 +1,4 @@
-"""What a report's own params.yaml says of how it was made, as far as its pages tell of it."""
+"""Reads the settings that the report's pages mention from the params.yaml beside them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ Net = PEMDConfig | EMDVoxelConfig | VtMConfig
 
 @dataclass(frozen=True)
 class Learned:
-    """A net, and how long it learned."""
+    """Settings of a net and of its training."""
 
     net: Net
     training: TrainingConfig
@@ -27,15 +27,15 @@ class Learned:
 
 @dataclass(frozen=True)
 class MadeWith:
-    """Settings of the chain that a report is about."""
+    """Settings of the run that a report is about."""
 
     text: str
-    """The file as it stands."""
+    """The text of the file."""
     scale: str
     simulated: bool
     """Whether sequences come from our own simulator, which also executes plans."""
     sequences: Mapping[str, int]
-    """How many are planned for at the most, by split."""
+    """Largest number of sequences that are planned for, by split."""
     search: SearchConfig
     voxel_search: SearchConfig
     pemd: Learned
@@ -44,19 +44,19 @@ class MadeWith:
 
     @property
     def canonical(self) -> bool:
-        """Whether the forward models of meshes see each cloth in one canonical description."""
+        """Whether the mesh systems' forward models take each cloth in one canonical description as input."""
         return bool(getattr(self.pemd.net, "canonical", False))
 
     @property
     def voxels_canonical(self) -> bool:
-        """Whether those of voxels do."""
+        """Whether the voxel systems' forward models take canonical descriptions as input."""
         return bool(getattr(self.emd_voxel.net, "canonical", False))
 
 
 def read(path: Path) -> MadeWith:
     """The settings in a params.yaml that the report stage wrote: those of one scale, defaults filled in.
 
-    Raises InputError that names the file and the key that is missing or impossible.
+    Raises InputError that names the file and the key that is missing or has an invalid value.
     """
     try:
         text = path.read_text()
@@ -91,7 +91,7 @@ def _learned(path: Path, stages: Any, stage: str, net: type[Net]) -> Learned:
 def _settings(path: Path, stages: Any, key: str, kind: type[T]) -> T:
     found = _at(path, stages, key)
     try:
-        # As JSON, in which a list may be a tuple.
+        # Through JSON, because strict validation takes a list for a tuple only in JSON.
         return pydantic.TypeAdapter(kind).validate_json(pydantic.TypeAdapter(Any).dump_json(found), strict=True)
     except pydantic.ValidationError as error:
         first = error.errors()[0]
@@ -100,7 +100,7 @@ def _settings(path: Path, stages: Any, key: str, kind: type[T]) -> T:
 
 
 def _at(path: Path, found: Any, key: str) -> Any:
-    """What stands at a key such as `plan.search`."""
+    """The value at a dotted key such as `plan.search`. Raises InputError when there is none."""
     for part in key.split("."):
         if not isinstance(found, dict) or part not in found:
             raise InputError(f"{path}: {key}: expected the report's settings there, found none")

@@ -13,8 +13,8 @@ def table(
 ) -> str:
     """A table as a Markdown string: `keys` first, then the source, then its columns; rows of equal keys together.
 
-    Rows whose last key is in `judged` have the better of two figures in bold, see `printed.better`. The order is that
-    of our rows; rows that only the paper has come last.
+    In rows whose last key is in `judged`, the better of our figure and the paper's is bold, see `printed.better`. Rows
+    keep the order of the data.
     """
     columns = [column for column in data.columns if column not in (*keys, "source")]
     lines = [_line([*keys, "source", *columns]), _line(["---"] * (len(keys) + 1) + ["---:"] * len(columns))]
@@ -35,7 +35,7 @@ def table(
 
 
 def plain(data: pd.DataFrame) -> str:
-    """A table as a Markdown string, column by column and row by row as it stands."""
+    """A table as a Markdown string, with its columns and rows unchanged."""
     head = [_line(list(data.columns)), _line(["---"] * len(data.columns))]
     return "\n".join(head + [_line([_cell(value) for value in row]) for row in data.itertuples(index=False)]) + "\n"
 

@@ -1,4 +1,4 @@
-"""The means of all tables, tidy, and the few of them that `dvc exp show` and `dvc metrics diff` have room for."""
+"""The means of all tables as tidy rows, and a selection that fits `dvc exp show` and `dvc metrics diff`."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -8,10 +8,10 @@ import pandas as pd
 DIGITS = 6
 
 LENGTHS = {"1": "1/all", "2": "2/all", "3": "3/all"}
-"""Columns of the tables of tasks, by the number of manipulations."""
+"""Columns of the tables of tasks by number of manipulations."""
 
 OTHER_PLANNERS = 8
-"""Of how many planners beside the first the headline figures tell; more than the paper has."""
+"""Largest number of planners beside the first one in the headline figures; more than the paper has."""
 
 
 def means(
@@ -24,9 +24,10 @@ def means(
     planning_voxels: pd.DataFrame,
     sigma_ratio: pd.DataFrame,
 ) -> pd.DataFrame:
-    """A row per mean of ours: measure, split, system (of an estimate its kind), column of the table, mean.
+    """A row for each of our means: measure, split, system (for estimates the kind), column of the table, mean.
 
-    Errors [cloth length], differences of voxels; of sigma ratios the medians. What was not measured has no row.
+    Means are errors [cloth length] or differences of voxels; for sigma ratios they are medians. Missing means have no
+    row.
     """
     by_system = {
         "prediction": prediction,
@@ -44,10 +45,10 @@ def means(
 
 
 def headline(rows: pd.DataFrame, planners: Sequence[str]) -> dict[str, Any]:
-    """At most 20 figures of the test split, of what `means` found, as nested names.
+    """At most 20 figures of the test split from the rows of `means`, as nested dictionaries.
 
-    Errors of estimates; of main's predictions and of the first planner's plans by number of manipulations; of the other
-    planners' plans of three manipulations; main's sigma ratios.
+    They are errors of estimates, of main's predictions and of the first planner's plans by number of manipulations, of
+    the other planners' plans of three manipulations, and main's sigma ratios.
     """
     test = rows[rows["split"] == "test"].set_index(["measure", "system", "column"])["mean"].round(DIGITS).to_dict()
 

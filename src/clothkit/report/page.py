@@ -1,4 +1,4 @@
-"""The report as one Markdown page, to be read on the web: the sections of `sections`."""
+"""Renders the report's sections as one Markdown page, to be read on the web."""
 
 from functools import singledispatch
 
@@ -7,9 +7,9 @@ from clothkit.report.blocks import Block, Cards, Figure, Missing, Params, Sectio
 
 
 def page(scale: str, sections: list[Section]) -> str:
-    """The page as a Markdown string; it refers to the files beside it.
+    """The page as a Markdown string, with links to the files beside it.
 
-    What comes first stands right below the title, so that it is read first.
+    The first section has no heading, so that its text follows the title directly.
     """
     parts = [f"# Report: {scale}\n"]
     for place, section in enumerate(sections):
@@ -20,7 +20,7 @@ def page(scale: str, sections: list[Section]) -> str:
 
 @singledispatch
 def render(block: Block) -> str:
-    """A block as Markdown; nothing of what only another page can show."""
+    """A block as Markdown; "" for blocks that only the HTML page shows."""
     raise TypeError(f"no block of a page: {type(block).__name__}")
 
 

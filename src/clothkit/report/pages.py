@@ -1,4 +1,4 @@
-"""Writes the pages of a report from its tables: README.md and index.html, and the budgets that both show."""
+"""Writes the pages of a report, README.md and index.html, from its tables, and the table of budgets that both show."""
 
 from pathlib import Path
 
@@ -9,15 +9,15 @@ from clothkit.report.layout import NO_ACTION
 from clothkit.report.sections import sections
 
 INPUTS = ("params.yaml", "tables", "figures", "timings.csv", "table_8.csv", "studies/memory.csv")
-"""What pages are made from, in the report's folder; the last three may be missing."""
+"""Inputs of the pages in the report's folder; the last three may be missing."""
 
 OUTS = ("README.md", "index.html", "budgets.csv")
 
 
 def write(report: Path, folder: Path) -> None:
-    """Write OUTS into `folder` from INPUTS in `report`. Equal inputs give equal bytes.
+    """Writes OUTS into `folder` from INPUTS in `report`. Equal inputs give equal bytes.
 
-    Raises InputError for what is missing or malformed; tables that an older report lacks are not missed.
+    Raises InputError for a file that is missing or malformed. Tables that older reports lack may be missing.
     """
     shown = contents.read(report)
     own = shown.tables["table_6"].query("source == 'clothkit'")["system"].drop_duplicates()

@@ -1,4 +1,4 @@
-"""Sheets of small pictures with what belongs on them: manipulations, grasp candidates, marks; saved as equal bytes."""
+"""Figures of small pictures with manipulations, grasp candidates and marks drawn on them, and of charts."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,13 +18,13 @@ PANEL = 1.5
 """Side of a panel [inch]."""
 
 SPACE = 0.06
-"""What lies between panels, as a share of their side."""
+"""Space between panels, as a share of their side."""
 
 PAIR = [1.0] * 4 + [0.14] + [1.0] * 4
-"""Columns of two sequences side by side, four states each."""
+"""Relative widths of the columns for two sequences side by side, four states each."""
 
 DOTS = 130
-"""Pixels an inch of a saved figure."""
+"""Pixels per inch of a saved figure."""
 
 GOAL = (0.86, 0.93, 1.0)
 """Background of goals and final outcomes."""
@@ -38,14 +38,14 @@ INK = "#333333"
 def sheet(
     heights: Sequence[float], widths: Sequence[float], *, title: str = "", left: float = 0.1, above: float = 0.0
 ) -> tuple[Figure, np.ndarray]:
-    """A figure and its axes [rows columns]: rows and columns of so many panels' height and width, hidden until shown.
+    """A figure and its axes [rows columns], which are invisible until `show` draws on them.
 
-    A narrow row or column separates blocks. `left` [inch] is the room for row labels, `above`
-    [inch] that for headings.
+    `heights` of rows and `widths` of columns are in panels; a narrow row or column separates blocks. `left` [inch] is
+    the room for row labels, `above` [inch] the room for headings.
     """
     width, height = (PANEL * (sum(shares) + SPACE * (len(shares) - 1)) for shares in (widths, heights))
     top = (0.35 if title else 0.1) + above
-    # A title needs its room even above a single column.
+    # A title needs this width even above a single column.
     total_width, total_height = max(left + width + 0.1, 4.5 if title else 0), top + height + 0.1
     figure = Figure(figsize=(total_width, total_height))
     FigureCanvasAgg(figure)
@@ -63,7 +63,7 @@ def sheet(
 
 
 def chart(count: int, *, width: float, height: float = 2.6, columns: int = 0) -> tuple[Figure, list[Axes]]:
-    """A figure of `count` charts with quiet axes, `columns` (0: all) side by side, each `width` x `height` [inch]."""
+    """A figure of `count` charts with light axes, `columns` (0: all) side by side, each `width` x `height` [inch]."""
     columns = columns or count
     rows = -(-count // columns)
     figure = Figure(figsize=(width * columns + 0.6, height * rows), layout="constrained")
@@ -78,15 +78,15 @@ def chart(count: int, *, width: float, height: float = 2.6, columns: int = 0) ->
 
 
 def label_ends(axis: Axes, ends: Sequence[tuple[float, str, str]], *, least: float = 0.075) -> None:
-    """Text right of a chart, each at the height where its line ends, as near as the others' text allows.
+    """Writes a text to the right of a chart for each line, near the height where the line ends.
 
-    `ends`: height [data], text, colour. `least`: the distance between texts as a share of the chart's height. The
-    chart's limits must be final.
+    `ends`: height [data], text and colour of each. `least` is the least distance between texts as a share of the
+    chart's height. The chart's limits must be final.
     """
     to_share = axis.transData + axis.transAxes.inverted()
     ordered = sorted(ends)
     shares = [float(to_share.transform((0, height))[1]) for height, _, _ in ordered]
-    # Pushed apart upwards and downwards; the mean of the two keeps the distances.
+    # Texts are pushed apart upwards and downwards; the mean of both positions keeps the least distance.
     up, down = shares.copy(), shares.copy()
     for i in range(1, len(shares)):
         up[i] = max(up[i], up[i - 1] + least)
@@ -106,13 +106,16 @@ def label_ends(axis: Axes, ends: Sequence[tuple[float, str, str]], *, least: flo
 
 
 def show(axis: Axes, picture: UInt8[np.ndarray, "row column 3"], *, mark: str = "", note: str = "") -> None:
-    """A picture of `draw` on a panel; `mark` (R real, E estimate, P prediction) bottom left, `note` bottom right."""
+    """Shows a picture of `draw` on a panel, with texts at the bottom.
+
+    `mark` (R real, E estimate, P prediction) is on the left, `note` on the right.
+    """
     axis.set_axis_on()
     axis.imshow(picture, extent=(-EXTENT, EXTENT, -EXTENT, EXTENT), interpolation="none")
     axis.set(xlim=(-EXTENT, EXTENT), ylim=(-EXTENT, EXTENT), xticks=[], yticks=[])
     for spine in axis.spines.values():
         spine.set(color="#cccccc", linewidth=0.6)
-    # Outlined, so that paths of hands do not make them illegible.
+    # Texts have an outline so that they stay legible above paths of hands.
     style: dict = {
         "transform": axis.transAxes,
         "color": INK,
@@ -125,26 +128,27 @@ def show(axis: Axes, picture: UInt8[np.ndarray, "row column 3"], *, mark: str = 
 
 
 def row_label(axis: Axes, text: str) -> None:
-    """Text left of a panel, read upwards."""
+    """Writes text left of a panel, rotated to read upwards."""
     axis.text(
         -0.08, 0.5, text, transform=axis.transAxes, rotation=90, fontsize=7.5, color=INK, ha="center", va="center"
     )
 
 
 def above(axis: Axes, text: str) -> None:
-    """Text in a panel's upper left corner."""
+    """Writes text in a panel's upper left corner."""
     axis.text(0.03, 0.97, text, transform=axis.transAxes, fontsize=6.5, va="top", color=INK)
 
 
 def heading(axis: Axes, text: str) -> None:
-    """Text above a panel."""
+    """Writes text above a panel."""
     axis.text(0.5, 1.03, text, transform=axis.transAxes, fontsize=7.5, color=INK, ha="center", va="bottom")
 
 
 def manipulate(axis: Axes, mesh: Float[np.ndarray, "u v 3"], manipulation: Float[np.ndarray, "6"]) -> None:
-    """The hands' paths over a mesh, red and green dotted, from circled grasp points; a null one is said in words.
+    """Draws the hands' paths over a mesh, dotted in red and green, or a text for a null manipulation.
 
-    A release point is a cross. Where it lies outside the panel, the path ends in an arrow at the panel's border.
+    Paths begin at circled grasp points and end in crosses at release points. A path whose release point lies outside
+    the panel ends in an arrow at the panel's border.
     """
     if bool(is_null(manipulation)):
         axis.text(0.5, 0.93, "no action", transform=axis.transAxes, fontsize=7, color=INK, ha="center", va="top")
@@ -162,7 +166,7 @@ def manipulate(axis: Axes, mesh: Float[np.ndarray, "u v 3"], manipulation: Float
 
 
 def end(axis: Axes, path: Float[np.ndarray, "2 2"], release: Float[np.ndarray, "2"], *, colour: str) -> None:
-    """How a path [end xy] ends: a cross at the release point, or an arrow at the border that hides it."""
+    """Draws the end of a path [end xy]: a cross at the release point, or an arrow at the border if it lies outside."""
     if np.allclose(path[1], release):
         axis.plot(*release, marker="x", markersize=4.2, markeredgecolor=colour, markeredgewidth=1.4)
         return
@@ -173,7 +177,7 @@ def end(axis: Axes, path: Float[np.ndarray, "2 2"], release: Float[np.ndarray, "
 
 
 def clipped(start: Float[np.ndarray, "2"], stop: Float[np.ndarray, "2"]) -> Float[np.ndarray, "ends 2"]:
-    """The part of the straight way from start to stop that lies inside -EXTENT..EXTENT: its two ends, or none."""
+    """The ends [2 xy] of the part of the line from start to stop inside -EXTENT..EXTENT; [0 xy] if all is outside."""
     way = stop - start
     first, last = 0.0, 1.0
     for place, along in zip(start, way, strict=True):
@@ -187,19 +191,19 @@ def clipped(start: Float[np.ndarray, "2"], stop: Float[np.ndarray, "2"]) -> Floa
 
 
 def candidates(axis: Axes, points: Float[np.ndarray, "points 2"]) -> None:
-    """Grasp point candidates as lilac circles."""
+    """Draws grasp point candidates as lilac circles."""
     axis.plot(*points.T, "o", markersize=6.5, markerfacecolor="none", markeredgecolor=_CANDIDATE, markeredgewidth=1.0)
 
 
 def centre_shift(axis: Axes, shift: Float[np.ndarray, "2"], mesh: Float[np.ndarray, "u v 3"]) -> None:
-    """The predicted shift of the cloth's centre, to scale: a yellow arrow in that corner where most room is left.
+    """Draws the predicted shift of the cloth's centre, to scale, as a yellow arrow in the panel's emptiest corner.
 
-    It stands beside the cloth, so that it hides no fold; a shift too short for an arrow is a dot.
+    The arrow lies beside the cloth so that it hides no fold. A shift too short for an arrow is drawn as a dot.
     """
     length = float(np.linalg.norm(shift))
     half = np.abs(shift) / 2
     middles = np.array([[x, y] for y in (1, -1) for x in (-1, 1)]) * (EXTENT - _CORNER - half)
-    # Marks and notes take the lower corners, which serve only where the cloth leaves no room above.
+    # The lower corners hold marks and notes, so they are used only if the cloth leaves no room in the upper ones.
     room = [_distance(mesh[..., :2], middle, shift) - (0.15 if middle[1] < 0 else 0.0) for middle in middles]
     middle = middles[int(np.argmax(room))]
     outline = [withStroke(linewidth=2.8, foreground="#5a4a00")]
@@ -212,15 +216,15 @@ def centre_shift(axis: Axes, shift: Float[np.ndarray, "2"], mesh: Float[np.ndarr
 
 
 _CORNER = 0.1
-"""Between a panel's border and what stands in its corner [normalised]."""
+"""Distance between a panel's border and the arrow in its corner [normalised]."""
 
 
 def _distance(points: np.ndarray, middle: np.ndarray, shift: np.ndarray) -> float:
-    """From the arrow's line to the nearest vertex [normalised]."""
+    """The distance from the arrow to the nearest vertex [normalised]."""
     line = middle + np.linspace(-0.5, 0.5, 9)[:, None] * shift
     return float(np.linalg.norm(points.reshape(-1, 1, 2) - line, axis=-1).min())
 
 
 def save(figure: Figure, path: Path) -> None:
-    """The figure as PNG, without a date or a version: the same figure gives the same bytes."""
+    """Writes the figure as PNG, without date and version, so that the same figure gives the same bytes."""
     figure.savefig(path, dpi=DOTS, format="png", metadata={"Software": None})

@@ -1,4 +1,4 @@
-"""The paper's own figures, typed once: `published/table_<number>.csv`, in the layout of our tables."""
+"""The paper's own figures, from `published/table_<number>.csv`, in the layout of our tables."""
 
 from collections.abc import Collection
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Tables 6 and 7 with their intervals, and what goes wrong in planning: the other tables' layout, see `tables`."""
+"""Tables 6 and 7 with intervals, and tables of failures of planning; for the layout see `tables`."""
 
 from collections.abc import Sequence
 
@@ -29,7 +29,7 @@ LARGEST = (
 def planning(tidy: pd.DataFrame, intervals: pd.DataFrame, systems: Sequence[str]) -> pd.DataFrame:
     """Table 6 [cloth length]. Outcomes are aligned with their goals (section 6.3).
 
-    The statistic LABELLED: outcome and goal as the dataset labels them.
+    The statistic LABELLED is the mean error under the dataset's labels of outcome and goal.
     """
     return _outcomes(tidy, intervals, systems, measure="error", number=6, labelled="error_labelled")
 
@@ -37,15 +37,15 @@ def planning(tidy: pd.DataFrame, intervals: pd.DataFrame, systems: Sequence[str]
 def planning_voxels(
     tidy: pd.DataFrame, intervals: pd.DataFrame, systems: Sequence[str], *, measure: str = "voxel_error"
 ) -> pd.DataFrame:
-    """Table 7: the same outcomes and goals in voxels [mean voxel difference].
+    """Table 7: the outcomes and goals of table 6, compared as voxels [mean voxel difference].
 
-    `measure`: voxel_error_025 for the viewport that is twice as high.
+    `measure` is voxel_error_025 for the viewport that is twice as high.
     """
     return _outcomes(tidy, intervals, systems, measure=measure, number=7)
 
 
 def planned(tidy: pd.DataFrame) -> pd.DataFrame:
-    """How many sequences were planned for, by split: split, sequences."""
+    """The number of sequences that were planned for, by split; columns split, sequences."""
     splits = [split for split in ("test", "train") if split in set(tidy["split"])]
     counts = [tidy.loc[tidy["split"] == split, "sequence"].nunique() for split in splits]
     return pd.DataFrame({"split": splits, "sequences": counts})
@@ -77,7 +77,7 @@ def _outcomes(
 
 
 def _bounds(intervals: pd.DataFrame) -> pd.DataFrame:
-    """Intervals as rows of a table."""
+    """Intervals as rows with the statistics LOW and HIGH, in the layout of tables 6 and 7."""
     named = intervals.rename(columns={"low": LOW, "high": HIGH})
     long = named.melt(["split", "system", "column"], [LOW, HIGH], var_name="statistic")
     wide = long.pivot(index=["split", "system", "statistic"], columns="column", values="value")
@@ -85,7 +85,7 @@ def _bounds(intervals: pd.DataFrame) -> pd.DataFrame:
 
 
 def comparisons(tidy: pd.DataFrame, systems: Sequence[str]) -> pd.DataFrame:
-    """Paired comparisons among the given systems, in their order and that of the other tables' columns."""
+    """Paired comparisons among the given systems, ordered by system and by the columns of table 6."""
     chosen = tidy[tidy["system"].isin(list(systems)) & tidy["against"].isin(list(systems))]
     for name, order in (("column", TASKS), ("against", systems), ("system", systems)):
         chosen = _ordered(chosen, name, order)
@@ -103,9 +103,10 @@ def _ordered(table: pd.DataFrame, column: str, order: Sequence[str]) -> pd.DataF
 
 
 def largest(tidy: pd.DataFrame, system: str, count: int) -> pd.DataFrame:
-    """The test tasks of a system with the largest errors, the largest first, and why they failed.
+    """The test tasks of a system with the largest errors, the largest first, with a diagnosis of the failure.
 
-    LARGEST (errors and expected [cloth length]; all but error and layers_reversed of the first plan), diagnosis.
+    Columns: LARGEST, diagnosis. Errors and `expected` are in cloth lengths. All columns of LARGEST refer to the first
+    plan, except the task's, `error` and `layers_reversed`, which refer to the outcome.
     """
     own = tidy[(tidy["system"] == system) & (tidy["split"] == "test")]
     own = own.assign(diagnosis=diagnosis(own))

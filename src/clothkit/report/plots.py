@@ -1,4 +1,4 @@
-"""What `dvc plots show` and `dvc plots diff` draw (`plots` in dvc.yaml), as small tidy tables of the test split."""
+"""Tables for `dvc plots show` and `dvc plots diff` (`plots` in dvc.yaml): small, tidy, of the test split."""
 
 from collections.abc import Mapping
 
@@ -13,7 +13,7 @@ CALIBRATED = {"estimate": "estimates", "main": "predictions"}
 def plots(
     histories: Mapping[str, pd.DataFrame], calibration: pd.DataFrame, table_3: pd.DataFrame, table_6: pd.DataFrame
 ) -> dict[str, pd.DataFrame]:
-    """By name: `line` is what a row belongs to in a picture of lines, the other columns are its axes.
+    """The tables by name. In a plot of lines, column `line` names the line of a row, and the others are its axes.
 
     `learning`: validation error [cloth length] over iterations of training, a line per net. `calibration`: the share of
     coordinates whose error is below z sigma (coverage) against that of a normal distribution (expected), a line per
@@ -46,7 +46,7 @@ def _calibration(tidy: pd.DataFrame) -> pd.DataFrame:
 
 
 def _means(table: pd.DataFrame) -> pd.DataFrame:
-    """Our means, a row per system. "No action" is left out: beside it, systems could not be told apart."""
+    """Our means, a row per system. "No action" is left out: its large errors would make systems look equal."""
     ours = (table["source"] == "clothkit") & (table["split"] == "test") & (table["statistic"] == "mean")
     return table[ours & ~table["system"].str.startswith("no action")]
 

@@ -1,4 +1,4 @@
-"""How figures are printed, and which of two is the better one: the same in Markdown and in HTML."""
+"""Formats figures, and decides which of two is better, for the Markdown page and the HTML page."""
 
 import math
 from collections.abc import Collection
@@ -9,32 +9,35 @@ import pandas as pd
 from clothkit.report.layout import HIGH, LOW
 
 IDEAL_RATIO = 0.798
-"""Of sigma ratios."""
+"""Ideal sigma ratio."""
 
 JUDGED: Collection[str] = ("mean", "median")
-"""Statistics of which less is better; a spread is neither better nor worse."""
+"""Statistics for which less is better. A spread is neither better nor worse."""
 
 LEAST = 10
-"""Sequences without which neither an interval nor a p is printed; evaluations leave them out, too."""
+"""Least number of sequences for which intervals and p are printed; evaluations compute none for fewer, either."""
 
 TOO_FEW = "too few"
-"""Printed in place of them."""
+"""Printed in place of intervals and p from fewer than LEAST sequences."""
 
 SOURCES = ("clothkit", "paper")
 
 
 def number(value: float) -> str:
-    """Three significant digits, as the paper has them; a dash for what was not measured."""
+    """The value with three significant digits, as in the paper; a dash for NaN."""
     return "–" if pd.isna(value) else f"{value:#.3g}".rstrip(".")
 
 
 def statistic(name: str, value: float) -> str:
-    """A figure in a row of that name: an end of an interval that is missing is one of too few sequences."""
+    """A figure of the statistic `name`. A missing end of an interval is printed as TOO_FEW."""
     return TOO_FEW if pd.isna(value) and name in (LOW, HIGH) else number(value)
 
 
 def better(own: float, paper: float, *, ideal: float = -math.inf) -> Literal["clothkit", "paper"] | None:
-    """Which of the two is nearer to the ideal as they are printed; None if neither is. By default less is better."""
+    """The source whose figure, as printed, is nearer to `ideal`; by default, whose figure is less.
+
+    None if both are equally near or one is NaN.
+    """
     if math.isnan(own) or math.isnan(paper):
         return None
     shown = [float(number(value)) for value in (own, paper)]

@@ -1,4 +1,4 @@
-"""Reads tidy rows and says in one sentence what is wrong with them."""
+"""Reads the tidy rows of planning and checks that no system is missing."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,10 +12,9 @@ from clothkit.evaluation.tidy import VOXEL_SYSTEMS as VOXEL_SYSTEMS
 
 
 def read_planning(folder: Path, systems: Sequence[str]) -> pd.DataFrame:
-    """The planning rows of the given systems, `<folder>/<system>.parquet` each, one below the other, and beside them
-    those of `<folder>/voxels_025.parquet`.
+    """The planning rows of the given systems from `<folder>/<system>.parquet`, with the columns of voxels_025.parquet.
 
-    Raises InputError for what is malformed, and where a task has no row in the latter.
+    Raises InputError for a malformed file, and when a task has no row in `<folder>/voxels_025.parquet`.
     """
     rows = pd.concat(
         [tables.read(folder / f"{system}.parquet", tidy.PLANNING) for system in systems], ignore_index=True
@@ -28,7 +27,7 @@ def read_planning(folder: Path, systems: Sequence[str]) -> pd.DataFrame:
 
 
 def require(rows: pd.DataFrame, systems: Sequence[str]) -> None:
-    """Raises InputError unless every system has rows in every split that the rows are about."""
+    """Raises InputError unless every system has rows in every split that occurs in `rows`."""
     for split in rows["split"].unique():
         present = set(rows.loc[rows["split"] == split, "system"])
         missing = [system for system in systems if system not in present]

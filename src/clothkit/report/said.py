@@ -1,4 +1,4 @@
-"""What the report says that depends on how it was made, or on its figures; in Markdown."""
+"""Texts of the report that depend on its settings or its figures, in Markdown."""
 
 import math
 
@@ -11,13 +11,13 @@ from clothkit.report.printed import number
 
 
 def planned(contents: Contents) -> str:
-    """Whose sequences the tables are about, and whose the paper's are."""
+    """The sentence on the number of sequences in our planning tables and in the paper's."""
     counts = " and ".join(f"{count} {split}" for split, count in contents.planned.items())
     return f"Planned and executed: every task of {counts} sequences. {captions.PAPER}"
 
 
 def replay(contents: Contents) -> str:
-    """What next to no error of one-step plans from the flat cloth means; nothing of sequences from elsewhere."""
+    """What the small error of one-step plans from the flat cloth means; "" for sequences from another simulator."""
     error = mean(contents.tables["table_6"], "clothkit", "main", "1/0")
     if not contents.made_with.simulated or math.isnan(error):
         return ""
@@ -30,7 +30,7 @@ def replay(contents: Contents) -> str:
 
 
 def descriptions(contents: Contents) -> str:
-    """How nets see cloths, and what becomes of the memory trace; nothing where they see them as they are."""
+    """How canonical nets describe cloths, and how they use the memory trace; "" if mesh nets are not canonical."""
     made_with = contents.made_with
     if not made_with.canonical:
         return ""
@@ -40,9 +40,9 @@ def descriptions(contents: Contents) -> str:
 
 
 def viewport(contents: Contents, name: str, in_meshes: str) -> str:
-    """Where a table of voxel differences stands against the paper's, and what is known of why.
+    """How a table of voxel differences compares with the paper's, and the known reasons.
 
-    `in_meshes`: the table that tells the errors of the same meshes.
+    `in_meshes` names the table with the errors of the same meshes.
     """
     voxels, meshes = (contents.tables.get(table, pd.DataFrame()) for table in (name, in_meshes))
     stands = []
@@ -68,26 +68,26 @@ def viewport(contents: Contents, name: str, in_meshes: str) -> str:
 
 
 def _times(table: pd.DataFrame, system: str) -> str:
-    """How many times as large our means are as the paper's, from the least to the largest of all lengths."""
+    """The ratio of our means to the paper's in words, from the least to the largest over all lengths."""
     pairs = [(mean(table, "clothkit", system, column), mean(table, "paper", system, column)) for column in BY_LENGTH]
     found = [own / other for own, other in pairs if not math.isnan(own / other)]
     return f"{min(found):.2f} to {max(found):.2f} times" if found else ""
 
 
 def unequal(table: pd.DataFrame) -> str:
-    """What the dagger means in tables of planners; nothing where there is no planner of voxels."""
+    """What the dagger means in tables of planners; "" if there is no voxel planner."""
     told = budgets.told(table)
     return f"†: with another budget. {told} ([budgets](#budgets)).\n" if told else ""
 
 
 def unequal_nets(table: pd.DataFrame) -> str:
-    """What it means in tables of predictions; nothing where a2's nets are none of a planner's."""
+    """What the dagger means in tables of predictions; "" if no planner uses a2's nets."""
     told = budgets.told_of_nets(table, "*a2* predicts with the nets of *b4*, which")
     return f"†: with another budget. {told} ([budgets](#budgets)).\n" if told else ""
 
 
 def mean(table: pd.DataFrame, source: str, system: str, column: str) -> float:
-    """A mean of the test set; NaN if the table has none."""
+    """A mean of the test set from a table; NaN if the table lacks it."""
     rows = table[(table["source"] == source) & (table["split"] == "test") & (table["statistic"] == "mean")]
     found = rows.loc[rows["system"] == system, column]
     return float(found.iloc[0]) if len(found) else math.nan

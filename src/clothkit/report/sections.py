@@ -1,4 +1,4 @@
-"""The report's sections in their order, and what each shows: one list, which the Markdown and the HTML page render."""
+"""The report's sections in order, with their contents: one list, which the Markdown and the HTML page render."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -18,13 +18,13 @@ LENGTHS = "lengths of the cloth's side"
 VOXELS = "mean voxel value difference"
 
 PREDICTORS = {"a2": "b4", "main_occluded": "main"}
-"""Planners whose forward models these systems of table 4 predict with."""
+"""For systems of table 4, the planner that uses the same forward models."""
 
 
 def sections(contents: Contents, spending: pd.DataFrame) -> list[Section]:
-    """What the pages show. What an older report lacks is left out, or called missing.
+    """The sections of the pages. Contents that an older report lacks are left out or marked as missing.
 
-    `spending`: the table of `budgets.budgets`.
+    `spending` is the table of `budgets.budgets`.
     """
     page = _Page(contents, spending)
     return [
@@ -51,16 +51,16 @@ class _Page:
     spending: pd.DataFrame
 
     def figures(self, *names: str) -> Iterator[Figure]:
-        """Those that were drawn."""
+        """Those of the named figures that were drawn."""
         drawn = self.contents.figures
         return (Figure(name, drawn[name]) for name in names if name in drawn)
 
     def data(self, name: str) -> pd.DataFrame:
-        """A table; empty if there is none."""
+        """A table of the report by name; an empty table if the report lacks it."""
         return self.contents.tables.get(name, pd.DataFrame())
 
     def paired(self, name: str, title: str, *words: str, by: str = "system", **more: object) -> Block:
-        """A table of the paper's."""
+        """A table with the paper's figures beside ours; Missing if the report lacks it."""
         data = self.data(name)
         if data.empty:
             return Missing(title)
@@ -69,17 +69,17 @@ class _Page:
         return Table(name, title, data, words, ("split", by, "statistic"), **more)  # type: ignore[arg-type]
 
     def plain(self, name: str, title: str, data: pd.DataFrame, *words: str) -> Iterator[Table]:
-        """A table as it stands, if there is one."""
+        """A table of our figures alone; nothing if it is empty."""
         if not data.empty:
             yield Table(name, title, data, words)
 
     def marked(self, system: str, against: str = "main") -> str:
-        """The name of a system with a dagger if its budget is another than that of `against`."""
+        """The name of a system, with a dagger if its budget differs from that of `against`."""
         one, other = (PREDICTORS.get(name, name) for name in (system, against))
         return system + DAGGER * budgets.differ(self.spending, one, other)
 
     def compared(self, data: pd.DataFrame) -> pd.DataFrame:
-        """Comparisons, those of unequal budgets with a dagger, and what was not told of too few sequences called so."""
+        """Comparisons, with a dagger where budgets are unequal and TOO_FEW in place of missing intervals and p."""
         if {"system", "against"} <= set(data.columns):
             pairs = zip(data["against"], data["system"], strict=True)
             data = data.assign(against=[self.marked(*pair) for pair in pairs])
@@ -113,7 +113,7 @@ def _short(page: _Page) -> Iterator[Block]:
 def short(contents: Contents) -> pd.DataFrame:
     """Mean errors on the test set: what (planning, prediction), system, source, then the columns of TASKS.
 
-    Below each planner's its labelled one.
+    The row of each planner is followed by the row of its labelled errors.
     """
     rows = []
     for what, name in (("planning", "table_6"), ("prediction", "table_3")):

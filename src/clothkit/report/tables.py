@@ -1,8 +1,8 @@
 """Tables 2 to 5 in the paper's layout: group-bys of tidy rows, with the paper's figures below ours.
 
 Every table has the columns source (clothkit, paper), split, kind or system, statistic (mean, std, median), then the
-paper's columns. The system *no action* is the error between start and goal; the statistic *mean / no action* puts a
-mean in relation to it. All in cloth lengths, but for table 4, which is in mean voxel differences.
+paper's columns. The system *no action* is the error between start and goal; the statistic *mean / no action* is the
+ratio of a mean to it. Errors are in cloth lengths, except in table 4, which has mean voxel differences.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,21 +16,24 @@ from clothkit.report.layout import LENGTHS, NO_ACTION, NO_ACTION_OCCLUDED, RATIO
 
 
 def estimation(tidy: pd.DataFrame) -> pd.DataFrame:
-    """Table 2. No action: the state before the last manipulation, taken for the estimate."""
+    """Table 2. *No action* is the error of the state before the last manipulation, used as the estimate."""
     columns = [tidy["state"].astype(str), pd.Series("all", tidy.index)]
     table = _table(tidy, columns, STATES, by="kind", groups=("pmr", "dmr"))
     return pd.concat([table, paper.table(2)], ignore_index=True)
 
 
 def prediction(tidy: pd.DataFrame, systems: Sequence[str]) -> pd.DataFrame:
-    """Table 3: the net with the better validation score, from rows of both."""
+    """Table 3, for the net with the better validation score. `tidy` has rows of both nets."""
     rows.require(tidy, systems)
     table = task_table(tidy[tidy["better"]], systems)
     return pd.concat([table, paper.table_of(3, systems)], ignore_index=True)
 
 
 def position(tidy: pd.DataFrame, systems: Sequence[str]) -> pd.DataFrame:
-    """Table 5: the predicted centre shift of the net with the better validation score. No action: no shift at all."""
+    """Table 5: error of the centre shift that the net with the better validation score predicts.
+
+    *No action* is the error of a shift of 0.
+    """
     rows.require(tidy, systems)
     chosen = tidy[tidy["better"] & tidy["system"].isin(list(systems))]
     measured = chosen.assign(error=chosen["position_error"], error_no_action=chosen["position_no_action"])
@@ -39,11 +42,10 @@ def position(tidy: pd.DataFrame, systems: Sequence[str]) -> pd.DataFrame:
 
 
 def prediction_voxels(tidy: pd.DataFrame, systems: Sequence[str], *, measure: str = "voxel_error") -> pd.DataFrame:
-    """Table 4: the net with the better validation score, from rows of both.
+    """Table 4, for the net with the better validation score. `tidy` has rows of both nets.
 
-    The truth of a2, whose nets predict occluded voxels, is occluded, and so is its *no action* (design 6.14). It can be
-    held against main_occluded. `measure`: voxel_error_025 for the
-    viewport that is twice as high.
+    The nets of a2 predict occluded voxels, so its truth and its *no action* are occluded, too (design 6.14). The system
+    to compare it with is main_occluded. `measure` is voxel_error_025 for the viewport that is twice as high.
     """
     rows.require(tidy, systems)
     names = {system: NO_ACTION_OCCLUDED for system in systems if system in rows.VOXEL_SYSTEMS}
@@ -52,7 +54,7 @@ def prediction_voxels(tidy: pd.DataFrame, systems: Sequence[str], *, measure: st
 
 
 def comparisons(tidy: pd.DataFrame) -> pd.DataFrame:
-    """Paired comparisons in the order of the other tables' columns."""
+    """Paired comparisons, ordered by split and by the columns of table 3."""
     order = tidy.sort_values("column", key=lambda column: column.map(TASKS.index), kind="stable")
     return order.sort_values("split", kind="stable", ignore_index=True)
 
@@ -62,7 +64,7 @@ def task_table(
 ) -> pd.DataFrame:
     """Our rows of tables 3, 4, 6 and 7: statistics of a measure by length and start, with *no action*.
 
-    `no_action` gives another name to the no action of systems whose starts and goals are not in the others' format.
+    `no_action` renames *no action* for systems whose starts and goals have another format than those of the others.
     """
     length = tidy["length"].astype(str)
     labels = [length + "/" + tidy["start"].astype(str), length + "/all"]
@@ -90,9 +92,9 @@ def _table(
     measure: str = "error",
     no_action: Mapping[str, str] | None = None,
 ) -> pd.DataFrame:
-    """Statistics of `measure`, a row counting in every column that one of its `labels` names.
+    """Statistics of `measure`. Each series in `labels` assigns every row of `tidy` to a column of the table.
 
-    `no_action` gives another name to the no action of groups whose starts and goals are not in the others' format.
+    `no_action` renames *no action* for groups whose starts and goals have another format than those of the others.
     """
     names = {group: (no_action or {}).get(group, NO_ACTION) for group in groups}
     counted = pd.concat([tidy.assign(column=label) for label in labels], ignore_index=True)
@@ -101,7 +103,7 @@ def _table(
     nones = counted.groupby(keys)[f"{measure}_no_action"].agg(list(STATISTICS)).reset_index()
     own = own.merge(nones[[*keys, "mean"]], on=keys, suffixes=("", "_none"))
     own[RATIO] = own["mean"] / own.pop("mean_none")
-    # Groups of one name face the same starts and goals: the first of them stands for all.
+    # Groups with the same name of no action have the same starts and goals, so the first of them is used for all.
     first = {name: next(group for group in groups if names[group] == name) for name in names.values()}
     none = pd.concat([nones[nones[by] == group].assign(**{by: name}) for name, group in first.items()])
     table = pd.concat([own, none]).melt(keys, var_name="statistic")
@@ -122,7 +124,7 @@ def _table(
 
 
 def splits(dataset: Dataset) -> pd.DataFrame:
-    """Sequences, their manipulations, and the share of these that one hand does, by split."""
+    """Numbers of sequences and manipulations, and the share of single-handed manipulations, by split."""
     counted = []
     for split in SPLITS:
         chosen = dataset.of_split(split)
@@ -132,7 +134,7 @@ def splits(dataset: Dataset) -> pd.DataFrame:
 
 
 def attempts(tidy: pd.DataFrame) -> pd.DataFrame:
-    """What became of tried sequences: accepted, or the reason for rejection; counts and shares."""
+    """Outcomes of tried sequences, accepted or the reason for rejection, with counts and shares."""
     outcome = tidy["reason"].where(~tidy["accepted"].astype(bool), "accepted")
     counts = outcome.value_counts().rename_axis("outcome").reset_index(name="attempts")
     counts = counts.sort_values(["attempts", "outcome"], ascending=[False, True], ignore_index=True)

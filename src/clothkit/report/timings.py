@@ -1,4 +1,4 @@
-"""What stages and plans cost, from the notes that the stages leave in `.work/timings`."""
+"""Time and memory of stages, and time per plan, from the notes that the stages leave in `.work/timings`."""
 
 import json
 from collections.abc import Sequence
@@ -18,7 +18,8 @@ LENGTHS = ("1", "2", "3")
 def timings(folder: Path) -> pd.DataFrame:
     """A row per stage that left a note: seconds [s], cpu_seconds [s], peak_memory_mib [MiB], machine.
 
-    A stage that was restored from the cache leaves none. Raises InputError for a note that is no such JSON object.
+    A stage that was restored from the cache leaves no note. Raises InputError for a note that is no JSON object with
+    these fields.
     """
     notes = []
     for path in sorted(folder.glob("*.json")):
@@ -33,9 +34,9 @@ def timings(folder: Path) -> pd.DataFrame:
 def table_8(folder: Path, systems: Sequence[str]) -> pd.DataFrame:
     """Table 8: seconds of search per plan, by system and plan length, with the paper's rows below ours.
 
-    source, system, machine, 1, 2, 3 [s], estimate (seconds per estimate of a mesh [s]; the paper's is of section 6.1).
-    Empty where a stage has left no note, or has planned or estimated nothing. Raises InputError for a note whose
-    `plans` or `estimates` are no [count, seconds].
+    Columns: source, system, machine, 1, 2, 3 [s], estimate (time per estimate of a mesh [s]; the paper's is from
+    section 6.1). NaN where a stage has left no note, or has planned or estimated nothing. Raises InputError for a note
+    whose `plans` or `estimates` are not [count, seconds].
     """
     own = []
     for system in systems:
@@ -67,7 +68,7 @@ def _note(path: Path) -> dict[str, Any]:
 
 
 def _each(path: Path, field: str, cost: Any) -> float:
-    """Seconds of one of several [s]; NaN of none."""
+    """Mean time per item from [count, seconds] in a note [s]; NaN without items."""
     if cost is None:
         return float("nan")
     try:

@@ -11,9 +11,9 @@ from clothkit.simulation.settings import SimulateConfig
 
 
 def build(folder: Path, raw: Path, settings: CardConfig) -> page.Contents:
-    """Write `tables/`, `figures/` and `README.md` into a new folder; equal artifacts give equal bytes.
+    """Writes `tables/`, `figures/` and `README.md` into a new folder; equal artifacts give equal bytes.
 
-    Raises InputError when the artifacts in the folder `raw` aren't as they should be.
+    Returns the contents of the page. Raises InputError when artifacts in the folder `raw` are missing or malformed.
     """
     (folder / "tables").mkdir(parents=True)
     (folder / "figures").mkdir()

@@ -1,4 +1,4 @@
-"""What every column of the raw artifacts holds: unit and meaning, for the card's lists of columns."""
+"""Unit and meaning of every column of the raw artifacts, for the card's lists of columns."""
 
 from collections.abc import Mapping, Sequence
 
@@ -71,7 +71,7 @@ MEANINGS: Mapping[str, Mapping[str, tuple[str, str]]] = {
 
 
 def described(part: str, columns: Sequence[tuple[str, str]]) -> pd.DataFrame:
-    """A row per column that a file has: column, type, unit and what it holds; empty for columns nobody described."""
+    """A row per column of a file: column, type, unit, holds (meaning); the last two are empty if not in MEANINGS."""
     known = MEANINGS[part]
     rows = [(f"`{name}`", f"`{kind}`", *known.get(name, ("", ""))) for name, kind in columns]
     return pd.DataFrame(rows, columns=["column", "type", "unit", "holds"])

@@ -22,11 +22,11 @@ from clothkit.report.figures.sequences import Strip, draw_strips
 BINS = 36
 
 CLOSE = 340
-"""Pixels of a picture that is then cut down to the cloth."""
+"""Side of a picture before it is cropped to the cloth [pixels]."""
 
 
 def histograms(states: pd.DataFrame, limits: Mapping[str, float], path: Path) -> None:
-    """A small chart per measure: shares of the states after each step, and the limit as a dashed line."""
+    """Writes a figure with a histogram per measure: shares of the states after each step, and the limit, dashed."""
     figure, axes = panels.chart(len(HISTOGRAMS), width=2.9, height=2.05, columns=3)
     for axis, measure in zip(axes, HISTOGRAMS, strict=True):
         samples = [spread(states.loc[states["state"] == k, measure.name], measure) for k in STEPS]
@@ -48,7 +48,7 @@ def _histogram(axis: Axes, samples: Sequence[Sequence[float]], measure: Measure,
         edges = np.arange(found.min() - 0.5, found.max() + 1).tolist()
         axis.xaxis.set_major_locator(MaxNLocator(integer=True))
     else:
-        # Values that are all the same need some width to be seen.
+        # Values that are all equal need a range of some width to be visible.
         slack = 0.5 * max(0.1 * np.abs(found).max() - np.ptp(found), 0)
         edges = np.linspace(found.min() - slack, found.max() + slack + 1e-9, BINS + 1).tolist()
     for sample, colour in zip(samples, COLOURS, strict=True):
@@ -76,13 +76,16 @@ def _histogram(axis: Axes, samples: Sequence[Sequence[float]], measure: Measure,
 
 
 def sequences(examples: Sequence[Example], path: Path) -> None:
-    """Sequences of up to four states, two a row, with their numbers, manipulations and heights."""
+    """Writes a figure of sequences of up to four states, two per row, with numbers, manipulations and heights."""
     strips = [Strip(e.meshes, e.manipulations, f"sequence {e.sequence}") for e in examples]
     draw_strips(strips, path, title="Sequences drawn at random: states, manipulations, heights (normalised)")
 
 
 def worst(rows: pd.DataFrame, examples: Mapping[int, Example], path: Path) -> None:
-    """The worst states: a column per measure, from above and coloured by height, with what makes them the worst."""
+    """Writes a figure of the worst states: a column per measure, each state from above and coloured by height.
+
+    Below each state is the measure's value and its rank.
+    """
     names = [name for name in WORST if (rows["measure"] == name).any()]
     depth = int(rows.groupby("measure").size().max()) if len(rows) else 0
     if not depth:
@@ -102,7 +105,7 @@ def worst(rows: pd.DataFrame, examples: Mapping[int, Example], path: Path) -> No
 
 
 def _close(picture: UInt8[np.ndarray, "r c 3"], mesh: Float[np.ndarray, "u v 3"]) -> UInt8[np.ndarray, "rr cc 3"]:
-    """The middle of a picture, as much as the cloth needs."""
+    """A picture cropped about its middle to the size of the cloth."""
     middle = len(picture) // 2
     half = min(middle, round(1.1 * float(np.abs(mesh[..., :2]).max()) / EXTENT * middle))
     return picture[middle - half : middle + half, middle - half : middle + half]
@@ -115,7 +118,7 @@ def _caption(row: pd.Series, measure: Measure) -> str:
 
 
 def _scale(axis: Axes) -> None:
-    """The colours of heights, beside the pictures."""
+    """Draws the colour scale of heights beside the pictures."""
     shades = relief_colours(np.linspace(1, 0, 64)[:, None])
     axis.set_axis_on()
     axis.imshow(shades, extent=(0, 1, 0, HEIGHT), aspect="auto", interpolation="none")

@@ -1,6 +1,6 @@
-"""The raw artifacts as tidy rows: a row per state, accepted and tried, with everything that is known of it.
+"""Reads the raw artifacts as tidy rows: a row per accepted state and per tried state, with all that was measured.
 
-What a file doesn't hold (artifacts of another simulator lack much) is NaN.
+Values that a file lacks are NaN; artifacts of another simulator lack many.
 """
 
 from collections.abc import Mapping, Sequence
@@ -38,30 +38,32 @@ PARTS = ("states", "manipulations.parquet", "attempts.parquet", "topologies.parq
 
 @dataclass(frozen=True)
 class Inputs:
-    """All that the card is made from."""
+    """All inputs of the card."""
 
     attributes: Mapping[str, Any]
-    """What the states say of how they were made."""
+    """The attributes of the states' files, which say how they were made."""
     columns: Mapping[str, Sequence[tuple[str, str]]]
     """Names and types of every file's columns."""
     states: pd.DataFrame
-    """A row per accepted state: sequence, state, topology, MEASURED, SHAPES, settle_time and length; those two and the
-    manipulation that they belong to are of the step that led to the state."""
+    """A row per accepted state: sequence, state, topology, MEASURED, SHAPES, settle_time and length (displacement).
+
+    Settle time and length are those of the manipulation that led to the state.
+    """
     tried: pd.DataFrame
     """A row per tried state: attempt, state, accepted (the whole sequence), MEASURED, SHAPES and settle_time."""
     attempts: pd.DataFrame
     """A row per tried sequence: accepted, reason, states."""
     manipulations: pd.DataFrame
     vertices: Mapping[int, int]
-    """Of each topology."""
+    """Number of vertices of each topology."""
     sides: tuple[float, float]
-    """Of the smallest and the largest flat cloth [m]."""
+    """Sides of the smallest and the largest flat cloth [m]."""
 
     @property
     def params(self) -> Mapping[str, Any]:
-        """The settings among the attributes; all of these where another program wrote them.
+        """The settings among the attributes; all attributes if another program wrote the files.
 
-        Where states come from elsewhere, the stage's other settings are of a solver that had no part in it.
+        For states from another simulator, the settings of our own solver are left out, because it was not used.
         """
         stated = self.attributes.get("params", self.attributes)
         elsewhere = stated.get("source", "own") != "own"
@@ -78,7 +80,7 @@ class Example:
 
 
 def read(raw: Path) -> Inputs:
-    """The card's inputs from a folder of raw artifacts. Raises InputError for what is missing or malformed."""
+    """The card's inputs from a folder of raw artifacts. Raises InputError for missing or malformed files."""
     files = state_files(raw / "states")
     states = read_states(raw / "states", ("sequence", "state", "topology", *MEASURED))
     moves = read_manipulations(raw, states, (*MANIPULATION_COLUMNS, "attempt", "settle_time"))
@@ -101,7 +103,7 @@ def read(raw: Path) -> Inputs:
 
 
 def examples(raw: Path, sequences: Sequence[int], moves: pd.DataFrame) -> list[Example]:
-    """The meshes of some sequences, in that order."""
+    """The meshes and manipulations of the given sequences, in their order. `moves` are the rows of manipulations."""
     states, mesher = read_states(raw / "states", sequences=sequences), Mesher(Topologies(raw))
     meshes: dict[int, list[np.ndarray]] = {}
     for sequence, state, topology, vertices in zip(*(states[name] for name in STATE_COLUMNS), strict=True):
@@ -115,9 +117,9 @@ def examples(raw: Path, sequences: Sequence[int], moves: pd.DataFrame) -> list[E
 
 
 def _of_states(states: pd.DataFrame, moves: pd.DataFrame, tried: pd.DataFrame) -> pd.DataFrame:
-    """Each state with what is known of the step that led to it, and of its silhouette from its attempt's row."""
+    """The states with settle time and length of the manipulation before, and SHAPES from the row of the attempt."""
     states = states.reindex(columns=["sequence", "state", "topology", *MEASURED])
-    # The reach of a hand's move as the file has it; a null manipulation is one whose displacement is too short.
+    # The length is that of the displacement, because a manipulation with a too short displacement is a null one.
     led = moves.assign(state=moves["step"] + 1, length=np.hypot(moves["dx"], moves["dy"]))
     led = led.reindex(columns=["sequence", "state", "settle_time", "length"])
     states = states.merge(led, on=["sequence", "state"], how="left")
@@ -129,7 +131,7 @@ def _of_states(states: pd.DataFrame, moves: pd.DataFrame, tried: pd.DataFrame) -
 
 
 def _tried(attempts: pd.DataFrame, lists: Sequence[str]) -> pd.DataFrame:
-    """A row per state that an attempt reached, from the rows of lists."""
+    """A row per state that an attempt reached, from the attempts' rows, whose cells are lists over states."""
     reached = attempts["states"].to_numpy(int)
     row = np.repeat(np.arange(len(attempts)), reached)
     state = np.arange(len(row)) - np.repeat(np.cumsum(reached) - reached, reached)
@@ -138,7 +140,7 @@ def _tried(attempts: pd.DataFrame, lists: Sequence[str]) -> pd.DataFrame:
         if name not in lists:
             table[name] = np.nan
             continue
-        # A settle time belongs to the step that led to a state: the first state has none.
+        # A settle time belongs to the manipulation before a state, so the first state has none.
         shift = int(name == "settle_time")
         values = attempts[name].tolist()
         table[name] = [_at(values[r], s - shift) for r, s in zip(row.tolist(), state.tolist(), strict=True)]

@@ -1,6 +1,6 @@
-"""What settings mean: the words beside them in the code are their only documentation, so they are read there.
+"""Reads the meanings of settings from the source code, which is the only place where they are documented.
 
-A settings class has a docstring below a field, or a comment behind it, with its unit.
+In a settings class, a docstring below a field or a comment behind it gives its meaning and unit.
 """
 
 import ast
@@ -16,7 +16,7 @@ import pandas as pd
 
 
 def meanings(config: type) -> dict[str, str]:
-    """The words beside every field of a settings class and of those nested in it, by dotted name."""
+    """The docstring or comment of every field of a settings class and of the classes nested in it, by dotted name."""
     source = textwrap.dedent(inspect.getsource(config))
     tokens = tokenize.generate_tokens(io.StringIO(source).readline)
     comments = {t.start[0]: t.string.lstrip("# ") for t in tokens if t.type == tokenize.COMMENT}
@@ -34,7 +34,7 @@ def meanings(config: type) -> dict[str, str]:
 
 
 def flatten(settings: Mapping[str, Any], *, above: str = "") -> dict[str, Any]:
-    """Nested settings by dotted name."""
+    """Nested settings as one dictionary with dotted names."""
     flat: dict[str, Any] = {}
     for name, value in settings.items():
         flat |= flatten(value, above=f"{above}{name}.") if isinstance(value, Mapping) else {above + name: value}
@@ -42,7 +42,7 @@ def flatten(settings: Mapping[str, Any], *, above: str = "") -> dict[str, Any]:
 
 
 def settings_table(params: Mapping[str, Any], config: type) -> pd.DataFrame:
-    """A row per setting that artifacts were made with: setting, value, meaning (empty where the code knows none)."""
+    """A row per setting in `params`: setting, value, meaning (empty if `config` has no such field)."""
     words = meanings(config)
     rows = [(name, str(value), words.get(name, "")) for name, value in flatten(params).items()]
     return pd.DataFrame(rows, columns=["setting", "value", "meaning"])

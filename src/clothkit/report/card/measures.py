@@ -1,4 +1,4 @@
-"""What is measured on states: names, units for people, which end is the worse, and where the limits stand."""
+"""Measures of states: names, units for display, which end of the range is worse, and the limits of acceptance."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -34,10 +34,10 @@ QUALITY = (
     Measure("intersections", "intersections"),
     Measure("settle_time", "settle time", "s"),
 )
-"""Of every state after the first."""
+"""Measures of the quality of every state after the first."""
 
 SHAPE = (Measure("folds", "folds"), Measure("area", "silhouette area", "flat cloth's"))
-"""How far a cloth is folded: neither end is worse."""
+"""Measures of how much a cloth is folded; neither end is worse."""
 
 MOVE = Measure("length", "displacement", "normalised", worst="min")
 
@@ -50,7 +50,7 @@ WORST = {
     "height": "highest",
     "residual_speed": "fastest at rest",
 }
-"""By what a state can be among the worst."""
+"""Measures by which the worst states are chosen, with their titles in the picture."""
 
 
 def of_name(name: str) -> Measure:
@@ -59,7 +59,7 @@ def of_name(name: str) -> Measure:
 
 
 def limits(params: Mapping[str, Any]) -> dict[str, float]:
-    """Where acceptance ends, in the files' units, by column: what the artifacts say of it, and the null length."""
+    """Limits of acceptance by column, in the files' units: those in the artifacts' settings, and the null length."""
     stated = params.get("limits")
     stated = stated if isinstance(stated, Mapping) else {}
     found = {m.name: float(stated[m.name]) for m in QUALITY if isinstance(stated.get(m.name), int | float)}

@@ -1,4 +1,4 @@
-"""The card as one Markdown page: what the dataset is, how to read it, how good it is, what it looks like."""
+"""The card as one Markdown page: the dataset's contents, how to read it, its quality, and pictures."""
 
 import re
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from clothkit.report.card.tables import TOLERANCE, WITHIN
 
 @dataclass(frozen=True)
 class Contents:
-    """What the page shows."""
+    """The content of the page."""
 
     inputs: Inputs
     settings: pd.DataFrame
@@ -28,15 +28,15 @@ class Contents:
     viewport: pd.DataFrame
     worst: pd.DataFrame
     pictured: int
-    """Sequences drawn at random."""
+    """Number of sequences in the picture, drawn at random."""
     seed: int
-    """That they were drawn with."""
+    """Seed of that draw."""
 
 
 TABLES = ("settings", "outcomes", "hands", "quality", "quality_tried", "against_tried", "viewport", "worst")
-"""Those that are also written as CSV, by name."""
+"""Names of the tables that are also written as CSV."""
 
-# Said only when the artifacts' settings hold everything that a sentence names.
+# A sentence is printed only if the artifacts' settings contain all values that it mentions.
 _SENTENCES = (
     "The states come from {source}, of the runs listed in `{runs}/runs.csv`.",
     "The cloth is a square of {simulation.cloth_side} m with {simulation.side} x {simulation.side} vertices, on a "
@@ -67,7 +67,7 @@ _FILES = {
 
 
 def page(contents: Contents) -> str:
-    """The page as a Markdown string; it refers to the files that `build` puts beside it."""
+    """The page as a Markdown string, with links to the files that `build` writes beside it."""
     inputs = contents.inputs
     parts = [
         "# The dataset\n",
@@ -111,7 +111,7 @@ def page(contents: Contents) -> str:
 
 
 def reading(inputs: Inputs) -> str:
-    """Lines of Python that read the dataset, run from the repository's root."""
+    """Python code that reads the dataset, to be run from the repository's root."""
     q = _first(inputs)
     return f"""import pandas as pd
 states = pd.read_parquet("data/raw/states").set_index(["sequence", "state"])
@@ -122,7 +122,7 @@ how = manipulations.loc[({q}, 0), ["u1", "v1", "u2", "v2", "dx", "dy"]]  # what 
 
 
 def in_words(inputs: Inputs) -> str:
-    """What artifacts say of how they were made, in sentences; those whose settings they don't state are left out."""
+    """Sentences on how the artifacts were made, from their settings; sentences with missing settings are left out."""
     attributes, stated = inputs.attributes, flatten(inputs.params)
     keys = {sentence: re.findall(r"{([^}]*)}", sentence) for sentence in _SENTENCES}
     said = [
@@ -191,7 +191,7 @@ def _all_settings(settings: pd.DataFrame) -> str:
 
 
 def _tried(contents: Contents) -> str:
-    """Tried states beside accepted ones, as far as the attempts were recorded."""
+    """The section on tried states and their comparison with accepted ones, if the attempts were recorded."""
     parts = []
     if contents.quality_tried["states"].any():
         share = contents.viewport["higher"].sum() / max(contents.viewport["tried states"].sum(), 1)

@@ -9,11 +9,11 @@ from clothkit.config import config
 
 @config
 class CardConfig:
-    """How many examples the pictures show."""
+    """Numbers of examples in the pictures."""
 
     sequences: Annotated[int, Ge(1)] = 12
-    """Drawn at random among all."""
+    """Number of sequences that are drawn at random from all."""
     worst: Annotated[int, Ge(1)] = 2
-    """States that are shown for each of the measures by which one can be the worst."""
+    """Number of worst states that are shown for each measure."""
     seed: Annotated[int, Ge(0)] = 0
-    """Of the draw."""
+    """Seed of the random draw of sequences."""

@@ -1,4 +1,4 @@
-"""Tables of the card: group-bys of its tidy rows. Values are in the measures' units for people."""
+"""Tables of the card: group-bys of its tidy rows. Values are in the measures' units for display."""
 
 from collections.abc import Mapping, Sequence
 from itertools import islice
@@ -12,16 +12,18 @@ from clothkit.report.card.measures import QUALITY, SHAPE, WORST, Measure, of_nam
 
 STEPS = (1, 2, 3)
 TOLERANCE = 0.05
-"""How far the medians of accepted states may lie from those of tried ones: limits that reject more than that would
-make the data easier than the folds that were tried."""
+"""Largest relative difference between medians of accepted and of tried states.
+
+A larger one means that the limits of acceptance reject difficult folds, which makes the data too easy.
+"""
 
 WITHIN = f"within {100 * TOLERANCE:.0f} %"
 
 
 def outcomes(attempts: pd.DataFrame) -> pd.DataFrame:
-    """What became of tried sequences, and after which manipulation: counts and shares, most frequent first."""
+    """Outcomes of tried sequences and the manipulation at which they ended: counts and shares, most frequent first."""
     outcome = attempts["reason"].where(~attempts["accepted"].astype(bool), "accepted")
-    # A rejected state is the last that was reached; where no manipulation was found there is none.
+    # A sequence ends with its rejected state, except when no manipulation was found: then no state was rejected.
     step = attempts["states"] - (outcome != "no manipulation")
     counts = pd.crosstab(outcome, step).reindex(columns=list(STEPS), fill_value=0)
     total = outcome.value_counts()
@@ -34,7 +36,7 @@ def outcomes(attempts: pd.DataFrame) -> pd.DataFrame:
 
 
 def hands(manipulations: pd.DataFrame) -> pd.DataFrame:
-    """Manipulations, single-handed ones and their share, by step and in all."""
+    """Numbers of manipulations and of single-handed ones, and the share of these, by step and in total."""
     single = manipulations["hands"] == 1
     groups = [(str(k), manipulations["step"] == k - 1) for k in STEPS]
     groups = [(name, of) for name, of in groups if of.any()] + [("all", pd.Series(True, manipulations.index))]
@@ -43,7 +45,7 @@ def hands(manipulations: pd.DataFrame) -> pd.DataFrame:
 
 
 def quality(states: pd.DataFrame, limits: Mapping[str, float]) -> pd.DataFrame:
-    """Median, 5 %, 95 % and worst of every measure after each step, and the limit of acceptance where there is one."""
+    """Median, 5 %, 95 % and worst value of every measure after each step, and the limit of acceptance, if any."""
     rows = []
     for measure in QUALITY:
         for k in STEPS:
@@ -56,7 +58,7 @@ def quality(states: pd.DataFrame, limits: Mapping[str, float]) -> pd.DataFrame:
 
 
 def against_tried(inputs: Inputs) -> pd.DataFrame:
-    """How far accepted and tried states are folded: medians (and means) after each step, and how they differ."""
+    """Medians and means of SHAPE over accepted and tried states by step, and the medians' relative difference."""
     rows = []
     for measure in SHAPE:
         for k in STEPS:
@@ -70,7 +72,7 @@ def against_tried(inputs: Inputs) -> pd.DataFrame:
 
 
 def viewport(tried: pd.DataFrame) -> pd.DataFrame:
-    """How many tried states stand higher than the viewport of the voxels, after each step."""
+    """Number and share of tried states that are higher than the voxels' viewport, after each step."""
     rows = []
     for k in STEPS:
         height = tried.loc[tried["state"] == k, "height"].dropna()
@@ -82,7 +84,7 @@ def viewport(tried: pd.DataFrame) -> pd.DataFrame:
 def worst(states: pd.DataFrame, *, count: int) -> pd.DataFrame:
     """The `count` worst states by each measure of WORST, no state twice: sequence, state, measure, rank, value.
 
-    A state that is already there for another measure gives way to the next. Values are in the files' units.
+    A state that was chosen for an earlier measure is skipped. Values are in the files' units.
     """
     taken: set[tuple[int, int]] = set()
     rows = []
@@ -98,14 +100,14 @@ def worst(states: pd.DataFrame, *, count: int) -> pd.DataFrame:
 
 
 def drawn(states: pd.DataFrame, *, count: int, seed: int) -> list[int]:
-    """The numbers of `count` sequences, drawn at random without repetition, in order."""
+    """The numbers of `count` sequences that are drawn at random without replacement, sorted."""
     present = states["sequence"].unique()
     chosen = np.random.default_rng(seed).choice(len(present), min(count, len(present)), replace=False)
     return sorted(int(present[place]) for place in chosen)
 
 
 def spread(values: pd.Series, measure: Measure) -> Sequence[float]:
-    """The values that are there, in the measure's unit for people."""
+    """The values that are not NaN, in the measure's unit for display."""
     return (values.dropna() * measure.factor).tolist()
 
 

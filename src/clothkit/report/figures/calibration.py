@@ -1,4 +1,4 @@
-"""Calibration: the share of errors below z sigma against the share that a normal distribution has there."""
+"""Calibration: the share of errors below z sigma against that share for a normal distribution."""
 
 from pathlib import Path
 
@@ -21,9 +21,10 @@ PANELS = (
 
 
 def calibration(tidy: pd.DataFrame, path: Path) -> None:
-    """Coverage against expected coverage in the test split, a line per length, the diagonal; dots at one sigma.
+    """Writes charts of coverage against expected coverage in the test split: a line per length, with dots at one sigma.
 
-    Rows: split, system, length, axis, z, expected, coverage. The length of an estimate is that of its state's past.
+    Columns of `tidy`: split, system, length, axis, z, expected, coverage. The length of an estimate is the number of
+    manipulations before its state.
     """
     figure, axes = panels.chart(len(PANELS), width=3.4, height=3.3, columns=2)
     test = tidy[tidy["split"] == "test"]
@@ -52,7 +53,7 @@ def _panel(axis: Axes, rows: pd.DataFrame) -> None:
     if not dots:
         axis.text(0.5, 0.25, "none", fontsize=8, color=panels.INK)
         return
-    # In the corner that the lines leave free, one above the other as the dots are.
+    # The text is in the corner without lines, in the same vertical order as the dots.
     below = sum(coverage < expected for coverage, expected, *_ in dots) > len(dots) / 2
     x, y = (0.04, 0.7) if below else (0.55, 0.1)
     for place, (coverage, _, name, colour) in enumerate(sorted(dots)):

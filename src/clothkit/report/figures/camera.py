@@ -1,4 +1,4 @@
-"""What depth cameras show of a cloth, and the estimates that come of it (section 6.5)."""
+"""Depth cameras' pictures of a cloth, with voxels and estimates from them (section 6.5)."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,11 +17,11 @@ from clothkit.report.draw import draw, draw_heights, grey_of_height, relief_colo
 
 ROWS = ("height above the table", "voxels", "estimate, refined")
 HIGHEST = 0.03
-"""Darkest [m]; what is higher has the same colour."""
+"""Height with the darkest colour [m]; greater heights have the same colour."""
 _BAR = 0.09
 """Height of the scales, as a share of a panel."""
 _SHOWN = 0.8
-"""Of the image's shorter side."""
+"""Side of the part that is shown, as a share of the image's shorter side."""
 _MISSING = np.array([0.95, 0.62, 0.60], np.float32)
 
 
@@ -32,7 +32,10 @@ def camera(
     conditions: list[str],
     path: Path,
 ) -> None:
-    """A block per example: a column for the truth with its noise-free voxels and estimate, then one per condition."""
+    """Writes a figure with a block per example: a column without a camera, then a column per condition.
+
+    The rows of a block show heights (without a camera the true mesh), voxels, and the refined estimate.
+    """
     count = len(pictures["sequence"])
     heights = [*([1.0] * 3 + [0.12]) * count, _BAR, 0.12]
     figure, axes = panels.sheet(heights, [1.0] * (1 + len(conditions)), left=0.3, above=0.2)
@@ -56,7 +59,7 @@ def camera(
 
 
 def _scales(axes: np.ndarray) -> None:
-    """What the colours say: heights in the first row of a block, voxels in the second; the same in all pictures."""
+    """Draws the colour scales of the pictures: heights for the first row of a block, voxels for the second."""
     share = np.linspace(0, 1, 128, dtype=np.float32)[None]
     ticks = [0.0, 10.0, 20.0, 1e3 * HIGHEST]
     _bar(axes[0], relief_colours(share), ticks, "height [mm]; red: not measured", more=True)
@@ -76,12 +79,12 @@ def _bar(
     high: float | None = None,
     more: bool = False,
 ) -> None:
-    """A horizontal scale from `low` to `high` (the last tick); with `more` the last tick stands for all above it."""
+    """Draws a horizontal scale from `low` to `high` (None: the last tick). With `more`, the last tick is labelled ≥."""
     axis.set_axis_on()
     axis.imshow(colours, extent=(low, ticks[-1] if high is None else high, 0, 1), aspect="auto", interpolation="none")
     labels = [f"{tick:g}" for tick in ticks]
     axis.set_xticks(ticks, [*labels[:-1], f"≥ {labels[-1]}" if more else labels[-1]], fontsize=6)
-    # Scales stand side by side: what their ends say stays within them.
+    # Labels at the ends stay within their scale, because scales are side by side.
     first, *_, last = axis.get_xticklabels()
     first.set_horizontalalignment("left")
     last.set_horizontalalignment("right")
@@ -93,12 +96,12 @@ def _bar(
 
 
 def labelled(mesh: Float[np.ndarray, "u v 3"], truth: Float[np.ndarray, "u v 3"]) -> Float[np.ndarray, "u v 3"]:
-    """A mesh under the labels of the truth, so that sides of equal colour are the same side."""
+    """A mesh relabelled to match the truth, so that the same side of the cloth has the same colour in both."""
     return np.asarray(relabel(mesh, int(INVERSE[int(best_label(mesh, truth))])))
 
 
 def relief(heights: Float[np.ndarray, "row column"]) -> UInt8[np.ndarray, "side side 3"]:
-    """The middle of a picture, coloured by height [m] as `draw_relief` is; red where nothing was measured."""
+    """The middle of a height image [m] in `relief_colours`; red where nothing was measured."""
     rows, columns = heights.shape
     half = int(_SHOWN * min(rows, columns)) // 2
     middle = heights[rows // 2 - half : rows // 2 + half, columns // 2 - half : columns // 2 + half]

@@ -1,4 +1,4 @@
-"""Learning curves: validation errors of the nets while they were trained."""
+"""Learning curves: validation errors of the nets during training."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,17 +12,18 @@ from clothkit.report import panels
 COLOURS = ("#3b75af", "#d9822b", "#519e3e")
 
 TASKS = {"1/0": 0, "1/1": 0, "1/2": 0, "2/0": 1, "2/1": 1, "3/0": 2}
-"""Columns of a forward model's history, a validation error each: length / start; a colour per length."""
+"""Columns of a forward model's history with validation errors, named length / start, and the index of their colour."""
 
 STEPS = {"step_1": 0, "step_2": 1, "step_3": 2}
-"""Columns of VtM's history, a validation error each: manipulations behind the state."""
+"""Columns of VtM's history with validation errors, by manipulations before the state, and the index of their colour."""
 
 
 def curves(forward: Mapping[str, pd.DataFrame], vtm: pd.DataFrame, path: Path) -> None:
-    """Validation errors [cloth length] over iterations: scores of the forward models, VtM's, then each model's tasks.
+    """Writes charts of validation errors [cloth length] over iterations: forward models, VtM, then each model's tasks.
 
-    Histories have the columns iteration and score (that of a forward model: mean error over all six tasks, from true
-    meshes; of VtM: mean error of its means after one to three manipulations), and may have those of TASKS or STEPS.
+    Histories have the columns iteration and score, and may have those of TASKS or STEPS. The score of a forward model
+    is the mean error over all six tasks, from true meshes; that of VtM is the mean error of its means after one to
+    three manipulations.
     """
     names = sorted(forward)
     figure, axes = panels.chart(2 + len(names), width=3.8, height=2.9, columns=2)
@@ -31,7 +32,7 @@ def curves(forward: Mapping[str, pd.DataFrame], vtm: pd.DataFrame, path: Path) -
         axis.set_xlabel("iteration", fontsize=8)
     histories = [*forward.values(), vtm]
     shown = [history[column] for history in histories for column in ("score", *TASKS, *STEPS) if column in history]
-    # One scale for all, so that panels compare.
+    # All panels have the same scale, so that they can be compared.
     limits = (0.9 * min(values.min() for values in shown), 1.1 * max(values.max() for values in shown))
     for axis in axes:
         axis.set_ylim(*limits)
@@ -52,7 +53,7 @@ def curves(forward: Mapping[str, pd.DataFrame], vtm: pd.DataFrame, path: Path) -
 
 
 def _panel(axis: Axes, title: str, lines: Sequence[tuple[pd.DataFrame, str, str, str]]) -> None:
-    """A line for each column that its history has; dots and labels are of the validation with the best score."""
+    """Draws a line for each column that its history has; dots and labels show the validation with the best score."""
     axis.set_title(title, fontsize=9, color=panels.INK)
     present = [line for line in lines if line[1] in line[0]]
     ends = []

@@ -13,14 +13,14 @@ from clothkit.report import panels
 from clothkit.report.draw import EXTENT, draw
 
 SIDE = 1.35
-"""Of a panel, as a share of the usual one."""
+"""Side of a panel, as a share of the usual one."""
 
 NEAR = 0.25
-"""Corners that lie no farther apart share a text [normalised]."""
+"""Distance of corners below which they share one text [normalised]."""
 
 
 def equivalents(mesh: Float[np.ndarray, "u v 3"], path: Path) -> None:
-    """The shape under each labelling, coloured by geodesic coordinates, those of its corners written beside them."""
+    """Writes a figure of the shape under each labelling, coloured by geodesic coordinates; corners are labelled."""
     figure, axes = panels.sheet([SIDE] * 2, [SIDE] * (COUNT // 2))
     for axis, labelled in zip(axes.flat, np.asarray(equivalents_of(mesh)), strict=True):
         panels.show(axis, draw(labelled, texture="geodesic"))
@@ -29,7 +29,7 @@ def equivalents(mesh: Float[np.ndarray, "u v 3"], path: Path) -> None:
 
 
 def _corners(axis: Axes, mesh: Float[np.ndarray, "u v 3"]) -> None:
-    """The geodesic coordinates of the corners, one below the other where corners lie on each other."""
+    """Writes the geodesic coordinates of the corners beside them, in one text where corners coincide."""
     together: list[tuple[list[np.ndarray], list[str]]] = []
     for u, v in ((0, 0), (0, -1), (-1, 0), (-1, -1)):
         corner = mesh[u, v, :2]

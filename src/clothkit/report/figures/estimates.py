@@ -1,4 +1,4 @@
-"""Figure 9: estimates of shapes from voxels, and what refinement makes of them."""
+"""Figure 9: estimates of shapes from voxels, before and after refinement."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,11 +16,10 @@ ROWS = ("truth", "voxels from above", "estimate (mean, σ lilac)", "refined")
 
 
 def estimates(dataset: Dataset, found: Mapping[str, np.ndarray], rows: pd.DataFrame, path: Path, *, count: int) -> None:
-    """A column per example: truth, voxels as height map, VtM's mean with its sigma, refined mesh.
+    """Writes a figure with a column per example: truth, voxels as height map, VtM's mean with its sigma, refined mesh.
 
-    The first test sequences, in turn after one, two and three manipulations if they are that long; errors [cloth
-    length] from the tidy rows. Meshes are drawn under the labels of the truth, so that sides of equal colour are the
-    same side.
+    Examples are states of the first `count` test sequences after one, two or three manipulations. Errors [cloth length]
+    are from the tidy rows. Meshes have the labels of the truth, so that the same side has the same colour.
     """
     test = set(dataset.indices("test").tolist())
     places = [place for place, sequence in enumerate(found["sequence"]) if int(sequence) in test][:count]

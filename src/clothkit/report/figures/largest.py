@@ -1,4 +1,4 @@
-"""The largest planning errors: what was there, what was wanted, seen and foreseen, and what came of it."""
+"""Sessions with the largest planning errors: start, goal, estimates, plans, predictions and outcomes."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,22 +17,22 @@ BESIDE = 0.4
 
 
 class Failure(NamedTuple):
-    """A session and what its first plan was wrong about; errors in cloth lengths, NaN where there is none."""
+    """A session and the errors of its first plan, with a diagnosis. Errors are in cloth lengths, NaN if missing."""
 
     session: Session
     estimate_error: float
     expected: float
-    """The error that the nets expected of the first plan."""
+    """The error of the first plan according to the nets."""
     diagnosis: str
 
 
 def largest(failures: Sequence[Failure], path: Path) -> None:
-    """Two examples side by side, a row for every plan of a session.
+    """Writes a figure with two examples side by side and a row for every plan of a session.
 
-    At the left the start with the recorded manipulation, and the goal; then, plan by plan, the estimate with the
-    plan's first manipulation, the outcome that is predicted for the whole plan, and what its execution led to, the
-    final outcome on light blue. Meshes are drawn under labels that let sides of equal colour be the same side. Errors
-    [cloth length] are those of the first estimate, the expected one of the first plan, and the real one.
+    At the left are the start with the recorded manipulation, and the goal. Then follow, for each plan, the estimate
+    with the plan's first manipulation, the outcome that is predicted for the whole plan, and the state after execution;
+    the final outcome is on light blue. Meshes are relabelled so that the same side has the same colour. Errors [cloth
+    length] are those of the first estimate, of the first plan as expected, and of the outcome.
     """
     across = min(2, len(failures))
     block = [1.0] * len(HEADINGS)

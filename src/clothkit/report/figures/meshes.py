@@ -12,20 +12,21 @@ from clothkit.report.draw import draw
 COMPONENTS = ("x", "y", "z")
 
 SIDE, GAP = 1.15, 0.08
-"""Of a panel and between blocks, as shares of the usual panel."""
+"""Side of a panel, and distance between blocks, as shares of the usual panel."""
 
 
 def meshes(
     truth: Float[np.ndarray, "u v 3"], mean: Float[np.ndarray, "u v 3"], std: Float[np.ndarray, "u v 3"], path: Path
 ) -> None:
-    """Above the mesh from above (the grid is printed on it) and its x, y, z in greys over u (right) and v (up).
+    """Writes a figure with two rows. First row: the mesh from above with a grid texture, and its x, y, z in greys.
 
-    Below an estimate of it, its means, and its standard deviations. Greys run over -1..1 in x and y, over the mesh's
-    own heights in z and over each sigma's own values, light is more [normalised].
+    Second row: an estimate of it, its means, and its standard deviations. Grey images have u to the right and v upwards
+    [normalised]; lighter is greater. Greys span -1..1 for x and y, the mesh's own heights for z, and 0 to the largest
+    value for each standard deviation.
     """
     block = [SIDE] * len(COMPONENTS)
     figure, axes = panels.sheet([SIDE, GAP, SIDE], [SIDE, GAP, *block, GAP, *block], left=0.3, above=0.2)
-    # The narrow row between the two is room for the lower one's headings.
+    # The narrow row in between is room for the second row's headings.
     axes = axes[::2]
     panels.row_label(axes[0, 0], "mesh")
     panels.row_label(axes[1, 0], "probabilistic mesh")

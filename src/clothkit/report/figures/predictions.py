@@ -1,4 +1,4 @@
-"""Figure 10: what the forward model foresees beside what was recorded."""
+"""Figure 10: predictions of the forward model below the recorded states."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,10 +14,11 @@ from clothkit.report.draw import draw
 def predictions(
     dataset: Dataset, found: Mapping[str, np.ndarray], rows: pd.DataFrame, path: Path, *, count: int
 ) -> None:
-    """Two rows per example, two examples side by side: the recorded sequence above, the predicted one below.
+    """Writes a figure with two examples side by side: the recorded sequence above, the predicted one below.
 
-    The first test sequences, main system, better net, from an estimate of the first state; errors [cloth length] of
-    1, 2 and 3 steps from the tidy rows; lilac is sigma, the yellow arrow the predicted shift of the centre.
+    Examples are the first `count` test sequences. Predictions are those of the main system's better net, from an
+    estimate of the first state. Errors [cloth length] of 1, 2 and 3 steps are from the tidy rows. Lilac shows sigma,
+    the yellow arrow the predicted shift of the centre.
     """
     test = set(dataset.indices("test").tolist())
     places = [place for place, sequence in enumerate(found["sequence"]) if int(sequence) in test][:count]

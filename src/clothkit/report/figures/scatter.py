@@ -16,9 +16,10 @@ def scatter(
     planners: Sequence[str],
     path: Path,
 ) -> None:
-    """Test tasks: a panel per planner, coloured by length, beside the predictions of the system with the same input.
+    """Writes a chart per planner: planning error against prediction error of the test tasks, coloured by length.
 
-    `predictor_of` names it: main's predictions start from estimates, b1's are a1's. Errors in cloth lengths.
+    `predictor_of` names, for a planner, the predictor with the same input: main for main, which start from estimates,
+    and a1 for b1, which start from true meshes. Errors are in cloth lengths.
     """
     shown = [system for system in planners if system in predictor_of]
     figure, axes = panels.chart(len(shown), width=3.4, height=3.4)
@@ -46,7 +47,7 @@ def scatter(
                 label=f"{length} step{'s' if length > 1 else ''}",
             )
         axis.plot([0, limit], [0, limit], color="#bbbbbb", linewidth=0.8, zorder=0)
-        # Dots at the origin are whole.
+        # The limits are below 0, so that dots at the origin are not cut.
         axis.set(xlim=(-0.025 * limit, limit), ylim=(-0.025 * limit, limit), aspect="equal")
         axis.set_title(system, fontsize=9)
         axis.set_xlabel("prediction error [cloth length]", fontsize=8)

@@ -1,4 +1,4 @@
-"""A sheet of simulated sequences: what the data look like."""
+"""Pictures of simulated sequences, as examples of the data."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,7 +13,7 @@ from clothkit.report.draw import draw
 
 
 class Strip(NamedTuple):
-    """One sequence as it is shown, centred meshes [normalised] and the manipulations between them."""
+    """One sequence in a picture: centred meshes [normalised] and the manipulations between them."""
 
     meshes: Sequence[Float[np.ndarray, "u v 3"]]
     manipulations: Sequence[Float[np.ndarray, "6"]]
@@ -21,7 +21,7 @@ class Strip(NamedTuple):
 
 
 def sequences(dataset: Dataset, path: Path, *, count: int) -> None:
-    """The first `count` evaluated test sequences, four states each with the manipulations between them, two a row."""
+    """Writes a figure of the first `count` evaluated test sequences, with up to four states and their manipulations."""
     chosen = dataset.of_split("test", evaluated=True)
     strips = [
         Strip(list(chosen.vertices[place, : length + 1]), list(chosen.manipulation[place, :length]))
@@ -35,7 +35,7 @@ def sequences(dataset: Dataset, path: Path, *, count: int) -> None:
 
 
 def draw_strips(strips: Sequence[Strip], path: Path, *, title: str) -> None:
-    """Sequences of up to four states, two a row, each state with its height and the manipulation that follows."""
+    """Writes a figure of sequences of up to four states, two per row, with their heights and manipulations."""
     left = 0.25 if any(strip.label for strip in strips) else 0.1
     figure, axes = panels.sheet([1.0] * -(-len(strips) // 2), panels.PAIR, title=title, left=left)
     for place, strip in enumerate(strips):

@@ -1,4 +1,4 @@
-"""Figure 12: planning sessions, plan by plan, beside the recorded sequence whose last state was the goal."""
+"""Figure 12: planning sessions, plan by plan, with the recorded sequence whose last state was the goal."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,39 +22,39 @@ GAP = 0.14
 
 
 class Step(NamedTuple):
-    """One plan of a session, all under the labels of its estimate; m manipulations are left [normalised]."""
+    """One plan of a session for the m manipulations that are left [normalised], under the labels of its estimate."""
 
     estimate: Float[np.ndarray, "u v 3"]
     candidates: Float[np.ndarray, "points 2"]
-    """In the estimate's xy."""
+    """Grasp point candidates in the estimate's xy."""
     plan: Float[np.ndarray, "m 6"]
     mean: Float[np.ndarray, "m u v 3"]
     std: Float[np.ndarray, "m u v 3"]
     refined: Float[np.ndarray, "u v 3"]
     """A plausible mesh of the predicted outcome; for illustration only."""
     executed: bool
-    """Whether the plan's first manipulation was."""
+    """Whether the plan's first manipulation was executed."""
 
 
 class Session(NamedTuple):
-    """What the picture shows of a session of n manipulations [normalised]."""
+    """The data of a picture of a session of n manipulations [normalised]."""
 
     task: Task
     recorded: Float[np.ndarray, "n+1 u v 3"]
     manipulations: Float[np.ndarray, "n 6"]
     states: Float[np.ndarray, "n+1 u v 3"]
-    """What the cloth really was, from the start to the outcome."""
+    """The cloth's true states, from the start to the outcome."""
     steps: Sequence[Step]
     error: float
     error_no_action: float
     remark: str = ""
-    """Why it is shown, where it is not one of the first."""
+    """Why this session was chosen; empty for the first ones."""
 
 
 def of_record(record: Sessions, dataset: Dataset, rows: pd.DataFrame, task: Task, *, net: int) -> Session | None:
-    """A task's session from the record and the tidy rows of its system; None if the system did not plan for it.
+    """A task's session from the record and the tidy rows of a system; None if the system did not plan for the task.
 
-    Of several nets' predictions those of the one in place `net` are shown.
+    `net` is the index of the net whose predictions are shown, if several nets made some.
     """
     found = (record.sequence == task.sequence) & (record.start == task.start) & (record.length == task.length)
     if not found.any():
@@ -86,10 +86,11 @@ def of_record(record: Sessions, dataset: Dataset, rows: pd.DataFrame, task: Task
 
 
 def sessions(chosen: Sequence[Session], path: Path, *, abreast: int) -> None:
-    """Sessions of one length, `abreast` side by side.
+    """Writes a figure of sessions of one length, `abreast` of them side by side.
 
-    Above the recorded sequence and its goal (light blue); at the left what happened, the outcome in light blue;
-    between, a row per plan: estimate (E), predictions (P); at the right a refined predicted outcome.
+    The first row of a session shows the recorded sequence with the goal on light blue. The first column shows the true
+    states, with the outcome on light blue. Each plan has a row with its estimate (E) and predictions (P), and in the
+    last column a refined predicted outcome.
     """
     n = len(chosen[0].steps)
     block, height = n + 3, n + 2
@@ -145,7 +146,7 @@ def _caption(session: Session, axis: Axes) -> None:
 
 
 def median(rows: pd.DataFrame, length: int) -> Task | None:
-    """The test task of that length whose error is the median of all (the lower of two); None if there is none."""
+    """The test task of that length with the median error (the lower of two); None if there is no such task."""
     chosen = rows[(rows["split"] == "test") & (rows["length"] == length)]
     chosen = chosen.sort_values(["error", "sequence", "start"], kind="stable")
     if chosen.empty:
@@ -155,18 +156,18 @@ def median(rows: pd.DataFrame, length: int) -> Task | None:
 
 
 def drawn(mesh: Float[np.ndarray, "u v 3"], *, goal: bool) -> np.ndarray:
-    """The cloth from above; goals and final outcomes on light blue."""
+    """A picture of the cloth from above, on light blue if `goal`, which is used for goals and final outcomes."""
     return draw(mesh, table=panels.GOAL) if goal else draw(mesh)
 
 
 def _like(mesh: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, int]:
-    """A mesh under the labels that make its sides match the truth's in colour, and the equivalent that does it."""
+    """A mesh relabelled to match the truth, so that sides match in colour, and the index of the equivalent used."""
     k = int(INVERSE[int(best_label(mesh, truth))])
     return np.asarray(relabel(mesh, k)), k
 
 
 def labelled(step: Step, truth: Float[np.ndarray, "u v 3"]) -> Step:
-    """A plan under the labels that make the sides of its estimate match the truth's in colour."""
+    """A plan relabelled so that its estimate matches the truth, and sides match in colour."""
     estimate, k = _like(step.estimate, truth)
     mean, std, refined = (np.asarray(relabel(a, k)) for a in (step.mean, step.std, step.refined))
     plan = np.asarray(relabel_manipulation(step.plan, k))

@@ -1,4 +1,4 @@
-"""Figures of the studies: validation error against the cost of training, planning error against the loss's weights."""
+"""Figures of the studies: validation error by training time, planning error by weights and by search settings."""
 
 from collections.abc import Mapping
 from itertools import product
@@ -18,13 +18,14 @@ from clothkit.report.figures.curves import COLOURS
 SYMBOLS = {"alpha": "α", "beta": "β", "gamma": "γ"}
 QUIET = "#b5b5b5"
 SHOWN = 6
-"""Variants that are named in a figure; the others are grey."""
+"""Number of variants that are named in a figure; the others are grey."""
 
 
 def recipes(table: pd.DataFrame, path: Path, *, base: str = "base", unit: str = "cloth length") -> None:
-    """Validation score [`unit`] against CPU minutes, a line per variant; the best by name, and `base`.
+    """Writes a chart of validation score [`unit`] against CPU minutes, with a line per variant.
 
-    Columns: variant, seed, minutes, score. Of several seeds the mean is drawn, with its range.
+    The best variants and `base` are named. Columns of `table`: variant, seed, minutes, score. For several seeds, mean
+    and range are drawn.
     """
     figure, (axis,) = panels.chart(1, width=6.4, height=3.6)
     best = table.groupby(["variant", "seed"])["score"].min().groupby("variant").mean().sort_values()
@@ -55,10 +56,11 @@ def recipes(table: pd.DataFrame, path: Path, *, base: str = "base", unit: str = 
 
 
 def weights(table: pd.DataFrame, usual: Mapping[str, float], path: Path) -> None:
-    """Planning error [cloth length] against alpha, beta and gamma, the others as `usual`: a line per plan length.
+    """Writes charts of planning error [cloth length] against each of alpha, beta and gamma, a line per plan length.
 
-    A row per weight, a column per state that plans start from; dotted is the value in force. Columns: alpha, beta,
-    gamma, sequence, start, length, error. Means and 95 % bootstrap intervals over sequences.
+    The other two weights have the values in `usual`. There is a row of charts per weight and a column per state from
+    which plans start; a dotted line marks the usual value. Lines are means, with 95 % bootstrap intervals over
+    sequences. Columns of `table`: alpha, beta, gamma, sequence, start, length, error.
     """
     starts = (0, 1, 2)
     figure, axes = panels.chart(len(SYMBOLS) * len(starts), width=3.0, height=2.3, columns=len(starts))
@@ -96,7 +98,7 @@ def weights(table: pd.DataFrame, usual: Mapping[str, float], path: Path) -> None
 
 
 def _varying(table: pd.DataFrame, usual: Mapping[str, float], name: str) -> pd.DataFrame:
-    """The rows in which the other weights are as usual."""
+    """The rows in which all weights but `name` have their usual values."""
     others = [np.isclose(table[other], usual[other]) for other in SYMBOLS if other != name]
     return table[np.all(others, axis=0)]
 
@@ -115,17 +117,20 @@ OTHERS = {
     "restarts": ("^", ["near"]),
     "kinds of manipulations": ("D", ["fold"]),
 }
-"""What, beside strains and iterations, a search differs in: its marker, and its columns."""
+"""Settings, beside strains and iterations, in which searches differ: the marker and the columns of each."""
 
 
 def search(table: pd.DataFrame, restarts: pd.DataFrame, usual: Mapping[str, Any], path: Path) -> None:
-    """Error, search failures and loss of first plans against what a plan costs: a line per plan length, over strains.
+    """Writes charts of error, search failures and loss of first plans against the cost of a plan.
 
-    The cost is in evaluations of the planning loss, strains times iterations: seconds of few plans are those of a
-    compiler. Columns: strains, those of ITERATIONS and of OTHERS, of which `usual` has the values in force; length,
-    error [cloth length], loss, loss_recorded. Markers off the lines stand for searches that differ from the usual one
-    in one thing, dashed lines for other iterations, over strains again. At the right what the `restarts` of the usual
-    one find: length, restart, best (loss of its best strain), least (the lowest up to then).
+    The cost is the number of evaluations of the planning loss, strains times iterations, because the time of few plans
+    is mostly that of compilation. `usual` has the values in force of the columns strains, ITERATIONS and OTHERS. Solid
+    lines, one per plan length, vary the strains of the usual search; dashed lines do so with other iterations; markers
+    off the lines are searches with one other setting. Columns of `table`: the settings, length, error [cloth length],
+    loss, loss_recorded.
+
+    The last chart shows the losses that the restarts of the usual search find. Columns of `restarts`: length, restart,
+    best (loss of its best strain), least (lowest loss so far).
     """
     figure, axes = panels.chart(4, width=3.0, height=2.9)
     iterations = table["base_iterations"] + table["iterations_per_step"] * table["length"]
@@ -178,6 +183,6 @@ def search(table: pd.DataFrame, restarts: pd.DataFrame, usual: Mapping[str, Any]
 
 
 def _differing(means: pd.DataFrame, usual: Mapping[str, Any], columns: list[str]) -> pd.DataFrame:
-    """The searches that are as usual but perhaps in these columns."""
+    """The searches whose settings are the usual ones in all columns but `columns`."""
     others = [means[name] == value for name, value in usual.items() if name not in columns]
     return means[np.all(others, axis=0)]

@@ -15,20 +15,23 @@ from clothkit.report import panels
 from clothkit.report.draw import EXTENT, draw_silhouette
 
 SIDE = 2.2
-"""Of a panel, as a share of the usual one."""
+"""Side of a panel, as a share of the usual one."""
 
 _BLUE, _QUIET, _OUTLINE = "#1f5fa8", "#777777", withStroke(linewidth=2.2, foreground="w")
 
 
 class Example(NamedTuple):
-    """A state and what is done to it."""
+    """A state and a manipulation of it."""
 
     mesh: Float[np.ndarray, "u v 3"]
     manipulation: Float[np.ndarray, "6"]
 
 
 def trajectories(examples: Sequence[Example], path: Path) -> None:
-    """A panel each: silhouette, displacement from the midpoint of the grasp points, line m through p, blue paths."""
+    """Writes a figure with a panel per example: silhouette, displacement d from the middle of the grasp points, paths.
+
+    For two hands, p and the line m of eq. (1) are drawn as well.
+    """
     figure, axes = panels.sheet([SIDE], [SIDE] * len(examples), above=0.2)
     for axis, example in zip(axes[0], examples, strict=True):
         _example(axis, example)
@@ -68,6 +71,6 @@ def _example(axis: Axes, example: Example) -> None:
 
 
 def _name(axis: Axes, point: np.ndarray, text: str, away: np.ndarray) -> None:
-    """A name beside a point, on the side that `away` points to, inside the panel."""
+    """Writes a name beside a point, on the side to which `away` points, inside the panel."""
     x, y = np.clip(point + 0.1 * away / max(float(np.linalg.norm(away)), 1e-9), -0.93 * EXTENT, 0.93 * EXTENT)
     axis.text(x, y, text, fontsize=8, color=panels.INK, ha="center", va="center", path_effects=[_OUTLINE])

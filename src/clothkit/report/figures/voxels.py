@@ -9,13 +9,14 @@ from clothkit.cloth import voxels as cloth_voxels
 from clothkit.report import panels
 
 VIEWS = (("from above (x, y)", 2), ("from the front (x, z)", 1), ("from the side (y, z)", 0))
-"""Title, and the axis that is looked along."""
+"""Title and viewing axis of each view."""
 
 
 def voxels(mesh: Float[np.ndarray, "u v 3"], path: Path) -> None:
-    """The voxels that hold a vertex (no noise, no occlusion): the share of occupied ones along each column.
+    """Writes a figure of a mesh's voxels, without noise and occlusion, seen along each axis.
 
-    Darker is more, from none to the fullest column of each view; z upwards in the views along the table.
+    A pixel shows the share of occupied voxels in its column: from none (white) to the fullest column of the view
+    (black). z is upwards in the views from front and side.
     """
     occupied = np.asarray(cloth_voxels.of_mesh(mesh))
     figure, axes = panels.sheet([1.6], [1.6] * len(VIEWS), above=0.2)

@@ -1,4 +1,4 @@
-"""What every stage cost, with a bar for its seconds."""
+"""The table of every stage's time and memory as HTML, with a bar for its seconds."""
 
 import pandas as pd
 

@@ -1,4 +1,4 @@
-"""Markup from Python: escaped unless it is markup already, attributes in the order in which they are given."""
+"""Builds HTML markup: text is escaped unless it is markup already, and attributes keep their order."""
 
 import re
 from html import escape
@@ -11,9 +11,9 @@ class Html(str):
 
 
 def element(tag: str, *children: str, **attributes: str | int | None) -> Html:
-    """An element; `children` that are no Html are escaped, attributes that are None left out.
+    """An element. `children` that are not Html are escaped; attributes that are None are left out.
 
-    An underscore at an attribute's end is dropped, those inside are hyphens: `class_`, `aria_label`.
+    In names of attributes, an underscore at the end is dropped and others become hyphens: `class_`, `aria_label`.
     """
     given = "".join(
         f' {name.rstrip("_").replace("_", "-")}="{escape(str(value))}"'
@@ -25,12 +25,12 @@ def element(tag: str, *children: str, **attributes: str | int | None) -> Html:
 
 
 def joined(*parts: str) -> Html:
-    """Parts one after the other; those that are no Html are escaped."""
+    """The parts concatenated; parts that are not Html are escaped."""
     return Html("".join(part if isinstance(part, Html) else escape(part, quote=False) for part in parts))
 
 
 def inline(markdown: str) -> Html:
-    """The few marks that the report's words use: *emphasis*, `code` and [links](to)."""
+    """HTML of inline Markdown, limited to the marks in the report's texts: *emphasis*, `code` and [links](to)."""
     text = escape(markdown.strip(), quote=False)
     text = re.sub(r"`([^`]+)`", r"<code>\1</code>", text)
     text = re.sub(r"\[([^\]]+)\]\(([^)\s]+)\)", r'<a href="\2">\1</a>', text)
@@ -38,10 +38,10 @@ def inline(markdown: str) -> Html:
 
 
 def unmarked(markdown: str) -> str:
-    """The same words without their marks, for alternative texts."""
+    """The text of inline Markdown without marks, for alternative texts."""
     return re.sub(r"\[([^\]]+)\]\([^)\s]+\)", r"\1", markdown.strip()).replace("*", "").replace("`", "")
 
 
 def paragraph(markdown: str) -> Html:
-    """A paragraph of `inline` text."""
+    """A paragraph of inline Markdown."""
     return element("p", inline(markdown))

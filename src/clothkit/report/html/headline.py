@@ -1,4 +1,4 @@
-"""The four figures that say most, large, with the paper's beside them and one sentence that says what they mean."""
+"""The four most important figures in large print, each with the paper's figure and a sentence on its meaning."""
 
 import math
 
@@ -15,11 +15,11 @@ FIGURES = (
     ("Folding in one", "table_6", "system", "main", "1/all", "how far from its goal a one-step plan leaves the cloth"),
     ("Folding in three", "table_6", "system", "main", "3/all", "how far from its goal a three-step plan leaves it"),
 )
-"""Title, table, by what its rows are told apart, the row, its column, and what the figure says."""
+"""Title, table, the column that identifies its rows, the row, the figure's column, and the figure's meaning."""
 
 
 def headline(contents: Contents) -> Html:
-    """A card for each of FIGURES that was measured: test set, means [cloth length]."""
+    """A card for each of FIGURES whose table exists: means on the test set [cloth length]."""
     shown = [figure for figure in FIGURES if figure[1] in contents.tables]
     return element("div", *(_card(contents.tables[figure[1]], *figure) for figure in shown), class_="cards")
 

@@ -1,4 +1,4 @@
-"""The page as one HTML file: the sections of `sections`, and the template that holds them."""
+"""Renders the report's sections as one HTML file, from a template."""
 
 from dataclasses import dataclass
 from functools import partial, singledispatchmethod
@@ -18,13 +18,13 @@ HERE = Path(__file__).parent
 
 
 def page(contents: Contents, sections: list[Section], figures: Path) -> str:
-    """The page as one HTML document, its pictures from the folder `figures`. Equal contents give equal bytes."""
+    """The page as one HTML document, with the pictures in the folder `figures`. Equal contents give equal bytes."""
     writer = _Writer(contents, figures)
     links = [element("li", element("a", section.title, href=f"#{section.id}")) for section in sections]
     parts = []
     for section in sections:
         blocks = joined(*(writer.render(block) for block in section.blocks))
-        # Each on a line of its own, so that differences of two pages are told section by section.
+        # Each section is one line, so that `git diff` of two pages shows which sections differ.
         parts.append(Html("\n" + element("section", element("h2", section.title), blocks, id=section.id)))
     return Template((HERE / "template.html").read_text()).substitute(
         title=f"Report: {contents.made_with.scale}",
@@ -56,7 +56,7 @@ class _Writer:
     def _(self, block: Table) -> Html:
         words = [paragraph(words) for words in block.words if words]
         csv = element("p", inline(f"[CSV]({block.csv})"))
-        # GitHub makes these of the Markdown page's headings: links lead to both pages.
+        # GitHub makes the same anchors from the Markdown page's headings, so that links work on both pages.
         anchor = block.title.lower().replace(" ", "-").replace(":", "").replace(",", "")
         return joined(element("h3", block.title, id=anchor), *words, csv, _shown(block))
 
@@ -80,7 +80,7 @@ class _Writer:
 
 
 def _shown(block: Table) -> Html:
-    """The table itself; of tables by split the test set, and below it, folded away, the training set."""
+    """The table as HTML. A table by split is cut in two: the test set, then the training set in a closed <details>."""
     paired = partial(tables.paired, heads=block.heads, unit=block.unit, judged=block.judged, ideal=block.ideal)
     if not block.keys:
         return tables.plain(block.data, label=block.title)

@@ -1,4 +1,4 @@
-"""Pictures inside the page: as WebP in a data URI, in a frame that scrolls where the screen is narrow."""
+"""Embeds pictures in the page as WebP in a data URI, in a frame that scrolls on narrow screens."""
 
 import base64
 from pathlib import Path
@@ -24,23 +24,23 @@ TITLES = {
     "trajectories": "Figure 5",
     "equivalents": "Figure 7",
 }
-"""The paper's numbers where the figure is the paper's."""
+"""Titles of figures; a figure that is also in the paper has the paper's number."""
 
 QUALITY = 85
-"""Of WebP, of 100."""
+"""WebP quality, 0 to 100."""
 
 LEAST = (0.55, 860)
-"""What a picture is shrunk to at the most: a share of its width, and pixels of the page if that is less."""
+"""Least width of a picture on the page: a share of the picture's width, but at most this many pixels."""
 
 
 def picture(name: str, caption: str, file: Path) -> Html:
-    """A figure with its title and its caption, which is Markdown.
+    """A figure element with title and caption; `caption` is Markdown.
 
-    `file` is the PNG, which lies as `figures/<name>.png` beside the page.
+    `file` is the PNG to read. The element links to it as `figures/<name>.png` beside the page.
     """
     image = cv2.imread(str(file))
     assert image is not None, f"{file} is a picture"
-    # A quarter of the PNG's bytes, which the page is kept beside.
+    # WebP takes a quarter of the PNG's bytes; the PNG itself is beside the page.
     _, data = cv2.imencode(".webp", image, [cv2.IMWRITE_WEBP_QUALITY, QUALITY])
     height, width = image.shape[:2]
     shown = element(

@@ -1,4 +1,4 @@
-"""Tables as HTML: in each cell our figure above the paper's, the better one marked."""
+"""Tables as HTML, with our figure above the paper's in each cell and the better one marked."""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -25,16 +25,17 @@ def paired(
     judged: Collection[str] = JUDGED,
     ideal: float = -math.inf,
 ) -> Html:
-    """A table whose rows are told apart by `keys`: under a heading for each value of the first, if there are two.
+    """A table with the paper's figures below ours. `keys` are the one or two columns that identify a row.
 
-    The columns source (clothkit, paper) and `keys` aside, all are figures; `heads` names them. Rows whose last key is
-    in `judged` have the better of two figures marked, see `printed.better`.
+    With two keys, rows are grouped under a heading for each value of the first. All columns but `keys` and source
+    (clothkit, paper) hold figures; `heads` gives their headings. In rows whose last key is in `judged`, the better of
+    the two figures is marked, see `printed.better`.
     """
     columns = [column for column in data.columns if column not in (*keys, "source")]
     found: dict[tuple[str, ...], dict[str, dict]] = {}
     for row in data.to_dict("records"):
         found.setdefault(tuple(str(row[key]) for key in keys), {})[str(row["source"])] = dict(row)
-    # A system's rows stay together, whoever has them.
+    # All rows of a system are adjacent, including those that only the paper has.
     places = list(dict.fromkeys(key[0] for key in found))
     ordered = sorted(found, key=lambda key: places.index(key[0]))
     bodies = []
@@ -52,7 +53,7 @@ def paired(
 
 
 def plain(data: pd.DataFrame, *, label: str) -> Html:
-    """A table column by column and row by row as it stands; the first column heads its rows."""
+    """A table with its columns and rows unchanged; cells of the first column are row headings."""
     words = [bool(data[column].map(_is_word).any()) for column in data.columns]
     heads = [
         element("th", column.replace("_", " "), scope="col", class_="word" if word else None)
@@ -67,13 +68,13 @@ def plain(data: pd.DataFrame, *, label: str) -> Html:
 
 
 def named(name: str) -> Html:
-    """A system or kind, and in words what it is."""
+    """The name of a system or kind, followed by its meaning if it is known."""
     words = captions.SYSTEMS.get(name.removesuffix(DAGGER))
     return joined(element("b", name), " ", element("span", words, class_="words")) if words else element("b", name)
 
 
 def _scrolling(table: Html, label: str) -> Html:
-    # Focusable, so that a keyboard can scroll it.
+    # tabindex makes the element focusable, so that it can be scrolled by keyboard.
     return element("div", table, class_="scroll", tabindex=0, role="region", aria_label=label)
 
 
@@ -90,12 +91,12 @@ def _system(name: str, columns: int) -> Html:
 def _line(
     name: str, sources: dict[str, dict], columns: Sequence[str], high: dict[str, dict] | None, ideal: float | None
 ) -> Html:
-    """A row; nothing is marked in it without an `ideal`, and with `high` it holds intervals."""
+    """A row of a table. Without `ideal` no figure is marked; with `high` the cells are intervals of our means."""
     cells = []
     for column in columns:
         own, paper = (float(sources.get(source, {}).get(column, math.nan)) for source in SOURCES)
         if high is not None:
-            # One below the other, as narrow as the other rows.
+            # The ends are in two lines, so that the column is no wider than other rows need.
             ends = (TOO_FEW,) if math.isnan(own) else (f"{number(own)} to", number(float(high["clothkit"][column])))
             cells.append(element("td", *(element("span", end, class_="own") for end in ends)))
             continue
@@ -128,7 +129,7 @@ def _head(columns: Sequence[str], heads: Mapping[str, str]) -> Html:
 
 
 def _two_heads(columns: Sequence[str]) -> Html:
-    """Columns named length / start: the lengths above, the starts below."""
+    """Two rows of headings for columns named length / start: lengths above, starts below."""
     lengths = [(length, list(of_length)) for length, of_length in groupby(columns, key=lambda column: column[0])]
     upper = [
         element("th", f"{length} manipulation{'s' * (length != '1')}", scope="colgroup", colspan=len(of_length))
