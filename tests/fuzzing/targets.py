@@ -74,8 +74,8 @@ def command(*words: str, reads: tuple[Input, ...], writes: tuple[str, ...]) -> T
             assert ended.exception is not None
             raise ended.exception
         *before, sentence = ended.stderr.strip().splitlines() or [""]
-        # How long parts of the work took, notices of what is read; of usage, how it is.
-        known = all(line.endswith(" s") or line.startswith("notice: ") for line in before)
+        # How long parts of the work took, bars of progress, notices of what is read; of usage, how it is.
+        known = all(line.endswith((" s", "/s]")) or line.startswith("notice: ") or not line.strip() for line in before)
         if ended.exit_code not in (1, 2) or (ended.exit_code == 1 and not known):
             raise AssertionError(f"exit status {ended.exit_code}, {ended.stderr!r}")
         raise Told(sentence)
