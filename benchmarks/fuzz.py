@@ -10,7 +10,9 @@ input says. Tracebacks, hangs, other files that changed and damage that is taken
 printed as they come, and at the end a table of targets and outcomes. Exits with 1 if there was a fault.
 
 `--case K` runs the cases of these numbers, and keeps the folders in which they ran; `--target` only those cases whose
-target contains these words. `--quick` leaves out searches and simulations, as the test in the suite does.
+target contains these words. `--quick` leaves out searches and simulations, as the test in the suite does. `--taken`
+also prints the cases in which a mutated input was taken and gave another result: no rule tells whether these should
+have been refused.
 """
 
 import argparse
@@ -26,7 +28,7 @@ from tqdm import tqdm
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from tests.fuzzing.cases import RIGHT, TARGETS, Fuzzer
+from tests.fuzzing.cases import RIGHT, TAKEN, TARGETS, Fuzzer
 from tests.fuzzing.inputs import write_inputs
 from tests.fuzzing.targets import quick, serving
 
@@ -39,6 +41,7 @@ def main() -> None:
     parser.add_argument("--case", type=int, nargs="+")
     parser.add_argument("--target", default="")
     parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--taken", action="store_true")
     asked = parser.parse_args()
     warnings.simplefilter("ignore")
     work = Path(tempfile.mkdtemp(prefix="clothkit-fuzz-"))
@@ -52,7 +55,7 @@ def main() -> None:
             case = fuzzer.run(number, keep=bool(asked.case))
             name = TARGETS[number % len(TARGETS)].name
             found.setdefault(name, Counter())[case.outcome if case.right else "fault"] += 1
-            if asked.case or not case.right:
+            if asked.case or not case.right or (asked.taken and case.outcome == TAKEN):
                 tqdm.write(f"{case}\n  in {work}/case_{number}")
     columns = (*RIGHT, "fault")
     total = sum(found.values(), Counter())

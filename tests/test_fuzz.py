@@ -12,7 +12,7 @@ from tests.fuzzing.cases import TARGETS, Fuzzer
 from tests.fuzzing.inputs import write_inputs
 from tests.fuzzing.targets import quick
 
-EACH = 4
+EACH = 3
 """Cases of a target."""
 
 

@@ -7,6 +7,7 @@ and else finite wherever that is. Everything else is a fault.
 """
 
 import contextlib
+import faulthandler
 import resource
 import shutil
 import signal
@@ -23,7 +24,7 @@ from tests.fuzzing.mutations import ANY, REFUSED, SAME, mutations
 from tests.fuzzing.results import digest, tree, wildest
 from tests.fuzzing.targets import TARGETS, Input, Target, Told
 
-SECONDS, ELAPSED = 60, 600
+SECONDS, ELAPSED = 60, 300
 """Of a case: CPU time and elapsed time after which it counts as a hang."""
 
 MEMORY = 4 * 2**30
@@ -177,9 +178,12 @@ def _limits() -> Iterator[None]:
     resource.setrlimit(resource.RLIMIT_DATA, (used + MEMORY, old[1]))
     signal.setitimer(signal.ITIMER_PROF, SECONDS)
     signal.setitimer(signal.ITIMER_REAL, ELAPSED)
+    # What never comes back to Python hears no signal.
+    faulthandler.dump_traceback_later(2 * ELAPSED, exit=True)
     try:
         yield
     finally:
+        faulthandler.cancel_dump_traceback_later()
         signal.setitimer(signal.ITIMER_PROF, 0)
         signal.setitimer(signal.ITIMER_REAL, 0)
         resource.setrlimit(resource.RLIMIT_DATA, old)

@@ -15,6 +15,7 @@ from clothkit.dataset.regularise import regularise
 from clothkit.dataset.rows import write_rows
 from clothkit.evaluation import arrays
 from clothkit.evaluation.arrays import Named
+from clothkit.networks import checkpoint
 from clothkit.params import Params, load_params
 from clothkit.planning import record
 from clothkit.simulation.records import write_raw
@@ -22,6 +23,8 @@ from tests.app import plans
 from tests.evaluation.planning_rows import planning_rows
 from tests.observation.pcds import written_pcd
 from tests.observation.scenes import SCALE, folded
+from tests.report.contents import tidy_tasks
+from tests.simulation import arcsim_runs
 from tests.tiny import attempts, sessions, write_files, write_nets, write_params
 
 SEARCH = {"strains": 8, "base_iterations": 2, "iterations_per_step": 0}
@@ -88,3 +91,15 @@ def _write_tables(data: Path, params: Params) -> None:
     rows = pd.DataFrame(keys, columns=["split", "sequence", "state", "kind"])
     rows = rows.assign(error=0.02, error_labelled=0.03, error_no_action=0.2, sigma_ratio=0.8)
     write_rows(data / "evaluation/estimation.parquet", rows, about("evaluate_estimation"))
+    tasks = pd.DataFrame(tidy_tasks(("main", "a1"), sequences=2))
+    write_rows(data / "evaluation/prediction.parquet", tasks, about("evaluate_prediction"))
+    work = data.with_name("work")
+    work.mkdir()
+    record.save_piece(work / "sessions_000.npz", done)
+    np.savez(work / "block.npz", **attempts(2)._asdict())  # type: ignore[arg-type]
+    checkpoint.write(work / "checkpoint", [np.arange(6.0), np.ones((2, 2), np.float32)], {"iteration": 3})
+    note = {"stage": "plan@main", "seconds": 1.5, "cpu_seconds": 2.5, "peak_memory_mib": 800, "machine": "2 x x86_64"}
+    note |= {"plans": {"1": [2, 0.5]}, "estimates": [2, 0.1]}
+    (work / "plan@main.json").write_text(json.dumps(note))
+    arcsim_runs.write_run(data.with_name("runs") / "half", {0: (0.4, 0.0), 1: (0.4, 0.0)})
+    arcsim_runs.write_table(data.with_name("runs"), [[("half", 0), ("half", arcsim_runs.FRAME)]])

@@ -86,7 +86,7 @@ def _circular_link(path: Path, random: Random) -> str:
 
 @mutation("system", outcome=SAME)
 def _linked(path: Path, random: Random) -> str:
-    moved = path.with_name(f"moved_{path.name}")
+    moved = path.with_name(f"moved_{path.stem}")
     path.rename(moved)
     path.symlink_to(moved.name)
     return "a symbolic link to the moved original"

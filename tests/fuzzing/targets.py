@@ -20,12 +20,16 @@ from clothkit.app.viewer import recorded
 from clothkit.app.viewer.tasks import test_tasks as tasks_in
 from clothkit.dataset import raw, store, tables
 from clothkit.evaluation import arrays, tidy
+from clothkit.networks import checkpoint
 from clothkit.networks import store as nets
 from clothkit.observation.files import read
 from clothkit.observation.observe import observe
 from clothkit.params import load_params
 from clothkit.planning import normalisation, record
 from clothkit.planning.planner import Planner
+from clothkit.report import made_with
+from clothkit.report.timings import table_8
+from clothkit.simulation import arcsim_obj, arcsim_runs, arcsim_scene, generation
 from tests.app.plans import BOTH, ONE
 from tests.observation.scenes import CLOTH, SMALL
 from tests.planning import toy
@@ -62,25 +66,35 @@ def loader(name: str, path: str, kind: str, load: Callable[[Path], Any], **more:
     return Target(name, (Input(path, kind, **more),), lambda _: load(Path(path)))
 
 
-def command(*words: str, reads: tuple[Input, ...], writes: tuple[str, ...]) -> Target:
-    """A command. Of `reads`, those that are `words` stand for the value behind the option of their name."""
+def command(*words: str, reads: tuple[Input, ...], writes: tuple[str, ...], searches: bool = True) -> Target:
+    """A command. Of `reads`, those that are `words` stand for the value behind the option of their name.
+
+    One that reads mutated settings `searches` for nothing: these may ask for a search of hours.
+    """
 
     def call(changed: Mapping[str, str]) -> Any:
         given = [changed.get(before, word) for before, word in zip(("", *words), words, strict=False)]
-        ended = CliRunner().invoke(cli, given)
+        with contextlib.nullcontext() if searches else mock.patch.object(plan_command, "find_plan", _planned):
+            ended = CliRunner().invoke(cli, given)
         if ended.exit_code == 0:
-            return {name: _output(Path(name)) for name in writes}
+            moved = dict(zip(words, given, strict=True))
+            return {name: _output(Path(moved.get(name, name))) for name in writes if name in words or not changed}
         if not isinstance(ended.exception, SystemExit):
             assert ended.exception is not None
             raise ended.exception
         *before, sentence = ended.stderr.strip().splitlines() or [""]
-        # How long parts of the work took, bars of progress, notices of what is read; of usage, how it is.
-        known = all(line.endswith((" s", "/s]")) or line.startswith("notice: ") or not line.strip() for line in before)
+        # How long parts of the work took, bars of progress, notices, warnings; of usage, how it is.
+        known = all(_beside(line) for line in before)
         if ended.exit_code not in (1, 2) or (ended.exit_code == 1 and not known):
             raise AssertionError(f"exit status {ended.exit_code}, {ended.stderr!r}")
         raise Told(sentence)
 
     return Target(words[0], reads, call, ("params.yaml", "data/nets", "data/normalisation", *words), writes)
+
+
+def _beside(line: str) -> bool:
+    """Whether a line on stderr is no part of what went wrong."""
+    return line.endswith((" s", "/s]")) or line.startswith(("notice: ", "warning: ")) or not line.strip()
 
 
 @contextlib.contextmanager
@@ -148,6 +162,18 @@ def _table(declared: tables.Table) -> Callable[[Path], Any]:
     return load
 
 
+def _imported(runs: Path) -> Any:
+    """What ARCSim's runs are imported as, without writing it."""
+    sequences = arcsim_runs.read_runs(str(runs), 10)
+    return [
+        [
+            (arcsim_obj.read_frame(run.path), run.state and arcsim_scene.read_scene(run.scene), run.state)
+            for run in sequence
+        ]
+        for sequence in sequences
+    ]
+
+
 def _viewed(data: Path) -> Any:
     """All that the viewer loads."""
     listed = {name: recorded.entries(data, name) for name in recorded.systems_in(data)}
@@ -178,10 +204,25 @@ LOADERS = (
     Target("raw tables", RAW, lambda _: _raw(Path("data/raw"))),
     loader("estimation rows", "data/evaluation/estimation.parquet", "parquet", _table(tidy.ESTIMATION)),
     loader("planning rows", "data/evaluation/planning/main.parquet", "parquet", _table(tidy.PLANNING)),
+    loader("prediction rows", "data/evaluation/prediction.parquet", "parquet", _table(tidy.PREDICTION)),
     loader("estimates", "data/evaluation/estimates.zarr", "zarr", lambda path: arrays.load(path, arrays.ESTIMATES)),
     loader("sessions", SESSIONS.path, "zarr", record.load),
     loader("reference values", REFERENCE.path, "json", normalisation.load),
     Target("net", (*NETS[:2], *VTM), lambda _: [nets.load(Path(f"data/nets/{name}")) for name in ("pemd_a", "vtm")]),
+    loader("piece of sessions", "work/sessions_000.npz", "npz", record.load_piece),
+    loader("block of attempts", "work/block.npz", "bytes", generation.read_block),
+    loader("checkpoint", "work/checkpoint", "bytes", lambda path: checkpoint.read(path, [0, 0])),
+    loader("note of a stage's cost", "work/plan@main.json", "json", lambda path: table_8(path.parent, ["main"])),
+    Target(
+        "runs of ARCSim",
+        (
+            Input("runs/half/conf.json", "json"),
+            *(Input(f"runs/half/{frame}_00.obj", "text") for frame in ("0000", "0075")),
+            Input("runs/runs.csv", "text"),
+        ),
+        lambda _: _imported(Path("runs")),
+    ),
+    Target("settings of a report", (Input("params.yaml", "yaml"),), lambda _: made_with.read(Path("params.yaml"))),
     loader("training history", "data/nets/vtm/history.parquet", "parquet", _table(tidy.HISTORY)),
     loader("params", "params.yaml", "yaml", load_params),
     loader("plan file", "plan.json", "json", read_plan),
@@ -207,12 +248,12 @@ LOADERS = (
 COMMANDS = (
     command(
         *("plan", "--state", MESH.path, "--goal", GOAL.path, "--steps", "1", "--out", "new.json"),
-        reads=(MESH, GOAL, PARAMS, *NETS, REFERENCE, Input("--out", "words"), Input("--state", "words")),
+        reads=(MESH, GOAL, *NETS, REFERENCE, Input("--out", "words"), Input("--state", "words")),
         writes=("new.json",),
     ),
     command(
         *("plan", "--state", CLOUD.path, "--goal", "goal.npy", "--steps", "1", "--out", "new.json", "--side", "0.4"),
-        reads=(CLOUD, Input("goal.npy", "npy"), PARAMS, *VTM, REFERENCE, Input("--side", "words")),
+        reads=(CLOUD, Input("goal.npy", "npy"), *VTM, REFERENCE, Input("--side", "words")),
         writes=("new.json",),
     ),
     command(
@@ -222,8 +263,14 @@ COMMANDS = (
     ),
     command(
         *("plan", "--state", VOXELS.path, "--goal", MESH.path, "--steps", "1", "--system", "b4", "--out", "new.json"),
-        reads=(VOXELS, MESH, PARAMS, *VOXEL_NETS, Input("data/normalisation/voxel.json", "json")),
+        reads=(VOXELS, MESH, *VOXEL_NETS, Input("data/normalisation/voxel.json", "json")),
         writes=("new.json",),
+    ),
+    command(
+        *("plan", "--state", CLOUD.path, "--goal", MESH.path, "--steps", "2", "--seed", "0", "--out", "new.json"),
+        reads=(PARAMS, Input("--seed", "words"), Input("--steps", "words")),
+        writes=("new.json",),
+        searches=False,
     ),
     command(
         *("estimate", CLOUD.path, "--mask", "mask.npy", "--out", "estimate.obj"),

@@ -13,7 +13,7 @@ from jaxtyping import Bool
 
 from clothkit.app.settings import AppConfig
 from clothkit.cache import ensure_jax_cache
-from clothkit.errors import InputError
+from clothkit.errors import InputError, system_error
 from clothkit.manipulation.candidates import CandidateConfig
 from clothkit.observation.cloud import Observation
 from clothkit.observation.files import State, read
@@ -136,7 +136,9 @@ def _read_mask(path: Path, count: int) -> Bool[np.ndarray, " points"]:
         with path.open("rb") as file:
             mask: Any = np.load(file, allow_pickle=False)
     except OSError as error:
-        raise InputError(f"{path}: not found, expected a mask as NPY") from error
+        if error.errno is not None:
+            raise system_error(error, path, expected="a mask as NPY") from error
+        raise InputError(f"{path}: can't be read as NPY, expected a mask") from error
     except Exception as error:  # numpy's readers raise what they like
         raise InputError(f"{path}: can't be read as NPY, expected a mask") from error
     if not isinstance(mask, np.ndarray) or mask.shape != (count,) or not np.isin(mask, (0, 1)).all():

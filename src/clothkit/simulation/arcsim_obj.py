@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from clothkit.errors import InputError
+from clothkit.errors import InputError, system_error
 
 SQUARE = 0.01
 """How far the sides of the material may differ, as a share of the longer one."""
@@ -81,7 +81,9 @@ def _parse(path: Path) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Numbers by keyword, and of every face's corners (node, vt), counted from 0, int [faces 3 2]."""
     try:
         lines = path.read_text(encoding="ascii").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
+    except OSError as error:
+        raise system_error(error, path, expected="an OBJ file of ARCSim") from error
+    except UnicodeDecodeError as error:
         raise InputError(f"{path}: can't be read as an OBJ file ({error})") from error
     found: dict[str, list[list[float]]] = {"v": [], "nv": [], "vt": []}
     corners: list[list[list[int]]] = []
