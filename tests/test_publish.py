@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from clothkit.errors import InputError
-from clothkit.publish import ARRIVING, REPLACED, leftovers, publish, recover
+from clothkit.publish import ARRIVING, REPLACED, leftovers, publish, recover, unfinished_files
 from tests.killed import name_of, write
 
 ROOT = Path(__file__).parents[1]
@@ -141,3 +141,41 @@ def test_a_target_under_a_file_is_told(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"data: can't be written: something of that name is there already"):
         publish(tmp_path / "work", tmp_path / "data/out")
     assert name_of(tmp_path / "work") == "new file"
+
+
+def write_into(folder: Path, content: str, error: BaseException | None = None) -> None:
+    """A file of that content, and an error after it."""
+    with unfinished_files(folder) as part:
+        (part / "a").write_text(content)
+        assert [path.name for path in folder.iterdir() if not path.name.startswith(".")] == (
+            ["a"] if content == "another" else []
+        )
+        if error:
+            raise error
+
+
+def test_files_come_into_a_folder_once_all_of_them_are_written(tmp_path: Path) -> None:
+    folder = tmp_path / "new/folder"
+    write_into(folder, "a")
+    with pytest.raises(KeyError):
+        write_into(folder, "another", KeyError())
+    assert [path.name for path in folder.iterdir()] == ["a"]
+    assert (folder / "a").read_text() == "a"
+    write_into(folder, "another")
+    assert [path.name for path in folder.iterdir()] == ["a"]
+    assert (folder / "a").read_text() == "another"
+
+
+@pytest.mark.parametrize("error", [KeyError("x"), InputError("x"), KeyboardInterrupt()])
+def test_no_folder_is_left_of_files_that_were_not_written(tmp_path: Path, error: BaseException) -> None:
+    with pytest.raises(type(error)):
+        write_into(tmp_path / "new/folder", "a", error)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("name", "says"), [("file/new", "a part of its path is a file"), ("x" * 300, "too long")])
+def test_a_folder_that_can_not_be_made_is_told(tmp_path: Path, name: str, says: str) -> None:
+    (tmp_path / "file").write_text("old")
+    with pytest.raises(InputError, match=says):
+        write_into(tmp_path / name, "a")
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]

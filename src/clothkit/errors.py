@@ -49,6 +49,12 @@ def system_error(
     return InputError(f"{path}: can't be {action}{expected}: {reason}")
 
 
+def damaged_piece(error: Exception, path: Path) -> InputError:
+    """The sentence for a piece of work that a power cut or a full disk has damaged: a run goes on from whole ones."""
+    reason = (str(error).splitlines() or [type(error).__name__])[0]
+    return InputError(f"{path}: what an earlier run left is damaged ({reason}); delete this file and run again")
+
+
 def untold_error(error: Exception) -> InputError | None:
     """Convert an error that no inner handler has converted; None if the error is a bug in the program.
 

@@ -5,6 +5,7 @@ import errno
 import fcntl
 import os
 import shutil
+import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -100,6 +101,30 @@ def unfinished(path: Path) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):
             part.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def unfinished_files(folder: Path) -> Iterator[Path]:
+    """A folder to write files into, which come into `folder`, made when it isn't there, if all goes well.
+
+    Raises InputError when they can't be written. Until all of them are, what was there is as it was.
+    """
+    made: list[Path] = []
+    try:
+        made += [path for path in (folder, *folder.parents) if not path.exists()]
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".part", dir=folder) as part:
+            yield Path(part)
+            for file in sorted(Path(part).iterdir()):
+                file.replace(folder / file.name)
+    except BaseException as error:
+        named = folder if os.path.isdir(folder) or not isinstance(error, OSError) else error.filename or folder
+        for path in made:
+            with contextlib.suppress(OSError):
+                path.rmdir()
+        if isinstance(error, OSError):
+            raise system_error(error, named, action="written") from error
+        raise
 
 
 def _beside(target: Path, ending: str) -> Path:

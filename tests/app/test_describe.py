@@ -52,7 +52,7 @@ def planned(nets: int = 2) -> Planned:
 def given(goal: np.ndarray, frame: str = "camera") -> Given:
     mesh = MeshState(flat(), np.zeros(2, np.float32), SCALE)
     seen = observe(mesh, cloth_side=SIDE)
-    state = Seen("cloud.ply", PointCloud(np.ones((4, 3))), dataclasses.replace(seen, pose=POSE))
+    state = Seen("start.obj", mesh, dataclasses.replace(seen, pose=POSE))
     return Given(state, Seen("goal.obj", mesh, seen), goal, None, SIDE, 7, frame, ("a", "b"))
 
 
@@ -98,7 +98,7 @@ def test_voxels_are_grasped_at_the_top_of_the_nearest_column() -> None:
 def test_places_are_in_metres_in_the_plans_frame(frame: str) -> None:
     plan, of = described(frame), planned()
     assert (plan.frame, plan.side_m, plan.metres_per_normalised, plan.seed) == (frame, 0.42, 0.3, 7)
-    assert (plan.state.kind, plan.goal.kind) == ("points", "mesh")
+    assert (plan.state.kind, plan.goal.kind) == ("mesh", "mesh")
     np.testing.assert_allclose(plan.table.axes, AXES if frame == "camera" else np.eye(3))
     np.testing.assert_allclose(plan.table.origin_m, ORIGIN if frame == "camera" else np.zeros(3))
     np.testing.assert_allclose(plan.start.state.vertices_m, in_metres(flat(), np.zeros(2), frame), atol=1e-6)
@@ -208,9 +208,10 @@ def test_plans_in_voxels() -> None:
 
 
 def test_frames_and_silhouettes() -> None:
-    seen = given(toy.bent())
-    assert frame_of(seen.state, "camera") == "camera"
-    assert frame_of(seen.state, "table") == frame_of(seen.goal, "camera") == "table"
+    mesh = given(toy.bent()).state
+    cloud = dataclasses.replace(mesh, state=PointCloud(np.ones((4, 3))))
+    assert frame_of(cloud, "camera") == "camera"
+    assert frame_of(cloud, "table") == frame_of(mesh, "camera") == "table"
     voxels = np.zeros((32, 32, 16), np.float32)
     voxels[3, 4, 7], voxels[5, 6, 2] = 0.5, 0.49
     assert np.argwhere(covered(voxels)).tolist() == [[3, 4]]

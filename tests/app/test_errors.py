@@ -131,10 +131,11 @@ STATES: list[tuple[Callable[[], None], tuple[object, ...], str, str]] = [
     (array("state.npy", CLOUD), ("state.npy", "--table", 0, 0, 0, 1), "table (0.0, 0.0, 0.0, 1.0)", "expected a, b"),
     (array("state.npy", CLOUD), ("state.npy", "--table-colour", 0, 0, 0, 9, 9, 9), "state.npy", "has no colours"),
     (array("state.npy", CLOUD), ("state.npy", "--mask", "none.npy"), "none.npy", "not found, expected a mask"),
+    (array("state.npy", CLOUD), ("state.npy", "--mask", "."), ".: can't be read, expected a mask", "it is a folder"),
     (array("state.npy", CLOUD), ("state.npy", "--mask", "state.npy"), "state.npy", "is no mask of 2000 points"),
     (nothing, (START, "--mask", "mask.npy"), "mask.npy", "is a mask for points"),
     (raw("state.pcd", "VERSION 0.7\nFIELDS a b\n"), ("state.pcd",), "state.pcd", ""),
-    (raw("cloth.zarr", "x"), ("cloth.zarr:0/1",), "cloth.zarr", "can't be read as a zarr store"),
+    (raw("cloth.zarr", "x"), ("cloth.zarr:0/1",), "cloth.zarr", "is a file, expected a zarr store"),
     (nothing, ("{files}/cloud.npz", "--system", "b1"), "cloud.npz", "plans from a mesh"),
     (nothing, (START, "--data", "nowhere"), "nowhere/nets/pemd_a", "not found"),
     (
@@ -217,6 +218,20 @@ def test_a_plan_file_that_is_none_is_told(here: Path, files: Path, field: str, v
     assert says in sentence
     assert field == "system" or "plan.json" in sentence
     assert not Path("predicted").exists()
+
+
+def test_a_plan_file_with_a_key_twice_is_told(here: Path, files: Path) -> None:
+    text = json.dumps(content())
+    Path("plan.json").write_text(text.replace('"system": ', '"system": "b1", "system": ', 1))
+    result = run("simulate", "--state", files / "start.obj", "--plan", "plan.json")
+    assert result.exit_code == 1
+    assert result.stderr == 'simulate: plan.json: expected a plan, found key "system" twice\n'
+
+
+def test_estimate_without_a_name_to_write_is_told(here: Path, files: Path) -> None:
+    result = run("estimate", files / "voxels.npy", "--out", "")
+    assert result.exit_code == 1
+    assert result.stderr == "estimate: .: ending '', expected obj or ply or glb\n"
 
 
 def test_a_plan_in_another_frame_is_not_simulated(here: Path, files: Path) -> None:

@@ -94,7 +94,7 @@ def test_a_net_of_another_kind_is_refused(folder):
     ("text", "says"),
     [
         ('{"validation_score": 0.1', "truncated or damaged"),
-        ("[0.1]", "found something else"),
+        ("[0.1]", "found no JSON object"),
         ("[" * 5000, "truncated or damaged"),
         ('{"validation_score": "0.1"}', "validation_score: expected a finite number"),
         ('{"validation_score": NaN}', "validation_score: expected a finite number"),

@@ -99,6 +99,9 @@ def test_files(tmp_path: Path) -> None:
     path.write_text(json.dumps({**stored, "high": [[-2.0] * 3] * 2}))
     with pytest.raises(InputError, match=r"mesh\.json.*low below high"):
         load(path)
+    path.write_text('{"mu": [],' + json.dumps(stored)[1:])
+    with pytest.raises(InputError, match=r'mesh\.json.*found key "mu" twice'):
+        load(path)
     path.write_text(path.read_text()[:40])
     with pytest.raises(InputError, match=r"mesh\.json.*expected JSON"):
         load(path)
@@ -121,6 +124,9 @@ def test_files(tmp_path: Path) -> None:
         {"mu": None},
         {"mu": [float("nan")] * 3},
         {"sigma": [[0.1]] * 3},
+        {"sigma": [1e-300] * 3},
+        {"high": [[1e300] * 3] * 2},
+        {"high": [[-1.0 + 1e-12] * 3] * 2},
     ],
 )
 def test_values_that_are_none_are_told_in_one_sentence(tmp_path: Path, change: dict) -> None:

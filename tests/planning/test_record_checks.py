@@ -11,7 +11,17 @@ import zarr
 
 from clothkit.dataset.tasks import tasks_of
 from clothkit.errors import InputError
-from clothkit.planning.record import Sessions, Sizes, blank, load, load_tasks, save, tasks_of_dataset
+from clothkit.planning.record import (
+    Sessions,
+    Sizes,
+    blank,
+    load,
+    load_piece,
+    load_tasks,
+    save,
+    save_piece,
+    tasks_of_dataset,
+)
 from tests.dataset.test_store import make
 
 TASKS = [*tasks_of(0, 2), *tasks_of(3, 3)]
@@ -95,3 +105,13 @@ def test_splits_that_are_none_are_told(tmp_path: Path, splits: object) -> None:
     zarr.open_group(tmp_path / "s.zarr").attrs["splits"] = splits
     with pytest.raises(InputError, match=r"attribute splits: expected names of|split of session 0: expected"):
         load_tasks(tmp_path / "s.zarr")
+
+
+@pytest.mark.parametrize("left", [0, 1, 1000, -100])
+def test_a_damaged_piece_of_work_is_told(tmp_path: Path, left: int) -> None:
+    path = tmp_path / "sessions_000.npz"
+    save_piece(path, sessions())
+    np.testing.assert_array_equal(load_piece(path).state, sessions().state)
+    path.write_bytes(path.read_bytes()[:left])
+    with pytest.raises(InputError, match=r"sessions_000\.npz: what an earlier run left is damaged \(.*; delete this"):
+        load_piece(path)

@@ -14,7 +14,7 @@ from clothkit.errors import InputError
 from clothkit.simulation import generation, world
 from clothkit.simulation.attempts import Attempts, folds, to_metres
 from clothkit.simulation.executor import execute, grasp, perform
-from clothkit.simulation.generation import generate
+from clothkit.simulation.generation import generate, read_block
 from clothkit.simulation.settings import Limits, SimulateConfig, SimulationConfig
 from clothkit.simulation.solver import flat_state
 from clothkit.simulation.world import Worlds
@@ -227,3 +227,13 @@ def test_an_attempt_whose_budget_is_spent_is_rejected(tmp_path: Path, monkeypatc
     monkeypatch.setattr(generation, "HOPELESS", 1)
     with pytest.raises(InputError, match=r"accepted none of 1 attempted sequences \(out of steps 1\)"):
         record(tmp_path, SETTINGS)
+
+
+def test_a_damaged_block_of_work_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "block_4_000000.npz"
+    np.savez(path, **attempts()._asdict())  # type: ignore[arg-type]
+    np.testing.assert_array_equal(read_block(path).states, attempts().states)
+    for content in (b"", path.read_bytes()[:-200]):
+        path.write_bytes(content)
+        with pytest.raises(InputError, match=r"block_4_000000\.npz: what an earlier run left is damaged"):
+            read_block(path)

@@ -48,8 +48,8 @@ def command(file: str, *, out: Path, sigma: Path | None, data: Path, mask: str |
     """
     given = settings()
     how = seeing(given.app, **options)
-    unsure = sigma or out.with_suffix(".sigma.npz")
     check_target(out, FORMATS)
+    unsure = sigma or out.with_suffix(".sigma.npz")
     check_target(unsure, ("npz",))
     keep_compiled_programs()
     with part("look"):

@@ -139,8 +139,10 @@ def _read_mask(path: Path, count: int) -> Bool[np.ndarray, " points"]:
         with path.open("rb") as file:
             mask: Any = np.load(file, allow_pickle=False)
     except OSError as error:
-        raise system_error(error, path, expected="a mask as NPY") from error
-    except Exception as error:  # numpy's readers raise many kinds of errors
+        if error.errno is not None:
+            raise system_error(error, path, expected="a mask as NPY") from error
+        raise InputError(f"{path}: can't be read as NPY, expected a mask") from error
+    except Exception as error:  # numpy's readers raise what they like
         raise InputError(f"{path}: can't be read as NPY, expected a mask") from error
     if not isinstance(mask, np.ndarray) or mask.shape != (count,) or not np.isin(mask, (0, 1)).all():
         raise InputError(f"{path}: is no mask of {count} points, expected an array [{count}] of 0 and 1")

@@ -18,6 +18,7 @@ from clothkit.app.plan_checks import check_axes, check_hand, check_plan, check_s
 from clothkit.cloth.grid import SIDE
 from clothkit.cloth.voxels import RESOLUTION
 from clothkit.errors import InputError, system_error
+from clothkit.json_file import parse_json
 from clothkit.observation.pose import Pose
 from clothkit.planning.systems import system
 
@@ -279,9 +280,12 @@ def read_plan(path: Path) -> Plan:
     except OSError as error:
         raise system_error(error, path, expected="a plan, as clothkit plan writes it") from error
     try:
-        return Plan.model_validate_json(text, strict=True)
+        plan = Plan.model_validate_json(text, strict=True)
     except pydantic.ValidationError as error:
         raise InputError(f"{path}: {_first(error)}") from error
+    # pydantic takes the last of keys that stand twice.
+    parse_json(path, text, expected="a plan")
+    return plan
 
 
 def _first(error: pydantic.ValidationError) -> str:

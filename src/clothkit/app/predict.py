@@ -1,8 +1,5 @@
 """`clothkit predict`: predict the states that a plan leads to."""
 
-import contextlib
-import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +14,9 @@ from clothkit.app.plan_file import read_plan
 from clothkit.app.planner import believed, planner_of, predicted
 from clothkit.app.recall import believed_of, check_nets, manipulations, side_of, traces_before
 from clothkit.cloth.mesh import distance_aligned
-from clothkit.errors import InputError, system_error
+from clothkit.errors import InputError
 from clothkit.planning.systems import system
+from clothkit.publish import unfinished_files
 
 
 @click.command()
@@ -60,7 +58,7 @@ def command(*, state: str, source: Path, out: Path, data: Path, mask: str | None
         estimate = of_state(chosen, seen, cloth, given)
         found = predicted(planner, cloth, manipulations(plan), common=plan.memory.common, traces=traces)
     warn(estimate)
-    with _folder(out) as unfinished:
+    with unfinished_files(out) as unfinished:
         for step, pose in enumerate(poses_of(found, seen.pose)[1:]):
             for net, of_net in zip(nets, found.predictions, strict=True):
                 name, mean = f"step_{step + 1}_net_{net}", planner.sight.means(of_net)[step]
@@ -86,16 +84,3 @@ def _check_folder(path: Path, names: list[str]) -> None:
         for name in names:
             for ending in ("obj", "npz"):
                 check_target(path / f"{name}.{ending}", (ending,))
-
-
-@contextlib.contextmanager
-def _folder(path: Path) -> Iterator[Path]:
-    """Yield a temporary folder, and move its files into `path` once all are written. Raises InputError."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=".part", dir=path) as unfinished:
-            yield Path(unfinished)
-            for file in sorted(Path(unfinished).iterdir()):
-                file.replace(path / file.name)
-    except OSError as error:
-        raise system_error(error, path, action="written") from error

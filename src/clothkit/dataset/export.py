@@ -21,8 +21,8 @@ from trimesh.visual.material import PBRMaterial
 from clothkit.cloth.grid import CLOTH_SIDE, geodesic, triangles
 from clothkit.dataset import store
 from clothkit.dataset.raw import STATE_COLUMNS, Topologies, read_states
-from clothkit.errors import InputError, system_error
-from clothkit.publish import unfinished
+from clothkit.errors import InputError
+from clothkit.publish import unfinished_files
 
 FORMATS = ("obj", "ply", "glb")
 LARGEST_SIDE = 100.0
@@ -54,10 +54,9 @@ def export(
 ) -> list[Path]:
     """Write the states of some or all sequences to one file each in the folder `target`; returns the files' paths.
 
-    `source` is a folder of raw artifacts or a store of meshes. The sequences of a store are numbered from 0; its meshes
-    are moved back to their centres and scaled to a cloth of width `cloth_side` [m]. Each file is written atomically.
-    Raises InputError for an unknown format, a missing source or sequence, a `cloth_side` out of range, and a file that
-    can't be written.
+    `source` is a folder of raw artifacts or a store of meshes, whose sequences are counted from 0, and whose meshes are
+    put back where they lay, `cloth_side` [m] wide. The files appear once all of them are written. Raises InputError
+    when the format, the source or a sequence isn't there, the side is no cloth's, or a file can't be written.
     """
     if not 0 < cloth_side <= LARGEST_SIDE:
         raise InputError(f"cloth side {cloth_side:g}: expected metres, above 0 and up to {LARGEST_SIDE:g}")
@@ -71,16 +70,12 @@ def export(
         count, found = stored_surfaces(source, sequences, cloth_side=cloth_side)
     else:
         raise InputError(f"{source}: holds neither states/*.parquet nor a zarr store of meshes")
-    try:
-        target.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise system_error(error, error.filename or target, action="written") from error
-    written = []
-    for surface in tqdm(found, total=count, desc="export", unit="state", mininterval=1):
-        written.append(target / f"{surface.name}.{file_format}")
-        with unfinished(written[-1]) as part:
-            part.write_bytes(encode(surface, file_format))
-    return written
+    names = []
+    with unfinished_files(target) as part:
+        for surface in tqdm(found, total=count, desc="export", unit="state", mininterval=1):
+            names.append(f"{surface.name}.{file_format}")
+            (part / names[-1]).write_bytes(encode(surface, file_format))
+    return [target / name for name in names]
 
 
 def raw_surfaces(folder: Path, sequences: Sequence[int] | None) -> tuple[int, Iterator[Surface]]:

@@ -10,6 +10,8 @@ import numpy as np
 from flax import serialization
 from jaxtyping import PyTree
 
+from clothkit.errors import damaged_piece
+
 
 def write(path: Path, arrays: PyTree, notes: Any) -> None:
     """Write a pytree of arrays, and notes that can be converted to JSON.
@@ -23,7 +25,10 @@ def write(path: Path, arrays: PyTree, notes: Any) -> None:
 
 
 def read(path: Path, like: PyTree) -> tuple[PyTree, Any]:
-    """Read the arrays, as a pytree with the structure of `like`, and the notes."""
-    stored = serialization.msgpack_restore(path.read_bytes())
-    leaves = [stored["leaves"][str(i)] for i in range(len(stored["leaves"]))]
-    return jax.tree.unflatten(jax.tree.structure(like), leaves), json.loads(stored["notes"])
+    """The arrays, nested like `like`, and the notes. Raises InputError when the file is damaged."""
+    try:
+        stored = serialization.msgpack_restore(path.read_bytes())
+        leaves = [stored["leaves"][str(i)] for i in range(len(stored["leaves"]))]
+        return jax.tree.unflatten(jax.tree.structure(like), leaves), json.loads(stored["notes"])
+    except Exception as error:  # msgpack has a dozen ways to say that bytes are missing
+        raise damaged_piece(error, path) from error

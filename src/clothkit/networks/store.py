@@ -15,6 +15,7 @@ from flax import serialization
 from flax.traverse_util import flatten_dict
 
 from clothkit.errors import InputError, system_error
+from clothkit.json_file import read_json
 from clothkit.networks import emd_voxel, pemd, vtm
 from clothkit.networks.net import Net
 from clothkit.networks.settings import EMDVoxelConfig, PEMDConfig, VtMConfig
@@ -79,20 +80,8 @@ def load(folder: Path, kind: Kind | None = None) -> Net:
 
 
 def description(folder: Path) -> dict[str, Any]:
-    """Read the description of the net in a folder: its kind, configuration and attributes.
-
-    Raises InputError if the file is missing, damaged or not a JSON object.
-    """
-    path = folder / ATTRIBUTES
-    try:
-        found = json.loads(path.read_bytes())
-    except OSError as error:
-        raise system_error(error, path, expected="a net's description") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: expected a net's description, found a truncated or damaged file") from error
-    if not isinstance(found, dict):
-        raise InputError(f"{path}: expected a net's kind and widths, found something else")
-    return found
+    """What a net's folder says of the net: its kind, its widths and what it was made with. Raises InputError."""
+    return read_json(folder / ATTRIBUTES, expected="a net's description")
 
 
 def validation_score(folder: Path) -> float:

@@ -10,6 +10,7 @@ from tqdm import tqdm
 from clothkit.dataset.store import Dataset
 from clothkit.dataset.tasks import Task, tasks_of
 from clothkit.errors import InputError
+from clothkit.json_file import read_json
 from clothkit.planning.planner import Planner
 from clothkit.planning.record import Pieces, Sessions, join, save_piece, tasks_of_dataset
 from clothkit.planning.session import Clock, Execute, run_sessions
@@ -52,8 +53,9 @@ def evaluate(dataset: Dataset, planner: Planner, execute: Execute, *, work: Path
                 seconds.write_text(json.dumps(calls))
                 save_piece(path, sessions)
             done.append(path)
-            for what, of_piece in json.loads(seconds.read_text()).items():
-                clock[what] += [(count, spent) for count, spent in of_piece]
+            spent = read_json(seconds, expected="seconds of calls (delete this file and the sessions of its number)")
+            for what, of_piece in spent.items():
+                clock[what] += [(count, each) for count, each in of_piece]
             bar.update(len(tasks))
     return Pieces(done), dict(clock)
 

@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Array
 
 from clothkit.dataset.store import STEPS, Dataset
-from clothkit.errors import InputError, system_error
+from clothkit.errors import InputError
+from clothkit.json_file import read_json
 from clothkit.planning.batches import in_batches
 from clothkit.planning.draw import random_manipulations
 from clothkit.planning.forward import Forward, unroll
@@ -30,6 +31,11 @@ TOGETHER = 100
 
 LEAST_DEVIATION = 0.01
 """Least sigma_v as a share of mu_v: with few validation sequences the measured one may be close to zero."""
+
+LARGEST = 1e9
+"""No NLL or difference comes near it: far above, a term of the loss is lost in float32."""
+
+_HOLDS = "low, high, mu and sigma"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,9 +62,13 @@ class Normalisation:
             raise InputError(
                 f"normalisation: expected 1 to {STEPS} finite values in each row of low, high, mu and sigma"
             )
-        if len(self.low) != len(self.high) or not self.low or not (np.array(self.low) < np.array(self.high)).all():
+        if np.abs(np.array(rows, float)).max() > LARGEST:
+            raise InputError(f"normalisation: expected values up to {LARGEST:g} in low, high, mu and sigma")
+        # As the loss takes them.
+        low, high, sigma = (np.array(values, np.float32) for values in (self.low, self.high, self.sigma))
+        if len(low) != len(high) or not len(low) or not (low < high).all():
             raise InputError(f"normalisation: expected low below high, found {self.low} and {self.high}")
-        if min(self.sigma) <= 0:
+        if sigma.min() <= 0:
             raise InputError(f"normalisation: sigma is {self.sigma}, expected above 0: are the two nets the same?")
 
     def reference(self, length: int) -> Reference:
@@ -142,20 +152,15 @@ def save(path: Path, normalisation: Normalisation, attributes: dict[str, Any]) -
 
 
 def load(path: Path) -> Normalisation:
-    """Read the reference values from JSON.
-
-    Raises InputError for a file that is missing or damaged, for missing fields and for invalid values.
-    """
+    """Read the values. Raises InputError for a file that is missing, damaged, lacks a field or has none in one."""
+    stored = read_json(path, expected=f"JSON with {_HOLDS}; run the stage that writes it (dvc repro)")
     try:
-        stored = json.loads(path.read_text())
         rows = {name: tuple(_numbers(row) for row in stored[name]) for name in ("low", "high")}
         return Normalisation(**rows, mu=_numbers(stored["mu"]), sigma=_numbers(stored["sigma"]))
-    except OSError as error:
-        raise system_error(error, path, expected="JSON; run the stage that writes it (dvc repro)") from error
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-        raise InputError(f"{path}: expected JSON with low, high, mu and sigma, could not read it ({error})") from error
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
+        raise InputError(f"{path}: expected JSON with {_HOLDS}, could not read it ({error})") from error
 
 
 def _numbers(row: Any) -> tuple[float, ...]:

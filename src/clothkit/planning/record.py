@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Float16, Int8, Int64
 from clothkit.dataset.store import LENGTHS, SPLITS, STEPS, Dataset
 from clothkit.dataset.tasks import Task
 from clothkit.dataset.zarr_store import WRITTEN, Declared, open_store
+from clothkit.errors import damaged_piece
 from clothkit.planning.record_checks import KEYS, check_keys, check_values
 
 MESH = ("u", "v", "xyz")
@@ -196,9 +197,12 @@ def save_piece(path: Path, sessions: Sessions) -> None:
 
 
 def load_piece(path: Path) -> Sessions:
-    """Read a batch's sessions from a file in a work directory."""
-    with np.load(path) as stored:
-        return Sessions(**stored)
+    """A batch's sessions from a work directory. Raises InputError when they are damaged."""
+    try:
+        with path.open("rb") as file, np.load(file) as stored:
+            return Sessions(**stored)
+    except Exception as error:  # of zipfile, zlib, NumPy
+        raise damaged_piece(error, path) from error
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,6 +1,5 @@
 """Reads a report's folder: the settings, tables and captions from which its pages are made."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,12 +7,14 @@ from pathlib import Path
 import pandas as pd
 
 from clothkit.errors import InputError, system_error
+from clothkit.json_file import read_json
 from clothkit.report import made_with
 from clothkit.report.captions import CAPTIONS, CAPTIONS_FILE
 from clothkit.report.layout import BY_LENGTH, HIGH, LENGTHS, LOW, STATES, TASKS
 from clothkit.report.made_with import MadeWith
 from clothkit.report.printed import LEAST
 
+_CAPTIONED = "a JSON object with a caption for every picture"
 _OUTCOMES = ("source", "split", "system", "statistic", *TASKS)
 _COMPARED = ("column", "sequences", "difference", "low", "high", "p")
 
@@ -106,12 +107,10 @@ def _figures(folder: Path) -> dict[str, str]:
     """Captions of the pictures that exist: those stored with the pictures, or today's if none were stored."""
     path = folder / CAPTIONS_FILE
     try:
-        told = json.loads(path.read_text()) if path.exists() else CAPTIONS
+        told = read_json(path, expected=_CAPTIONED) if path.exists() else CAPTIONS
         return {name: str(told[name]) for name in CAPTIONS if (folder / f"{name}.png").exists()}
-    except OSError as error:
-        raise system_error(error, path) from error
-    except (ValueError, TypeError, KeyError) as error:
-        raise InputError(f"{path}: expected a JSON object with a caption for every picture; {error!r}") from error
+    except KeyError as error:
+        raise InputError(f"{path}: expected {_CAPTIONED}; {error!r}") from error
 
 
 def _planned(tables: Mapping[str, pd.DataFrame], settings: MadeWith) -> dict[str, int]:

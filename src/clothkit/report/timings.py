@@ -1,6 +1,5 @@
 """Time and memory of stages, and time per plan, from the notes that the stages leave in `.work/timings`."""
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -8,6 +7,7 @@ from typing import Any
 import pandas as pd
 
 from clothkit.errors import InputError
+from clothkit.json_file import read_json
 from clothkit.report import paper
 
 COLUMNS = ["stage", "seconds", "cpu_seconds", "peak_memory_mib", "machine"]
@@ -58,13 +58,7 @@ def table_8(folder: Path, systems: Sequence[str]) -> pd.DataFrame:
 
 
 def _note(path: Path) -> dict[str, Any]:
-    try:
-        note = json.loads(path.read_text())
-    except ValueError as reason:
-        raise InputError(f"{path}: expected a JSON object with {', '.join(COLUMNS)}; {reason!r}") from reason
-    if not isinstance(note, dict):
-        raise InputError(f"{path}: expected a JSON object with {', '.join(COLUMNS)}, found {type(note).__name__}")
-    return note
+    return read_json(path, expected=f"a JSON object with {', '.join(COLUMNS)}")
 
 
 def _each(path: Path, field: str, cost: Any) -> float:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from clothkit.errors import InputError
+from clothkit.errors import InputError, system_error
 
 SQUARE = 0.01
 """Largest difference between the sides of the material, as a fraction of the longer one."""
@@ -81,7 +81,9 @@ def _parse(path: Path) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Return the numbers by keyword, and the indices (node, vt) of every face's corners, from 0, int [faces 3 2]."""
     try:
         lines = path.read_text(encoding="ascii").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
+    except OSError as error:
+        raise system_error(error, path, expected="an OBJ file of ARCSim") from error
+    except UnicodeDecodeError as error:
         raise InputError(f"{path}: can't be read as an OBJ file ({error})") from error
     found: dict[str, list[list[float]]] = {"v": [], "nv": [], "vt": []}
     corners: list[list[list[int]]] = []

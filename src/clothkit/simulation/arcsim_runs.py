@@ -5,7 +5,7 @@ from collections import defaultdict
 from pathlib import Path
 from typing import NamedTuple
 
-from clothkit.errors import InputError
+from clothkit.errors import InputError, system_error
 
 TABLE = "runs.csv"
 COLUMNS = ("sequence", "state", "folder", "frame")
@@ -93,9 +93,9 @@ def _rows(path: Path) -> list[tuple[int, Run]]:
             if missing:
                 raise InputError(f"{path}: has no column {missing[0]!r}, expected {','.join(COLUMNS)}")
             return [(reader.line_num, _row(path, reader.line_num, fields)) for fields in reader]
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: not found, expected a table with the columns {','.join(COLUMNS)}") from error
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+    except OSError as error:
+        raise system_error(error, path, expected=f"a table with the columns {','.join(COLUMNS)}") from error
+    except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{path}: can't be read as CSV ({error})") from error
 
 

@@ -11,7 +11,7 @@ from annotated_types import Ge, Gt
 from jaxtyping import Float
 from scipy.interpolate import CubicHermiteSpline
 
-from clothkit.errors import InputError
+from clothkit.errors import InputError, system_error
 
 
 class Handle(NamedTuple):
@@ -93,7 +93,9 @@ def read_scene(path: Path) -> Scene:
 def _read(path: Path) -> _Conf:
     try:
         return _Conf.model_validate_json(_without_comments(path.read_text(encoding="utf-8")))
-    except (OSError, UnicodeDecodeError) as error:
+    except OSError as error:
+        raise system_error(error, path, expected="a scene of ARCSim") from error
+    except UnicodeDecodeError as error:
         raise InputError(f"{path}: can't be read ({error})") from error
     except pydantic.ValidationError as error:
         first = error.errors()[0]

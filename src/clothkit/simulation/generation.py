@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from clothkit.errors import InputError
+from clothkit.errors import InputError, damaged_piece
 from clothkit.simulation.attempts import Attempts, attempt_sequences
 from clothkit.simulation.processes import cores, make_pool
 from clothkit.simulation.records import write_raw
@@ -117,9 +117,12 @@ def make_block(number: int, settings: SimulateConfig, work: Path) -> Path:
 
 
 def read_block(path: Path) -> Attempts:
-    """Read the attempts from a block's file."""
-    with np.load(path) as arrays:
-        return Attempts(**{name: arrays[name] for name in Attempts._fields})
+    """The attempts of a block's file. Raises InputError when it is damaged."""
+    try:
+        with path.open("rb") as file, np.load(file) as arrays:
+            return Attempts(**{name: arrays[name] for name in Attempts._fields})
+    except Exception as error:  # of zipfile, zlib, NumPy
+        raise damaged_piece(error, path) from error
 
 
 def _finished_blocks(settings: SimulateConfig, work: Path, wanted: Callable[[], int]) -> Iterator[Path]:

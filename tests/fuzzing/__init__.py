@@ -1,0 +1,1 @@
+"""Every loader and every command on mutated inputs."""
