@@ -120,7 +120,11 @@ class Fuzzer:
         except (InputError, Told) as error:
             if expected == SAME:
                 return "refused, though nothing is wrong with it", str(error)
-            return (TOLD, str(error)) if _is_sentence(str(error), chosen) else ("no sentence that names it", str(error))
+            return (
+                (TOLD, str(error))
+                if _is_sentence(str(error), target, chosen)
+                else ("no sentence that names it", str(error))
+            )
         except Hang as error:
             return "hang", f"{error}: {_place(error)}"
         except Exception as error:
@@ -139,11 +143,11 @@ def _place(error: BaseException) -> str:
     return " < ".join(f"{Path(frame.filename).name}:{frame.lineno}" for frame in reversed(frames[-4:]))
 
 
-def _is_sentence(said: str, chosen: Input) -> bool:
-    """Whether it is one line, of no traceback, that names what was changed: the file, a store or folder of it, or, of
-    settings, the field."""
+def _is_sentence(said: str, target: Target, chosen: Input) -> bool:
+    """Whether it is one line, of no traceback, that names what was changed: the file, a store or folder of it; of
+    settings the field; or another input, which it no longer agrees with."""
     parts = Path(chosen.path).parts
-    names = [part for part in parts if part != "data"] or list(parts)
+    names = [part for part in parts if part != "data"] + [given.path for given in target.inputs]
     if chosen.kind == "words":
         return len(said.splitlines()) == 1 and "Traceback" not in said
     if chosen.path == "params.yaml":

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import trimesh
 import zarr
+from ruamel.yaml import YAML
 
 from clothkit.cloth.grid import triangles
 from clothkit.dataset import store
@@ -25,7 +26,7 @@ from tests.observation.pcds import written_pcd
 from tests.observation.scenes import SCALE, folded
 from tests.report.contents import tidy_tasks
 from tests.simulation import arcsim_runs
-from tests.tiny import attempts, sessions, write_files, write_nets, write_params
+from tests.tiny import ROOT, attempts, sessions, write_files, write_nets, write_params
 
 SEARCH = {"strains": 8, "base_iterations": 2, "iterations_per_step": 0}
 
@@ -37,6 +38,8 @@ def write_inputs(folder: Path) -> None:
     plan = params["scales"]["smoke"]["plan"]
     plan["search"], plan["voxel_search"], plan["refine"] = SEARCH, SEARCH, {"iterations": 2}
     (folder / "params.yaml").write_text(json.dumps(params))
+    of_report = YAML(typ="safe").load(ROOT / "reports/laptop/params.yaml")
+    (folder / "report.yaml").write_text(json.dumps(of_report))
     (folder / "data").mkdir()
     write_nets(folder / "data")
     write_files(folder)
@@ -91,7 +94,7 @@ def _write_tables(data: Path, params: Params) -> None:
     rows = pd.DataFrame(keys, columns=["split", "sequence", "state", "kind"])
     rows = rows.assign(error=0.02, error_labelled=0.03, error_no_action=0.2, sigma_ratio=0.8)
     write_rows(data / "evaluation/estimation.parquet", rows, about("evaluate_estimation"))
-    tasks = pd.DataFrame(tidy_tasks(("main", "a1"), sequences=2))
+    tasks = tidy_tasks(("main", "a1"), sequences=2).assign(voxel_error_025=0.01)
     write_rows(data / "evaluation/prediction.parquet", tasks, about("evaluate_prediction"))
     work = data.with_name("work")
     work.mkdir()

@@ -24,6 +24,7 @@ from clothkit.networks import checkpoint
 from clothkit.networks import store as nets
 from clothkit.observation.files import read
 from clothkit.observation.observe import observe
+from clothkit.observation.states import PointCloud
 from clothkit.params import load_params
 from clothkit.planning import normalisation, record
 from clothkit.planning.planner import Planner
@@ -94,7 +95,7 @@ def command(*words: str, reads: tuple[Input, ...], writes: tuple[str, ...], sear
 
 def _beside(line: str) -> bool:
     """Whether a line on stderr is no part of what went wrong."""
-    return line.endswith((" s", "/s]")) or line.startswith(("notice: ", "warning: ")) or not line.strip()
+    return line.endswith(" s") or "/s]" in line or line.startswith(("notice: ", "warning: ")) or not line.strip()
 
 
 @contextlib.contextmanager
@@ -140,9 +141,11 @@ def _output(path: Path) -> Any:
     return np.asarray(trimesh.load_mesh(path, process=False).vertices)
 
 
-def _observed(path: Path) -> Any:
-    """A cloud as voxels and pose: what cameras did not see may be NaN or infinite in its file."""
-    return observe(read(path), cloth_side=CLOTH, table=SMALL.table(), name=str(path))
+def _observed(path: Path | str) -> Any:
+    """A state, and its voxels and pose: what cameras did not see may be NaN or infinite in its file."""
+    state = read(path)
+    seen = observe(state, cloth_side=CLOTH, table=SMALL.table(), name=str(path))
+    return [seen, None if isinstance(state, PointCloud) else state]
 
 
 def _raw(folder: Path) -> Any:
@@ -212,7 +215,13 @@ LOADERS = (
     loader("piece of sessions", "work/sessions_000.npz", "npz", record.load_piece),
     loader("block of attempts", "work/block.npz", "bytes", generation.read_block),
     loader("checkpoint", "work/checkpoint", "bytes", lambda path: checkpoint.read(path, [0, 0])),
-    loader("note of a stage's cost", "work/plan@main.json", "json", lambda path: table_8(path.parent, ["main"])),
+    loader(
+        "note of a stage's cost",
+        "work/plan@main.json",
+        "json",
+        lambda path: table_8(path.parent, ["main"]),
+        optional=True,
+    ),
     Target(
         "runs of ARCSim",
         (
@@ -222,22 +231,22 @@ LOADERS = (
         ),
         lambda _: _imported(Path("runs")),
     ),
-    Target("settings of a report", (Input("params.yaml", "yaml"),), lambda _: made_with.read(Path("params.yaml"))),
+    loader("settings of a report", "report.yaml", "yaml", made_with.read),
     loader("training history", "data/nets/vtm/history.parquet", "parquet", _table(tidy.HISTORY)),
     loader("params", "params.yaml", "yaml", load_params),
     loader("plan file", "plan.json", "json", read_plan),
-    loader("mesh as OBJ", "bent.obj", "text", read),
-    loader("mesh as GLB", "goal.glb", "bytes", read),
-    loader("mesh as PLY", "bent.ply", "text", read),
-    loader("mesh as NPY", "mesh.npy", "npy", read),
-    loader("voxels", "voxels.npy", "npy", read),
+    loader("mesh as OBJ", "bent.obj", "text", _observed),
+    loader("mesh as GLB", "goal.glb", "bytes", _observed),
+    loader("mesh as PLY", "bent.ply", "text", _observed),
+    loader("mesh as NPY", "mesh.npy", "npy", _observed),
+    loader("voxels", "voxels.npy", "npy", _observed),
     loader("cloud as NPZ", "cloud.npz", "npz", _observed),
     loader("cloud as PLY", "cloud.ply", "text", _observed),
     loader("cloud as PCD", "cloud.pcd", "text", _observed),
     loader("cloud as binary PCD", "binary.pcd", "text", _observed),
     loader("cloud as compressed PCD", "compressed.pcd", "text", _observed),
     loader("array in zarr", "own.zarr", "zarr", _observed),
-    Target("state in a store", (Input("data/meshes.zarr", "zarr"),), lambda _: read("data/meshes.zarr:1/1")),
+    Target("state in a store", (Input("data/meshes.zarr", "zarr"),), lambda _: _observed("data/meshes.zarr:1/1")),
     Target(
         "view",
         (SESSIONS, Input("data/evaluation/planning/main.parquet", "parquet", True), Input("data/meshes.zarr", "zarr")),

@@ -1,5 +1,6 @@
 """`clothkit plan`: make a plan from one observation to a goal, and write the plan file."""
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -98,7 +99,8 @@ def command(
     """
     given = settings()
     check_target(out, ("json",))
-    if after and out.resolve() == after.resolve():
+    # Path.resolve fails where links lead in a circle.
+    if after and os.path.realpath(out) == os.path.realpath(after):
         raise InputError(f"--out: {out} is what --after reads, expected another file")
     before = read_plan(after) if after else None
     if before and after:

@@ -1,6 +1,5 @@
-"""Reads PLY files by trimesh or plyfile, after checks of the header's counts, and with other names of colours."""
+"""Reads PLY files, binary ones by plyfile, after checks of the header's counts, and with other names of colours."""
 
-import io
 import re
 import tempfile
 from pathlib import Path
@@ -37,17 +36,19 @@ class Element(NamedTuple):
     properties: tuple[str, ...]
     whole: frozenset[str]
     """Names of the properties that are integers."""
+    lists: frozenset[str]
+    """Names of the properties that are lists, which start with their length."""
 
 
-_NONE = Element("", 0, 0, (), frozenset())
+_NONE = Element("", 0, 0, (), frozenset(), frozenset())
 
 
 def load_ply(path: Path, content: bytes) -> trimesh.Trimesh | trimesh.PointCloud | None:
     """The mesh, or the points, in a PLY file; None if it holds no vertices.
 
-    Text with polygons is read by trimesh, because plyfile reads text slowly. Binary files are read by plyfile, because
-    trimesh assumes that all their polygons have the size of the first one. Raises InputError when the header is
-    invalid, states more rows than the file holds, or has triangle strips. Other errors are those of the readers.
+    Binary files are read by plyfile. Text is read here: plyfile reads it slowly, and trimesh accepts a file that is cut
+    short. Raises InputError when the header is invalid, states more rows than the file holds, or has triangle strips,
+    and when a row of text is not a row of numbers. Other errors are those of plyfile.
     """
     end = _END.search(content)
     if not content.startswith(b"ply") or not end:
@@ -67,15 +68,10 @@ def load_ply(path: Path, content: bytes) -> trimesh.Trimesh | trimesh.PointCloud
     if "tristrips" in by_name:
         raise InputError(f"{path}: holds triangle strips, expected faces; save it as triangles")
     rest = content[end.end() :]
-    header = _cut(_renamed(header, by_name["vertex"].properties))
-    if text and elements[0].name == "vertex" and not by_name.get("face", _NONE).rows:
-        return _cloud(path, rest, elements[0])
     if text:
-        found = trimesh.load(io.BytesIO(header + rest), file_type="ply", process=False, skip_materials=True)
-        if isinstance(found, trimesh.Trimesh | trimesh.PointCloud):
-            return found
-        raise InputError(f"{path}: can't be read as PLY, it holds neither a mesh nor points")
-    # plyfile maps tables into memory, for which it needs a file of the operating system.
+        return _by_lines(path, rest, elements)
+    header = _cut(_renamed(header, by_name["vertex"].properties))
+    # plyfile maps tables into memory, for which it needs a true file.
     with tempfile.TemporaryFile() as file:
         file.write(header)
         file.write(rest)
@@ -91,12 +87,15 @@ def _elements(path: Path, header: str, *, text: bool) -> list[Element]:
                 name, rows = words[1:]
                 if int(rows) < 0:
                     raise ValueError
-                elements.append(Element(name, int(rows), 0, (), frozenset()))
+                elements.append(Element(name, int(rows), 0, (), frozenset(), frozenset()))
             elif words[:1] == ["property"]:
                 size, last = _SIZES[words[2] if words[1] == "list" else words[1]], elements[-1]
                 whole = last.whole if words[1].startswith(("float", "double")) else last.whole | {words[-1]}
                 names = (*last.properties, words[-1])
-                elements[-1] = last._replace(size=last.size + (2 if text else size), properties=names, whole=whole)
+                lists = last.lists | {words[-1]} if words[1] == "list" else last.lists
+                elements[-1] = last._replace(
+                    size=last.size + (2 if text else size), properties=names, whole=whole, lists=lists
+                )
         except (ValueError, IndexError, KeyError) as error:
             raise InputError(f"{path}: can't be read as PLY, its header has the line {line[:60]!r}") from error
     for element in elements:
@@ -124,18 +123,68 @@ def _cut(header: bytes) -> bytes:
     return b"".join(tables[: max(needed) + 1]) + (b"" if max(needed) + 1 == len(tables) else end[0])
 
 
-def _cloud(path: Path, data: bytes, vertex: Element) -> trimesh.PointCloud:
-    """The point cloud in a text file whose first element is the vertices."""
-    lines = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n", vertex.rows)
-    table = numbers(path, b"\n".join(lines[: vertex.rows]), width=len(vertex.properties))
-    if len(table) < vertex.rows:
-        raise short(path, len(table), vertex.rows)
+def _by_lines(path: Path, data: bytes, elements: list[Element]) -> trimesh.Trimesh | trimesh.PointCloud:
+    """The mesh or points in a text file, in which each line that is not blank is a row of a table."""
+    rest = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").lstrip(b"\n")
+    tables: dict[str, tuple[Element, list[bytes]]] = {}
+    for element in elements:
+        *rows, rest = (*rest.split(b"\n", element.rows), b"")[: element.rows + 1]
+        rows = [row for row in rows if row.strip()]
+        while len(rows) < element.rows and rest:
+            row, _, rest = rest.partition(b"\n")
+            rows += [row] if row.strip() else []
+        if len(rows) < element.rows and element.name == "vertex":
+            raise short(path, len(rows), element.rows)
+        if len(rows) < element.rows and element.name == "face":
+            raise InputError(f"{path}: ends after {len(rows)} faces, its header says {element.rows}")
+        tables[element.name] = element, rows
+    vertex, rows = tables["vertex"]
+    table = numbers(path, b"\n".join(rows), width=len(vertex.properties))
     with np.errstate(invalid="ignore"):
         columns = {
             name: column.astype(np.int64) if name in vertex.whole else column
             for name, column in zip(vertex.properties, table.T, strict=True)
         }
-    return trimesh.PointCloud(np.stack([columns[axis] for axis in "xyz"], axis=-1), colors=colours_of(columns))
+    vertices, colours = np.stack([columns[axis] for axis in "xyz"], axis=-1), colours_of(columns)
+    polygons = _polygons(path, *tables["face"]) if "face" in tables else []
+    if not len(polygons):
+        return trimesh.PointCloud(vertices, colors=colours)
+    return trimesh.Trimesh(vertices, triangulate_quads(polygons), vertex_colors=colours, process=False)
+
+
+def _polygons(path: Path, face: Element, rows: list[bytes]) -> Any:
+    """The vertices of each face [faces corners], or lists of them where they differ in number."""
+    wanted = next((name for name in face.properties if name in _FACES and name in face.lists), None)
+    if wanted is None or not rows:
+        return []
+    found: list[list[int]] = []
+    for place, row in enumerate(rows):
+        try:
+            found.append(_list_of(face, wanted, row.split()))
+        except ValueError as error:
+            raise InputError(
+                f"{path}: face {place} is {row.decode('latin-1')[:60]!r}, expected {_row(face)}"
+            ) from error
+    polygons = [polygon for polygon in found if len(polygon) > 2]
+    return np.array(polygons) if len({len(polygon) for polygon in polygons}) == 1 else polygons
+
+
+def _list_of(element: Element, wanted: str, words: list[bytes]) -> list[int]:
+    """The numbers of one of a row's lists. Raises ValueError when the row has more or fewer words than it says."""
+    place, found = 0, []
+    for name in element.properties:
+        count = int(words[place]) if name in element.lists and place < len(words) else 0
+        if name == wanted:
+            found = [int(word) for word in words[place + 1 : place + 1 + count]]
+        place += 1 + count
+    if place != len(words):
+        raise ValueError(f"expected {place} words, found {len(words)}")
+    return found
+
+
+def _row(element: Element) -> str:
+    names = (f"a count and so many {name}" if name in element.lists else name for name in element.properties)
+    return ", ".join(names)
 
 
 def _by_plyfile(file: IO[bytes], elements: dict[str, Element]) -> trimesh.Trimesh | trimesh.PointCloud:

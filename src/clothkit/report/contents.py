@@ -1,5 +1,6 @@
 """Reads a report's folder: the settings, tables and captions from which its pages are made."""
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -107,7 +108,7 @@ def _figures(folder: Path) -> dict[str, str]:
     """Captions of the pictures that exist: those stored with the pictures, or today's if none were stored."""
     path = folder / CAPTIONS_FILE
     try:
-        told = read_json(path, expected=_CAPTIONED) if path.exists() else CAPTIONS
+        told = read_json(path, expected=_CAPTIONED) if os.path.lexists(path) else CAPTIONS
         return {name: str(told[name]) for name in CAPTIONS if (folder / f"{name}.png").exists()}
     except KeyError as error:
         raise InputError(f"{path}: expected {_CAPTIONED}; {error!r}") from error

@@ -1,5 +1,6 @@
 """Time and memory of stages, and time per plan, from the notes that the stages leave in `.work/timings`."""
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -42,7 +43,7 @@ def table_8(folder: Path, systems: Sequence[str]) -> pd.DataFrame:
     for system in systems:
         row: dict[str, Any] = {"source": "clothkit", "system": system, "machine": ""}
         path = folder / f"plan@{system}.json"
-        if path.exists():
+        if os.path.lexists(path):
             note = _note(path)
             plans = note.get("plans", {})
             if not isinstance(plans, dict):

@@ -1,5 +1,6 @@
 """Read sessions that the pipeline has recorded (planning.record), one at a time."""
 
+import os
 from pathlib import Path
 from typing import NamedTuple
 
@@ -54,7 +55,7 @@ def entries(data: Path, system: str) -> list[Entry]:
 
 
 def _errors(path: Path) -> dict[tuple[str, int, int, int], float]:
-    if not path.exists():
+    if not os.path.lexists(path):
         return {}
     columns = ("split", *_KEYS, "error")
     rows = tables.read(path, tidy.PLANNING, columns)
