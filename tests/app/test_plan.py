@@ -131,7 +131,9 @@ def test_goals_of_every_kind_and_plans_in_voxels(here: Path, files: Path, goal: 
     succeed(*wanted)
     plan = read_plan(here / "plan.json")
     assert plan.system == "main"
-    assert (plan.goal.agreement is None) == (goal == "bent.obj")
+    # The vertices of the surface are those of a grid in another order.
+    assert plan.goal.taken == ("as it is" if goal in ("bent.obj", "surface.obj") else "estimated")
+    assert (plan.goal.agreement is None) == (plan.goal.taken == "as it is")
     for source in (plan.state, plan.goal):
         if source.agreement is not None:
             unexplained = f"{source.file}: the estimate does not explain what was seen"
@@ -172,7 +174,12 @@ def test_a_plan_read_back_and_simulated_does_what_it_says(here: Path, files: Pat
     with mock.patch.object(simulate_command, "execute", lambda *of, **_: toy.execute(*of[:4])):
         said = succeed("simulate", "--plan", "plan.json", "--goal", here / "goal.npy", "--out", "mesh.ply")
         again = succeed("simulate", "--state", files / "start.obj", "--plan", "plan.json", "--goal", here / "goal.npy")
-    assert said.splitlines()[1:] == again.splitlines()[1:]
+    results = [
+        [line for line in text.splitlines() if line.startswith(("error", "silhouette"))] for text in (said, again)
+    ]
+    assert results[0] == results[1]
+    assert len(results[0]) == 2
+    assert f"{files / 'start.obj'}: taken as it is" in again.splitlines()
     state = plan.steps[-1].predictions[0].state
     assert state.kind == "mesh"
     found = read(here / "mesh.ply")
