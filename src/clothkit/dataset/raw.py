@@ -24,6 +24,9 @@ FARTHEST = 100.0
 STRETCH = 2.0
 """No cloth reaches farther along an axis than this many times its flat diagonal."""
 
+EDGES = (0.5, 2.0)
+"""Nor is the median of its edges shorter or longer than so many times that of the flat cloth's."""
+
 _COUNTED = Column("whole numbers", 0)
 _MEASURE = Column("numbers", missing=True, optional=True)
 # Of a tried state that was no longer finite, too.
@@ -171,6 +174,12 @@ class Topologies:
         reach, most = np.ptp(positions, axis=0).max(), STRETCH * float(np.hypot(*np.ptp(topology.material, axis=0)))
         if reach > most:
             raise InputError(f"{where}: vertices lie {reach:.3g} m apart, expected at most {most:.3g} m (in metres?)")
+        length, rest = (_edge_length(points, topology.triangles) for points in (positions, topology.material))
+        if not EDGES[0] <= length / rest <= EDGES[1]:
+            raise InputError(
+                f"{where}: edges are {length:.3g} m long (their median), expected about {rest:.3g} m, as in topology "
+                f"{number} (in metres?)"
+            )
         return topology, positions
 
     def _topology(self, number: int) -> Topology:
@@ -187,3 +196,8 @@ class Topologies:
                 f"{name}: material spans {sides[0]:.3g} x {sides[1]:.3g}, expected {_SIDES[0]:g} to {_SIDES[1]:g} m"
             )
         return Topology(material.reshape(-1, 2), triangles.astype(np.int32).reshape(-1, 3))
+
+
+def _edge_length(points: Float[np.ndarray, "vertices axes"], triangles: Int[np.ndarray, "triangles 3"]) -> float:
+    """The median over triangles of one of their edges."""
+    return float(np.median(np.linalg.norm(points[triangles[:, 1]] - points[triangles[:, 0]], axis=-1)))
