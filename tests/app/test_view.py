@@ -218,6 +218,9 @@ def test_a_record_that_leads_nowhere_is_told_and_not_left_out(tmp_path: Path) ->
     assert systems_in(tmp_path) == ["b1"]
     with pytest.raises(InputError, match=r"sessions_b1\.zarr: can't be read.*lead in a circle"):
         entries(tmp_path, "b1")
+    with pytest.raises(InputError, match=r"sessions_b1\.zarr: can't be read.*lead in a circle"):
+        tasks_in(store)
+    assert tasks_in(tmp_path / "none") == {}
 
 
 def test_a_broken_record_is_told(folder: Path, tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """What a session can be made of: your own files, or test tasks."""
 
+import os
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,7 +26,7 @@ MOST = 50
 
 def test_tasks(path: Path) -> dict[str, Ask]:
     """Tasks of test sequences of a store of meshes by name; none where there is no store. Raises InputError."""
-    if not path.exists():
+    if not os.path.lexists(path):
         return {}
     split, length = load_splits(path)
     sequences = np.flatnonzero(split == SPLITS.index("test"))[:MOST]
