@@ -12,7 +12,7 @@ from tests.fuzzing.cases import TARGETS, Fuzzer
 from tests.fuzzing.inputs import write_inputs
 from tests.fuzzing.targets import quick
 
-EACH = 3
+EACH = 2
 """Cases of a target."""
 
 

@@ -151,6 +151,7 @@ STATES: list[tuple[Callable[[], None], tuple[object, ...], str, str]] = [
     (broken_net("nets/pemd_b", store.ATTRIBUTES), (START, *DAMAGED), "pemd_b/net.json", "truncated or damaged file"),
     (nothing, (START, "--reach", 0, 0, 0, -1, -1, -1), "--reach", "low corner first"),
     (nothing, (START, "--after", "out.json"), "out.json", "another file"),
+    (link("old.json", "old.json"), (START, "--after", "old.json"), "old.json", "its symbolic links lead in a circle"),
     (nothing, (START, "--out", "nowhere/plan.json"), "nowhere/plan.json", "is no folder"),
     (nothing, (START, "--out", "plan.txt"), "plan.txt", "expected json"),
     (nothing, (START, "--out", f"{'x' * 300}.json"), "xxx.json", "can't be written: its name is too long"),

@@ -211,6 +211,18 @@ def test_recorded_sessions_are_read_one_by_one(folder: Path) -> None:
     assert "executed" in plan.note
 
 
+def test_a_record_that_leads_nowhere_is_told_and_not_left_out(tmp_path: Path) -> None:
+    store = tmp_path / "evaluation/planning/sessions_b1.zarr"
+    store.parent.mkdir(parents=True)
+    store.symlink_to(store.name)
+    assert systems_in(tmp_path) == ["b1"]
+    with pytest.raises(InputError, match=r"sessions_b1\.zarr: can't be read.*lead in a circle"):
+        entries(tmp_path, "b1")
+    with pytest.raises(InputError, match=r"sessions_b1\.zarr: can't be read.*lead in a circle"):
+        tasks_in(store)
+    assert tasks_in(tmp_path / "none") == {}
+
+
 def test_a_broken_record_is_told(folder: Path, tmp_path: Path) -> None:
     shutil.copytree(folder / "evaluation", tmp_path / "evaluation")
     shutil.rmtree(tmp_path / "evaluation/planning/sessions_main.zarr/plan")

@@ -100,6 +100,10 @@ FAULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
         r"column vertices: expected lists of numbers -100 to 100, found .*sequence 0",
     ),
     "centimetres": (table(STATES, half_scaled), r"state 0: vertices lie 40 m apart, expected at most 1\.13 m"),
+    "kilometres": (
+        table(STATES, lambda rows: rows.assign(vertices=rows["vertices"] / 1000)),
+        r"sequence 0, state 0: edges are 1\.\d+e-05 m long .*, expected about 0\.0\d+ m, as in topology 0",
+    ),
     "vertices null": (cell(STATES, "vertices", 3, None), r"column vertices: .* found nothing \(sequence 0, state 3\)"),
     "null in vertices": (
         cell(STATES, "vertices", 6, [0.0, None] * 1536),

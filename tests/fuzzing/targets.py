@@ -1,6 +1,7 @@
 """Every loader and every command, with the inputs that can be mutated."""
 
 import contextlib
+import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -132,7 +133,9 @@ def _executed(
 def _output(path: Path) -> Any:
     """What a command has written."""
     if path.is_dir():
-        return {file.name: _output(file) for file in sorted(path.iterdir())}
+        # The folder may have been there, with other files.
+        endings = (".obj", ".glb", ".npz")
+        return {file.name: _output(file) for file in sorted(path.iterdir()) if file.suffix in endings}
     if path.suffix == ".json":
         return read_plan(path)
     if path.suffix == ".npz":
@@ -163,6 +166,11 @@ def _table(declared: tables.Table) -> Callable[[Path], Any]:
         return rows[[name for name in rows if name in declared.columns]]
 
     return load
+
+
+def _settings(path: Path) -> Any:
+    """What a report says that it was made with, less the text of its file."""
+    return dataclasses.replace(made_with.read(path), text="")
 
 
 def _imported(runs: Path) -> Any:
@@ -231,7 +239,7 @@ LOADERS = (
         ),
         lambda _: _imported(Path("runs")),
     ),
-    loader("settings of a report", "report.yaml", "yaml", made_with.read),
+    loader("settings of a report", "report.yaml", "yaml", _settings),
     loader("training history", "data/nets/vtm/history.parquet", "parquet", _table(tidy.HISTORY)),
     loader("params", "params.yaml", "yaml", load_params),
     loader("plan file", "plan.json", "json", read_plan),

@@ -44,7 +44,7 @@ def tidy_tasks(systems: tuple[str, ...], *, sequences: int = 4, seed: int = 0) -
                 "position_no_action": 0.1 * length,
                 "voxel_error": rng.uniform(0.01, 0.02) + 0.5 * (net == "b"),
                 "voxel_error_no_action": 0.05 + 0.01 * (system in VOXEL_SYSTEMS),
-                "voxel_error_025": rng.uniform(0.005, 0.01) + (net == "b"),
+                "voxel_error_025": rng.uniform(0.005, 0.01) + 0.5 * (net == "b"),
                 "voxel_error_025_no_action": 0.025,
             }
             for split in ("test", "train")

@@ -82,6 +82,7 @@ def test_unequal_means_are_told_apart() -> None:
         (("strains: 64", "strains: 63"), r"params\.yaml: plan\.search.*strains: input should be a multiple of 8"),
         (("  laptop:", "  others:"), r"params\.yaml: scales\.laptop: expected the report's settings there"),
         (("scale: laptop", "scale: [laptop"), r"params\.yaml: is not valid YAML"),
+        (("scale: laptop", "[" * 100_000), r"params\.yaml: is not valid YAML"),
     ],
 )
 def test_bad_settings_are_named(tmp_path: Path, change: tuple[str, str], sentence: str) -> None:

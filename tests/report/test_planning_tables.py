@@ -199,6 +199,12 @@ def test_bad_notes_are_named(tmp_path: Path, extra: dict, sentence: str) -> None
         timings.table_8(tmp_path, ("main",))
 
 
+def test_a_note_that_leads_nowhere_is_no_note_that_is_missing(tmp_path: Path) -> None:
+    (tmp_path / "plan@main.json").symlink_to("nowhere")
+    with pytest.raises(InputError, match=r"plan@main\.json: not found"):
+        timings.table_8(tmp_path, ("main",))
+
+
 def test_rows_without_what_failures_are_told_by_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "main.parquet"
     own = TIDY[TIDY["system"] == "main"]

@@ -219,6 +219,12 @@ TABLES = {
 }
 
 
+def test_a_folder_in_place_of_a_table_is_told(tmp_path: Path) -> None:
+    (tmp_path / "runs.csv").mkdir()
+    with pytest.raises(InputError, match=r"runs\.csv: can't be read, expected a table .*: it is a folder"):
+        read_runs(str(tmp_path), 10)
+
+
 @pytest.mark.parametrize("case", list(TABLES))
 def test_bad_tables_end_in_one_sentence(tmp_path: Path, case: str) -> None:
     runs.write_run(tmp_path / "half", HALF)
@@ -281,6 +287,11 @@ def test_files_that_are_cut_short_or_no_obj_are_refused(two: Path, tmp_path: Pat
     path.write_bytes(b"\x00\xff" * 100)
     with pytest.raises(InputError, match="can't be read as an OBJ file"):
         record(two, tmp_path / "out")
+    path.unlink()
+    path.mkdir()
+    with pytest.raises(InputError, match=r"0075_00\.obj(: can't be read, expected an OBJ file| is not there)"):
+        record(two, tmp_path / "out")
+    path.rmdir()
     path.write_text("# nothing\n")
     with pytest.raises(InputError, match="holds 0 vertices and 0 faces"):
         record(two, tmp_path / "out")
@@ -305,6 +316,11 @@ SCENES: dict[str, tuple[dict[str, Any] | str, str]] = {
     "far node": ({"handles": [{"nodes": [999], "motion": 0}]}, "node 999 is none of the"),
     "three": ({"handles": [{"nodes": [0, 1, 2], "motion": 0}]}, r"grasp the nodes \[0, 1, 2\] at once"),
     "late": ({"handles": [{"nodes": [0], "motion": 0, "start_time": 3.0}]}, "starts before frame 75, found none"),
+    "infinite": ('{"frame_time": 1e999, "handles": []}', "frame_time: input should be a finite number"),
+    "far away": (
+        {"motions": [runs.motion((float("inf"), 0))], "handles": [{"nodes": [0], "motion": 0}]},
+        "motions.0.1.transform.translate.0: input should be a finite number",
+    ),
     "turned": (
         {"motions": [[{"time": 0, "transform": {"rotate": [90, 0, 0, 1]}}]], "handles": [{"nodes": [0], "motion": 0}]},
         "motions.0.0.transform: expected a translation only",

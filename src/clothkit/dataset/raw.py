@@ -24,6 +24,9 @@ FARTHEST = 100.0
 STRETCH = 2.0
 """Largest accepted extent of a state along an axis, as a multiple of the flat cloth's diagonal."""
 
+EDGES = (0.5, 2.0)
+"""Nor is the median of its edges shorter or longer than so many times that of the flat cloth's."""
+
 _COUNTED = Column("whole numbers", 0)
 _MEASURE = Column("numbers", missing=True, optional=True)
 # An attempt may have ended with a state that is not finite, so its measurements may be infinite or missing.
@@ -172,6 +175,12 @@ class Topologies:
         reach, most = np.ptp(positions, axis=0).max(), STRETCH * float(np.hypot(*np.ptp(topology.material, axis=0)))
         if reach > most:
             raise InputError(f"{where}: vertices lie {reach:.3g} m apart, expected at most {most:.3g} m (in metres?)")
+        length, rest = (_edge_length(points, topology.triangles) for points in (positions, topology.material))
+        if not EDGES[0] <= length / rest <= EDGES[1]:
+            raise InputError(
+                f"{where}: edges are {length:.3g} m long (their median), expected about {rest:.3g} m, as in topology "
+                f"{number} (in metres?)"
+            )
         return topology, positions
 
     def _topology(self, number: int) -> Topology:
@@ -188,3 +197,8 @@ class Topologies:
                 f"{name}: material spans {sides[0]:.3g} x {sides[1]:.3g}, expected {_SIDES[0]:g} to {_SIDES[1]:g} m"
             )
         return Topology(material.reshape(-1, 2), triangles.astype(np.int32).reshape(-1, 3))
+
+
+def _edge_length(points: Float[np.ndarray, "vertices axes"], triangles: Int[np.ndarray, "triangles 3"]) -> float:
+    """The median over triangles of one of their edges."""
+    return float(np.median(np.linalg.norm(points[triangles[:, 1]] - points[triangles[:, 0]], axis=-1)))

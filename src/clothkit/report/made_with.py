@@ -65,6 +65,8 @@ def read(path: Path) -> MadeWith:
         raise system_error(
             error, path, expected="the settings that the report stage leaves (dvc repro report)"
         ) from error
+    except RecursionError as error:
+        raise InputError(f"{path}: is not valid YAML (nested too deeply)") from error
     except (YAMLError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: is not valid YAML ({' '.join(str(error).split())})") from error
     scale = _at(path, whole, "scale")

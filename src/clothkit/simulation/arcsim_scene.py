@@ -36,19 +36,19 @@ class Scene(NamedTuple):
 
 
 # Keys of ARCSim that are not declared here are ignored.
-class _Transform(pydantic.BaseModel, frozen=True):
+class _Transform(pydantic.BaseModel, frozen=True, allow_inf_nan=False):
     translate: tuple[float, float, float] = (0.0, 0.0, 0.0)
     scale: float = 1.0
     rotate: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
 
 
-class _Key(pydantic.BaseModel, frozen=True):
+class _Key(pydantic.BaseModel, frozen=True, allow_inf_nan=False):
     time: float
     transform: _Transform = _Transform()
     velocity: _Transform | None = None
 
 
-class _Handle(pydantic.BaseModel, frozen=True):
+class _Handle(pydantic.BaseModel, frozen=True, allow_inf_nan=False):
     type: str = "node"
     nodes: list[Annotated[int, Ge(0)]] = []
     label: int = -1
@@ -57,7 +57,7 @@ class _Handle(pydantic.BaseModel, frozen=True):
     end_time: float = math.inf
 
 
-class _Conf(pydantic.BaseModel, frozen=True):
+class _Conf(pydantic.BaseModel, frozen=True, allow_inf_nan=False):
     frame_time: Annotated[float, Gt(0)]
     end_time: float = math.inf
     motions: list[list[_Key]] = []

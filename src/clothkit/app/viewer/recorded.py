@@ -40,7 +40,7 @@ class Entry(NamedTuple):
 
 def systems_in(data: Path) -> list[str]:
     """The systems whose sessions are recorded under `data`."""
-    return [name for name in SYSTEMS if _store(data, name).is_dir()]
+    return [name for name in SYSTEMS if os.path.lexists(_store(data, name))]
 
 
 def _store(data: Path, system: str) -> Path:

@@ -1,5 +1,6 @@
 """Tasks for live sessions: your own files, or test tasks of the dataset."""
 
+import os
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,7 +26,7 @@ MOST = 50
 
 def test_tasks(path: Path) -> dict[str, Ask]:
     """Return the test tasks of a store of meshes, by name; none if there is no store. Raises InputError."""
-    if not path.exists():
+    if not os.path.lexists(path):
         return {}
     split, length = load_splits(path)
     sequences = np.flatnonzero(split == SPLITS.index("test"))[:MOST]
