@@ -225,7 +225,7 @@ def test_rows_of_the_high_viewport_stand_beside_the_others(tmp_path: Path) -> No
     found = rows.read_planning(tmp_path, ("main",))
     pd.testing.assert_frame_equal(found[own.columns.tolist()], own)
     shuffled[shuffled["sequence"] > 0].to_parquet(tmp_path / "voxels_025.parquet")
-    with pytest.raises(InputError, match=r"voxels_025\.parquet: expected one row for each task"):
+    with pytest.raises(InputError, match=r"voxels_025\.parquet: expected a row for each task"):
         rows.read_planning(tmp_path, ("main",))
     high = planning_tables.planning_voxels(TIDY, INTERVALS, SYSTEMS, measure="voxel_error_025")
     keys = {"source": "clothkit", "split": "test", "system": "b1"}
