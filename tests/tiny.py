@@ -127,9 +127,9 @@ def attempts(accepted: int = 10) -> Attempts:
     states = np.zeros((count, 4, 32, 32, 3), np.float32)
     for k in range(count):
         shapes = [flat(), *(folded(along=0.5 - 0.2 * i, angle=0.1 * k) for i in range(3))]
-        states[k] = np.stack(shapes) * SCALE + np.float32([0.002 * k, 0, 0.001])
+        states[k] = np.stack(shapes) * SCALE + np.array([0.002 * k, 0, 0.001], np.float32)
     measured = np.full((count, 4), 0.001, np.float32)
-    manipulation = np.tile(np.float32([1, -1, 1, 1, -0.8, 0.1]), (count, 3, 1))
+    manipulation = np.tile(np.array([1, -1, 1, 1, -0.8, 0.1], np.float32), (count, 3, 1))
     manipulation[::3, :, 2:4] = manipulation[::3, :, :2]
     return Attempts(
         attempt=np.arange(count),

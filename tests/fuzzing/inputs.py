@@ -54,12 +54,12 @@ def _write_shapes(folder: Path) -> None:
     np.save(folder / "mesh.npy", bent)
     np.save(folder / "goal.npy", folded(along=0.0))
     surface = trimesh.Trimesh(bent.reshape(-1, 3).astype(float) * SCALE, triangles(), process=False)
-    (folder / "bent.ply").write_bytes(surface.export(file_type="ply", encoding="ascii"))
+    surface.export(folder / "bent.ply", file_type="ply", encoding="ascii")
     with np.load(folder / "cloud.npz") as stored:
         # Text takes long to read, many times over.
         points = stored["points"][stored["cloth"]][::4]
     cloud = trimesh.PointCloud(points)
-    (folder / "cloud.ply").write_bytes(cloud.export(file_type="ply", encoding="ascii"))
+    cloud.export(folder / "cloud.ply", file_type="ply", encoding="ascii")
     for name, data in (("cloud", "ascii"), ("binary", "binary"), ("compressed", "binary_compressed")):
         written_pcd(folder / f"{name}.pcd", points, data, header={"VIEWPOINT": "0 0 0 1 0 0 0"})
     made = zarr.create_array(folder / "own.zarr", shape=points.shape, dtype=points.dtype, chunks=(256, 3))

@@ -54,9 +54,9 @@ def handle(node: int, motion: int, *, start: float = 0.0, end: float = 1.5) -> d
 def motion(move: Sequence[float], *, start: float = 0.0, end: float = 1.5) -> list[dict[str, Any]]:
     """Up and over in three keys."""
     x, y = move
-    places = ([0, 0, 0], [x / 2, y / 2, 0.1], [x, y, 0.003])
+    places: list[list[float]] = [[0, 0, 0], [x / 2, y / 2, 0.1], [x, y, 0.003]]
     times = (start, (start + end) / 2, end)
-    return [{"time": t, "transform": {"translate": list(p)}} for t, p in zip(times, places, strict=True)]
+    return [{"time": t, "transform": {"translate": p}} for t, p in zip(times, places, strict=True)]
 
 
 def write_scene(path: Path, handles: list[dict[str, Any]], motions: list[list[dict[str, Any]]]) -> None:
