@@ -31,8 +31,8 @@ from clothkit.cloth.grid import SIDE, flat
 from clothkit.cloth.silhouette import silhouette
 from clothkit.cloth.voxels import observe
 from clothkit.estimation.estimate import estimate, estimate_unrefined
-from clothkit.networks import emd_voxel, pemd, vtm
-from clothkit.networks.net import Net
+from clothkit.models import emd_voxel, pemd, vtm
+from clothkit.models.net import Net
 from clothkit.params import load_params
 from clothkit.planning.draw import EXTENT, RASTER, Candidates
 from clothkit.planning.loss import Range, Spread, Weights

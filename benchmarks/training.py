@@ -25,11 +25,12 @@ from timed import in_a_row, least
 
 from clothkit.cloth.grid import flat
 from clothkit.dataset.store import STATES, STEPS, Dataset
-from clothkit.networks import pemd_training, vtm_training
-from clothkit.networks.recipe import optimiser
-from clothkit.networks.training import runner
-from clothkit.networks.vtm_training import EVERY
 from clothkit.params import load_params
+from clothkit.training import pemd as pemd_training
+from clothkit.training import vtm as vtm_training
+from clothkit.training.loop import runner
+from clothkit.training.recipe import optimiser
+from clothkit.training.vtm import EVERY
 
 SEQUENCES = 64  # number of synthetic sequences
 SHARE = 0.4  # fraction of voxels that `rare: 0.001` keeps for folded cloths; the synthetic cloths are flat

@@ -6,9 +6,9 @@ from pathlib import Path
 
 from clothkit.dataset import store
 from clothkit.dataset.rows import write_rows
+from clothkit.episodes import record
 from clothkit.evaluation import arrays, camera, camera_planning
-from clothkit.networks.store import load
-from clothkit.planning import record
+from clothkit.models.store import load
 from clothkit.planning.loss import Weights
 from clothkit.planning.planner import artifacts, assemble
 from clothkit.planning.systems import SYSTEMS

@@ -5,7 +5,7 @@ from pathlib import Path
 from clothkit.dataset import store
 from clothkit.dataset.rows import write_rows
 from clothkit.evaluation import arrays, estimation
-from clothkit.networks.store import load
+from clothkit.models.store import load
 from clothkit.stage import stage
 
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import pandas as pd
 
 from clothkit.dataset.rows import write_rows
+from clothkit.episodes import record
 from clothkit.evaluation import planning, viewport
-from clothkit.planning import record
 from clothkit.stage import stage
 
 PLANNING = Path("data/evaluation/planning")

@@ -7,7 +7,7 @@ import pandas as pd
 from clothkit.dataset import store
 from clothkit.dataset.rows import write_rows
 from clothkit.evaluation import arrays, calibration, comparisons, prediction, voxel_prediction
-from clothkit.networks.store import load
+from clothkit.models.store import load
 from clothkit.planning.systems import better_net
 from clothkit.stage import stage
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from clothkit.dataset import store
-from clothkit.networks.store import Kind, load
+from clothkit.models.store import Kind, load
 from clothkit.planning.forward import MESH
 from clothkit.planning.normalisation import normalise, save
 from clothkit.planning.recorded import in_meshes, in_voxels

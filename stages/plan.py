@@ -9,11 +9,11 @@ import pandas as pd
 
 from clothkit.dataset import store
 from clothkit.dataset.rows import write_rows
-from clothkit.planning.evaluate import cost, evaluate
+from clothkit.episodes.evaluate import cost, evaluate
+from clothkit.episodes.record import save
+from clothkit.episodes.rows import rows
 from clothkit.planning.loss import Weights
 from clothkit.planning.planner import artifacts, assemble
-from clothkit.planning.record import save
-from clothkit.planning.rows import rows
 from clothkit.planning.systems import SYSTEMS
 from clothkit.simulation.executor import end_workers, execute
 from clothkit.stage import stage

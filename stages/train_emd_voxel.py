@@ -9,10 +9,10 @@ from pathlib import Path
 import jax
 
 from clothkit.dataset import store
-from clothkit.networks.emd_voxel_training import train_emd_voxel
-from clothkit.networks.net import Net
-from clothkit.networks.store import save
+from clothkit.models.net import Net
+from clothkit.models.store import save
 from clothkit.stage import stage
+from clothkit.training.emd_voxel import train_emd_voxel
 
 NETS = ("a", "b")
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import jax
 
 from clothkit.dataset import store
-from clothkit.networks.net import Net
-from clothkit.networks.pemd_training import train_pemd
-from clothkit.networks.store import save
+from clothkit.models.net import Net
+from clothkit.models.store import save
 from clothkit.stage import stage
+from clothkit.training.pemd import train_pemd
 
 NETS = ("a", "b")
 

@@ -5,10 +5,10 @@ from pathlib import Path
 import jax
 
 from clothkit.dataset import store
-from clothkit.networks.net import Net
-from clothkit.networks.store import save
-from clothkit.networks.vtm_training import train_vtm
+from clothkit.models.net import Net
+from clothkit.models.store import save
 from clothkit.stage import stage
+from clothkit.training.vtm import train_vtm
 
 
 def main() -> None:

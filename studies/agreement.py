@@ -30,8 +30,8 @@ from clothkit.errors import InputError
 from clothkit.estimation.agreement import Agreement, agreement, proposed
 from clothkit.estimation.estimate import estimate
 from clothkit.evaluation.errors import errors
-from clothkit.networks import store
-from clothkit.networks.net import Net
+from clothkit.models import store
+from clothkit.models.net import Net
 from clothkit.observation.noise import NoiseConfig
 from clothkit.observation.picture import PictureConfig, take
 from clothkit.params import load_params

@@ -21,11 +21,11 @@ import pandas as pd
 from made_with import NAME, joined, made_with, read
 
 from clothkit.dataset import store
+from clothkit.episodes.evaluate import try_out
+from clothkit.episodes.rows import rows
 from clothkit.params import load_params
-from clothkit.planning.evaluate import try_out
 from clothkit.planning.loss import Weights
 from clothkit.planning.planner import artifacts, assemble
-from clothkit.planning.rows import rows
 from clothkit.planning.systems import SYSTEMS
 from clothkit.publish import unfinished
 from clothkit.report.figures.studies import weights as draw

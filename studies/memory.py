@@ -28,11 +28,11 @@ from clothkit.dataset import store
 from clothkit.dataset.store import Dataset
 from clothkit.dataset.tasks import tasks_of
 from clothkit.evaluation.comparisons import compare
-from clothkit.networks import pemd
-from clothkit.networks.canonical import described, framed, unframed
-from clothkit.networks.layers import run
-from clothkit.networks.net import Net
-from clothkit.networks.store import load
+from clothkit.models import pemd
+from clothkit.models.canonical import described, framed, unframed
+from clothkit.models.layers import run
+from clothkit.models.net import Net
+from clothkit.models.store import load
 from clothkit.params import load_params
 from clothkit.planning.planner import artifacts
 from clothkit.planning.systems import SYSTEMS

@@ -24,11 +24,13 @@ import pandas as pd
 from made_with import NAME, joined, made_with, read
 
 from clothkit.dataset import store
-from clothkit.networks import emd_voxel_training, pemd_training, vtm_training
-from clothkit.networks.training import Problem, train
 from clothkit.params import load_params
 from clothkit.publish import unfinished
 from clothkit.report.figures.studies import recipes as draw
+from clothkit.training import emd_voxel as emd_voxel_training
+from clothkit.training import pemd as pemd_training
+from clothkit.training import vtm as vtm_training
+from clothkit.training.loop import Problem, train
 
 CHECKS = 10
 TIMED = 30  # iterations over which a variant's time per iteration is measured

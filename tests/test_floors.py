@@ -11,14 +11,18 @@ FLOORS = [
     "manipulation",
     "simulation",
     "dataset",
-    "networks",
+    "models",
     "observation",
     "estimation",
     "planning",
+    "episodes",
     "evaluation",
+    "training",
     "report",
     "app",
 ]
+ABOVE_MODELS = FLOORS[FLOORS.index("observation") : FLOORS.index("training")]
+"""What training does not import, and what does not import it."""
 ONLY_IN = {"warp": "simulation", "matplotlib": "report", "dvc": None}
 
 
@@ -44,3 +48,4 @@ def test_imports_point_downwards(file: Path) -> None:
             assert rest[0] != "stage", f"{file} imports {name}"
             assert rest[0] != "params" or parts[0] == "app", f"{file} imports {name}"
             assert rest[0] not in FLOORS or FLOORS.index(rest[0]) <= floor, f"{file} imports {name}"
+            assert parts[0] != "training" or rest[0] not in ABOVE_MODELS, f"{file} imports {name}"

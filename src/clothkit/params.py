@@ -19,11 +19,11 @@ from clothkit.dataset.regularise import RegulariseConfig
 from clothkit.errors import InputError, system_error
 from clothkit.evaluation.camera_settings import EvaluateCameraConfig
 from clothkit.evaluation.settings import EvaluateEstimationConfig, EvaluatePlanningConfig, EvaluatePredictionConfig
-from clothkit.networks.settings import TrainEMDVoxelConfig, TrainPEMDConfig, TrainVtMConfig
 from clothkit.planning.settings import NormaliseConfig, PlanConfig
 from clothkit.report.card.settings import CardConfig
 from clothkit.report.settings import ReportConfig
 from clothkit.simulation.settings import SimulateConfig
+from clothkit.training.settings import TrainEMDVoxelConfig, TrainPEMDConfig, TrainVtMConfig
 
 Scale = Literal["smoke", "laptop", "overnight", "paper"]
 

@@ -12,9 +12,9 @@ from clothkit.cloth.equivalents import relabel, relabel_manipulation
 from clothkit.cloth.silhouette import centred
 from clothkit.dataset import store
 from clothkit.dataset.tasks import Task
-from clothkit.planning.record import Sessions, blank, join, save, tasks_of_dataset
+from clothkit.episodes.record import Sessions, blank, join, save, tasks_of_dataset
+from tests.episodes.test_session import dataset
 from tests.planning import toy
-from tests.planning.test_session import dataset
 
 LABELS = 5
 """The equivalent under which estimates come."""

@@ -15,7 +15,7 @@ from clothkit.app import export as app_export
 from clothkit.app.given import keep_compiled_programs
 from clothkit.app.output import write_mesh
 from clothkit.cloth.grid import flat
-from clothkit.networks import store
+from clothkit.models import store
 from tests.app.conftest import run, succeed
 from tests.app.plans import changed, content, write
 

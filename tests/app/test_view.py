@@ -32,8 +32,8 @@ from clothkit.manipulation.geometry import release_points, to_cartesian
 from clothkit.planning.planner import Planner
 from tests.app import played
 from tests.app.conftest import run
+from tests.episodes.test_session import MANIPULATIONS
 from tests.planning import toy
-from tests.planning.test_session import MANIPULATIONS
 
 FORWARD = ("--no-browser", "--port", 0)
 

@@ -10,8 +10,8 @@ from clothkit.cloth.grid import flat
 from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.estimation.estimate import estimate, estimate_unrefined, labelled_like
 from clothkit.estimation.refine import RefineConfig
-from clothkit.networks.net import Net
-from clothkit.networks.vtm import VtMConfig, initial
+from clothkit.models.net import Net
+from clothkit.models.vtm import VtMConfig, initial
 
 
 def lopsided() -> np.ndarray:

@@ -15,9 +15,9 @@ from clothkit.evaluation import calibration
 from clothkit.evaluation.errors import deviations
 from clothkit.evaluation.prediction import Starts
 from clothkit.evaluation.settings import EvaluatePredictionConfig
-from clothkit.networks import pemd
-from clothkit.networks.net import Net
-from clothkit.networks.pemd import PEMDConfig, rollout
+from clothkit.models import pemd
+from clothkit.models.net import Net
+from clothkit.models.pemd import PEMDConfig, rollout
 
 
 def normal_coverage(z: pd.Series, factor: float = 1) -> np.ndarray:

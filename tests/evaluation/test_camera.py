@@ -11,23 +11,23 @@ import pytest
 from clothkit.cloth import voxels
 from clothkit.cloth.grid import flat
 from clothkit.dataset.store import SPLITS, Dataset
+from clothkit.episodes.camera_sight import CameraSight, through_camera
+from clothkit.episodes.evaluate import evaluate
+from clothkit.episodes.record import Sessions
 from clothkit.errors import InputError
 from clothkit.estimation.estimate import estimate
 from clothkit.estimation.refine import RefineConfig
 from clothkit.evaluation import camera, camera_planning
 from clothkit.evaluation.camera_settings import UNMEASURED, Condition, EvaluateCameraConfig
-from clothkit.networks import vtm
-from clothkit.networks.net import Net
-from clothkit.networks.settings import VtMConfig
+from clothkit.models import vtm
+from clothkit.models.net import Net
+from clothkit.models.settings import VtMConfig
 from clothkit.observation.picture import Picture, PictureConfig, take
-from clothkit.planning.camera_sight import CameraSight, through_camera
-from clothkit.planning.evaluate import evaluate
-from clothkit.planning.record import Sessions
 from clothkit.planning.sight import MeshSight
+from tests.episodes.test_session import dataset as toy_dataset
 from tests.evaluation import camera_rows
 from tests.observation.scenes import SMALL, folded
 from tests.planning import toy
-from tests.planning.test_session import dataset as toy_dataset
 
 REFINE = RefineConfig(iterations=5)
 PICTURE = PictureConfig(camera=SMALL)
@@ -108,7 +108,7 @@ def test_a_planner_sees_what_its_camera_shows(net: Net) -> None:
     seen = np.stack([picture.observation.voxels for picture in pictures])
     np.testing.assert_allclose(view.states, estimate(net, seen, REFINE).mesh, atol=1e-5)
     # What can't be seen is taken for what was expected.
-    with mock.patch("clothkit.planning.camera_sight.take", side_effect=InputError("no cloth")):
+    with mock.patch("clothkit.episodes.camera_sight.take", side_effect=InputError("no cloth")):
         blind = sight.see(truth, truth[::-1])
     assert not blind.shift.any()
     np.testing.assert_allclose(blind.states, sight.estimates(np.asarray(voxels.observe(truth[::-1])), truth[::-1]))
@@ -123,7 +123,7 @@ def test_eyes_look_as_high_as_their_net_knows(net: Net) -> None:
     np.testing.assert_allclose(sight.see(truth, None).states, estimate(high, seen, REFINE).mesh, atol=1e-5)
     before_camera = through_camera(dataclasses.replace(toy.planner("main"), sight=sight), PICTURE).sight
     pictures = []
-    with mock.patch("clothkit.planning.camera_sight.take", lambda mesh, how: pictures.append(how) or take(mesh, how)):
+    with mock.patch("clothkit.episodes.camera_sight.take", lambda mesh, how: pictures.append(how) or take(mesh, how)):
         before_camera.see(truth, None)
     assert [how.cloud.height for how in pictures] == [0.25]
 

@@ -16,10 +16,10 @@ from clothkit.estimation.refine import RefineConfig
 from clothkit.evaluation import arrays, estimation, prediction
 from clothkit.evaluation.occupancy import occupancy, seen_occupancy
 from clothkit.evaluation.settings import EvaluateEstimationConfig, EvaluatePredictionConfig
-from clothkit.networks import pemd, vtm
-from clothkit.networks.net import Net
-from clothkit.networks.pemd import PEMDConfig, rollout
-from clothkit.networks.vtm import VtMConfig
+from clothkit.models import pemd, vtm
+from clothkit.models.net import Net
+from clothkit.models.pemd import PEMDConfig, rollout
+from clothkit.models.vtm import VtMConfig
 
 SEQUENCES = 5
 

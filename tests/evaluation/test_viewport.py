@@ -5,9 +5,9 @@ import numpy as np
 
 from clothkit.cloth import grid
 from clothkit.dataset.tasks import Task
+from clothkit.episodes.record import Sizes, Tasks, blank
 from clothkit.evaluation import viewport
 from clothkit.evaluation.occupancy import pooled
-from clothkit.planning.record import Sizes, Tasks, blank
 
 
 def occupied(mesh: np.ndarray) -> np.ndarray:

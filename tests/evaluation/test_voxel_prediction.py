@@ -9,10 +9,10 @@ from clothkit.dataset.store import Dataset
 from clothkit.dataset.tasks import TASKS
 from clothkit.evaluation import voxel_prediction
 from clothkit.evaluation.settings import EvaluatePredictionConfig
-from clothkit.networks import emd_voxel
-from clothkit.networks.net import Net
-from clothkit.networks.settings import EMDVoxelConfig
-from tests.networks.conftest import crumpled
+from clothkit.models import emd_voxel
+from clothkit.models.net import Net
+from clothkit.models.settings import EMDVoxelConfig
+from tests.models.conftest import crumpled
 
 CONFIG = EMDVoxelConfig(latent=4, manipulation=6, dense=True, encoder=(6,), decoder=(6,))
 

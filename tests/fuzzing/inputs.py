@@ -14,12 +14,12 @@ from clothkit.cloth.grid import triangles
 from clothkit.dataset import store
 from clothkit.dataset.regularise import regularise
 from clothkit.dataset.rows import write_rows
+from clothkit.episodes import record
 from clothkit.evaluation import arrays
 from clothkit.evaluation.arrays import Named
-from clothkit.networks import checkpoint
 from clothkit.params import Params, load_params
-from clothkit.planning import record
 from clothkit.simulation.records import write_raw
+from clothkit.training import checkpoint
 from tests.app import plans
 from tests.evaluation.planning_rows import planning_rows
 from tests.observation.pcds import written_pcd

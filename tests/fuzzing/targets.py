@@ -21,8 +21,7 @@ from clothkit.app.viewer import recorded
 from clothkit.app.viewer.tasks import test_tasks as tasks_in
 from clothkit.dataset import raw, store, tables
 from clothkit.evaluation import arrays, tidy
-from clothkit.networks import checkpoint
-from clothkit.networks import store as nets
+from clothkit.models import store as nets
 from clothkit.observation.files import read
 from clothkit.observation.observe import observe
 from clothkit.observation.states import PointCloud
@@ -32,6 +31,7 @@ from clothkit.planning.planner import Planner
 from clothkit.report import made_with
 from clothkit.report.timings import table_8
 from clothkit.simulation import arcsim_obj, arcsim_runs, arcsim_scene, generation
+from clothkit.training import checkpoint
 from tests.app.plans import BOTH, ONE
 from tests.observation.scenes import CLOTH, SMALL
 from tests.planning import toy

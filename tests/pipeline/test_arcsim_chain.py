@@ -9,6 +9,9 @@ import pandas as pd
 from clothkit.dataset import store
 from clothkit.dataset.augment import AugmentConfig, augment
 from clothkit.dataset.regularise import RegulariseConfig, assign_splits, regularise
+from clothkit.episodes import record
+from clothkit.episodes.evaluate import evaluate
+from clothkit.episodes.rows import rows
 from clothkit.estimation.refine import RefineConfig
 from clothkit.evaluation import (
     arrays,
@@ -25,27 +28,13 @@ from clothkit.evaluation.camera_settings import Condition, EvaluateCameraConfig
 from clothkit.evaluation.comparisons import of_predictions
 from clothkit.evaluation.settings import EvaluateEstimationConfig, EvaluatePredictionConfig
 from clothkit.manipulation.candidates import CandidateConfig
-from clothkit.networks.emd_voxel_training import train_emd_voxel
-from clothkit.networks.net import Net
-from clothkit.networks.pemd_training import train_pemd
-from clothkit.networks.settings import (
-    EMDVoxelConfig,
-    PEMDConfig,
-    TrainEMDVoxelConfig,
-    TrainingConfig,
-    TrainPEMDConfig,
-    TrainVtMConfig,
-    VtMConfig,
-)
-from clothkit.networks.vtm_training import train_vtm
+from clothkit.models.net import Net
+from clothkit.models.settings import EMDVoxelConfig, PEMDConfig, VtMConfig
 from clothkit.observation.picture import PictureConfig
-from clothkit.planning import record
-from clothkit.planning.evaluate import evaluate
 from clothkit.planning.forward import MESH
 from clothkit.planning.loss import Weights
 from clothkit.planning.normalisation import normalise
 from clothkit.planning.planner import Planner
-from clothkit.planning.rows import rows
 from clothkit.planning.search import SearchConfig
 from clothkit.planning.settings import NormaliseConfig, PlanConfig
 from clothkit.planning.sight import MeshSight
@@ -55,6 +44,10 @@ from clothkit.report.inputs import Inputs
 from clothkit.report.settings import ReportConfig
 from clothkit.simulation.arcsim import import_runs
 from clothkit.simulation.arcsim_runs import read_runs
+from clothkit.training.emd_voxel import train_emd_voxel
+from clothkit.training.pemd import train_pemd
+from clothkit.training.settings import TrainEMDVoxelConfig, TrainingConfig, TrainPEMDConfig, TrainVtMConfig
+from clothkit.training.vtm import train_vtm
 from tests.observation.scenes import SMALL
 from tests.planning import toy
 from tests.simulation import arcsim_runs as runs

@@ -14,8 +14,8 @@ from clothkit.errors import InputError
 from clothkit.planning import normalisation
 from clothkit.planning.normalisation import load, normalise, save
 from clothkit.planning.settings import NormaliseConfig
+from tests.episodes.test_session import dataset
 from tests.planning import toy
-from tests.planning.test_session import dataset
 
 
 def whitened(mean: np.ndarray, std: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray | None]:

@@ -9,22 +9,22 @@ import pytest
 
 from clothkit.cloth import voxels
 from clothkit.dataset.tasks import Task
+from clothkit.episodes.rows import rows
+from clothkit.episodes.session import run_sessions
 from clothkit.manipulation.candidates import CandidateConfig
-from clothkit.networks.emd_voxel import EMDVoxelConfig, initial
-from clothkit.networks.net import Net
+from clothkit.models.emd_voxel import EMDVoxelConfig, initial
+from clothkit.models.net import Net
 from clothkit.planning.loss import Range, Weights
 from clothkit.planning.normalisation import normalise
 from clothkit.planning.planner import Planner
 from clothkit.planning.recorded import in_voxels
-from clothkit.planning.rows import rows
 from clothkit.planning.search import SearchConfig
-from clothkit.planning.session import run_sessions
 from clothkit.planning.settings import NormaliseConfig, PlanConfig
 from clothkit.planning.sight import VoxelSight
 from clothkit.planning.systems import system
 from clothkit.planning.voxel_forward import VOXEL, accuracy, accuracy_of_each, diff
+from tests.episodes.test_session import MANIPULATIONS, dataset, tasks
 from tests.planning import toy
-from tests.planning.test_session import MANIPULATIONS, dataset, tasks
 
 RANDOM = np.random.default_rng(0)
 

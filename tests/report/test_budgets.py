@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from clothkit.errors import InputError
-from clothkit.networks.settings import PEMDConfig
+from clothkit.models.settings import PEMDConfig
 from clothkit.report import made_with
 from clothkit.report.budgets import budgets, differ, told, told_of_nets
 from tests.report.contents import LAPTOP

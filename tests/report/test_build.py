@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from clothkit.cloth import grid
 from clothkit.dataset.store import Dataset
 from clothkit.dataset.tasks import TASKS, Task
+from clothkit.episodes.record import Sessions, Sizes, blank, tasks_of_dataset
 from clothkit.evaluation import calibration, camera_planning, planning
 from clothkit.evaluation.comparisons import of_predictions
-from clothkit.planning.record import Sessions, Sizes, blank, tasks_of_dataset
 from clothkit.report import pages, panels, timings
 from clothkit.report.build import build, picked
 from clothkit.report.captions import CAPTIONS

@@ -13,18 +13,18 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, Shaped
 from clothkit.app.given import Seen, Settings, Taken
 from clothkit.cloth.equivalents import compose, inverse, relabel, relabel_manipulation
 from clothkit.cloth.mesh import best_label, distance
+from clothkit.episodes.session import no_traces
 from clothkit.errors import InputError
 from clothkit.estimation.estimate import Estimate, estimate, estimate_unrefined
 from clothkit.manipulation.turns import turn_manipulation, turn_mesh
-from clothkit.networks import store
-from clothkit.networks.net import Net
+from clothkit.models import store
+from clothkit.models.net import Net
 from clothkit.planning.draw import Candidates
 from clothkit.planning.forward import Forward
 from clothkit.planning.loss import uncertainty
 from clothkit.planning.planner import Planner, artifacts, assemble
 from clothkit.planning.predict import expect
 from clothkit.planning.search import UNKNOWN, Found, Problem
-from clothkit.planning.session import no_traces
 from clothkit.planning.systems import System
 
 Traces = tuple[Float[np.ndarray, "labels latent"], ...]

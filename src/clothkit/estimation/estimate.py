@@ -10,8 +10,8 @@ from jaxtyping import Array, Float, Shaped
 from clothkit.cloth.equivalents import COUNT, relabel_batch
 from clothkit.cloth.mesh import ProbabilisticMesh, nll
 from clothkit.estimation.refine import RefineConfig, refine
-from clothkit.networks import vtm
-from clothkit.networks.net import Net
+from clothkit.models import vtm
+from clothkit.models.net import Net
 
 
 class Estimate(NamedTuple):

@@ -12,7 +12,7 @@ from clothkit.dataset.store import SPLITS, STATES, STEPS, Dataset
 from clothkit.evaluation.errors import deviations
 from clothkit.evaluation.prediction import Starts, predict
 from clothkit.evaluation.settings import EvaluatePredictionConfig
-from clothkit.networks.net import Net
+from clothkit.models.net import Net
 
 LEVELS = np.round(np.arange(1, 31) * 0.1, 1)
 """z: the multiples of sigma at which coverage is measured."""

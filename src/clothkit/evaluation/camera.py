@@ -11,18 +11,18 @@ from tqdm import tqdm
 from clothkit.cloth import voxels
 from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.dataset.store import STATES, Dataset
+from clothkit.episodes.camera_sight import for_net
 from clothkit.errors import InputError
 from clothkit.estimation.estimate import estimate
 from clothkit.estimation.refine import RefineConfig
 from clothkit.evaluation.arrays import Named
 from clothkit.evaluation.camera_settings import UNMEASURED, Condition, EvaluateCameraConfig
 from clothkit.evaluation.errors import errors
-from clothkit.networks.net import Net
-from clothkit.networks.vtm import seen_by
+from clothkit.models.net import Net
+from clothkit.models.vtm import seen_by
 from clothkit.observation.coverage import goal_iou
 from clothkit.observation.picture import Picture, PictureConfig, take
 from clothkit.planning.batches import in_batches
-from clothkit.planning.camera_sight import for_net
 
 NO_CAMERA = Condition(name="voxels")
 """The condition without a camera: noise-free voxels, the input of all other evaluations."""

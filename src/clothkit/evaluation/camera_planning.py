@@ -9,18 +9,18 @@ import pandas as pd
 
 from clothkit.cloth.silhouette import iou, silhouette
 from clothkit.dataset.store import Dataset
+from clothkit.episodes.camera_sight import through_camera
+from clothkit.episodes.evaluate import evaluate
+from clothkit.episodes.record import Sessions
+from clothkit.episodes.rows import rows
+from clothkit.episodes.session import Execute
 from clothkit.errors import InputError
 from clothkit.evaluation.camera import NO_CAMERA, pictured
 from clothkit.evaluation.camera_settings import Condition, EvaluateCameraConfig
 from clothkit.evaluation.comparisons import COLUMNS, compare
 from clothkit.observation.coverage import goal_iou
 from clothkit.observation.picture import PictureConfig, take
-from clothkit.planning.camera_sight import through_camera
-from clothkit.planning.evaluate import evaluate
 from clothkit.planning.planner import Planner
-from clothkit.planning.record import Sessions
-from clothkit.planning.rows import rows
-from clothkit.planning.session import Execute
 
 
 def planning(

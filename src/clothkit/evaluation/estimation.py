@@ -13,8 +13,8 @@ from clothkit.estimation.estimate import estimate
 from clothkit.evaluation.arrays import Named
 from clothkit.evaluation.errors import errors, labelled_errors, labels_of_truth, sigma_ratio
 from clothkit.evaluation.settings import EvaluateEstimationConfig
-from clothkit.networks.net import Net
-from clothkit.networks.vtm import seen_by
+from clothkit.models.net import Net
+from clothkit.models.vtm import seen_by
 
 
 class Estimates(NamedTuple):

@@ -20,8 +20,8 @@ from clothkit.evaluation.arrays import Named
 from clothkit.evaluation.errors import errors, relabelled, sigma_ratio
 from clothkit.evaluation.occupancy import TALL, TALL_MEASURE, differences, occupancy, seen_occupancy
 from clothkit.evaluation.settings import EvaluatePredictionConfig
-from clothkit.networks.net import Net
-from clothkit.networks.pemd import rollout
+from clothkit.models.net import Net
+from clothkit.models.pemd import rollout
 
 OCCLUDED = "main_occluded"
 """System name of main's predictions as a camera above would see them, comparable to the voxel baseline's."""

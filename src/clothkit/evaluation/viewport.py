@@ -6,9 +6,9 @@ import pandas as pd
 from jaxtyping import Array
 
 from clothkit.cloth import voxels
+from clothkit.episodes.record import Sessions
 from clothkit.evaluation.comparisons import KEYS
 from clothkit.evaluation.occupancy import TALL, TALL_MEASURE, differences
-from clothkit.planning.record import Sessions
 
 
 @jax.jit

@@ -15,8 +15,8 @@ from clothkit.dataset.tasks import TASKS
 from clothkit.evaluation.errors import errors
 from clothkit.evaluation.occupancy import TALL, TALL_MEASURE, differences, pooled
 from clothkit.evaluation.settings import EvaluatePredictionConfig
-from clothkit.networks.emd_voxel import cartesian, rollout
-from clothkit.networks.net import Net
+from clothkit.models.emd_voxel import cartesian, rollout
+from clothkit.models.net import Net
 
 SYSTEM = "a2"
 

@@ -12,7 +12,7 @@ from clothkit.cloth.equivalents import COUNT
 from clothkit.cloth.grid import thinned
 from clothkit.cloth.mesh import ProbabilisticMesh, whiten
 from clothkit.manipulation.geometry import to_cartesian
-from clothkit.networks import pemd
+from clothkit.models import pemd
 from clothkit.planning import loss
 
 

@@ -9,13 +9,13 @@ from typing import Any
 import jax
 
 from clothkit.dataset.store import STEPS
+from clothkit.episodes.record import Sizes
 from clothkit.manipulation.candidates import CandidateConfig
-from clothkit.networks import store
-from clothkit.networks.store import Kind
+from clothkit.models import store
+from clothkit.models.store import Kind
 from clothkit.planning import normalisation
 from clothkit.planning.loss import Weights
 from clothkit.planning.normalisation import Normalisation
-from clothkit.planning.record import Sizes
 from clothkit.planning.search import Found, Problem, search
 from clothkit.planning.settings import PlanConfig
 from clothkit.planning.sight import MeshSight, Sight, VoxelSight

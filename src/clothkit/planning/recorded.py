@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Shaped
 
 from clothkit.cloth import voxels
-from clothkit.networks.emd_voxel import cartesian
+from clothkit.models.emd_voxel import cartesian
 
 
 class Recorded(NamedTuple):

@@ -19,8 +19,8 @@ from clothkit.estimation.estimate import estimate, estimate_unrefined
 from clothkit.estimation.refine import RefineConfig, refine
 from clothkit.manipulation.candidates import CandidateConfig, candidates, voxel_candidates
 from clothkit.manipulation.geometry import to_cartesian, to_geodesic
-from clothkit.networks.net import Net
-from clothkit.networks.vtm import seen_by
+from clothkit.models.net import Net
+from clothkit.models.vtm import seen_by
 from clothkit.planning.batches import in_batches
 from clothkit.planning.draw import EXTENT, RASTER
 from clothkit.planning.forward import MESH, Forward

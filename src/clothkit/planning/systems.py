@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from clothkit.errors import InputError
-from clothkit.networks.store import validation_score
+from clothkit.models.store import validation_score
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Shaped
 
-from clothkit.networks import emd_voxel
-from clothkit.networks.emd_voxel_training import cross_entropy
-from clothkit.networks.net import Net
+from clothkit.models import emd_voxel
+from clothkit.models.net import Net
 from clothkit.planning.forward import Forward
 from clothkit.planning.loss import Range
 
@@ -49,7 +48,7 @@ def whole(goals: Shaped[Array, "*goals x y z"], every: int) -> Shaped[Array, "*g
 
 def accuracy(goal: Float[Array, "*#batch x y z"], outcome: Logits, span: Range | None = None) -> Float[Array, "*batch"]:
     """An accuracy term of eq. (13) with the binary cross-entropy in place of the NLL."""
-    loss = cross_entropy(outcome, goal)
+    loss = emd_voxel.cross_entropy(outcome, goal)
     return loss if span is None else (loss - span.low) / (span.high - span.low)
 
 

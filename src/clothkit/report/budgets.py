@@ -8,12 +8,13 @@ import jax
 import numpy as np
 import pandas as pd
 
-from clothkit.networks.settings import EMDVoxelConfig, PEMDConfig, TrainingConfig
-from clothkit.networks.store import shapes
+from clothkit.models.settings import EMDVoxelConfig, PEMDConfig
+from clothkit.models.store import shapes
 from clothkit.planning.search import SearchConfig
 from clothkit.planning.systems import SYSTEMS
 from clothkit.report.layout import LENGTHS
 from clothkit.report.made_with import Learned, MadeWith, Net
+from clothkit.training.settings import TrainingConfig
 
 EQUAL = 0.05
 """Budgets count as equal if they differ by at most this share of the larger one."""

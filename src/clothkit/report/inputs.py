@@ -10,9 +10,9 @@ import pandas as pd
 from clothkit.dataset import store, tables
 from clothkit.dataset.raw import ATTEMPTS
 from clothkit.dataset.store import Dataset
+from clothkit.episodes import record
+from clothkit.episodes.record import Sessions
 from clothkit.evaluation import arrays, tidy
-from clothkit.planning import record
-from clothkit.planning.record import Sessions
 from clothkit.report import rows
 from clothkit.report.settings import ReportConfig
 

@@ -9,8 +9,9 @@ import pydantic
 from ruamel.yaml import YAML, YAMLError
 
 from clothkit.errors import InputError, system_error
-from clothkit.networks.settings import EMDVoxelConfig, PEMDConfig, TrainingConfig, VtMConfig
+from clothkit.models.settings import EMDVoxelConfig, PEMDConfig, VtMConfig
 from clothkit.planning.search import SearchConfig
+from clothkit.training.settings import TrainingConfig
 
 T = TypeVar("T")
 

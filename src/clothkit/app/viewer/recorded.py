@@ -8,8 +8,8 @@ import numpy as np
 
 from clothkit.app.viewer.session import Look, Session, ShownPlan, Step, matched
 from clothkit.dataset import tables
+from clothkit.episodes import record
 from clothkit.evaluation import tidy
-from clothkit.planning import record
 from clothkit.planning.systems import SYSTEMS
 
 _KEYS = ("sequence", "start", "length")

@@ -13,8 +13,8 @@ from clothkit.cloth.equivalents import INVERSE, relabel, relabel_manipulation
 from clothkit.cloth.mesh import best_label
 from clothkit.dataset.store import Dataset
 from clothkit.dataset.tasks import Task
+from clothkit.episodes.record import Sessions
 from clothkit.manipulation.geometry import to_cartesian
-from clothkit.planning.record import Sessions
 from clothkit.report import panels
 from clothkit.report.draw import draw
 

@@ -1,0 +1,1 @@
+"""Episodes: agents and worlds in turn, and what they leave as arrays and rows (section 5.1)."""

@@ -1,0 +1,255 @@
+"""pEM*D, the probabilistic forward model: encoder E, manipulator M, decoder D (section 4.5, design 6.3)."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import flax.linen as nn
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray, PyTree
+from numpy import ndarray
+
+from clothkit.cloth.grid import SIDE, thinned
+from clothkit.cloth.mesh import ProbabilisticMesh
+from clothkit.models.canonical import (
+    described,
+    frame,
+    framed,
+    manipulation_described,
+    shift_undone,
+    trace_within,
+    undone,
+    unframed,
+)
+from clothkit.models.layers import dense, probabilistic_mesh, probabilistic_output, run
+from clothkit.models.net import Net
+from clothkit.models.settings import PEMDConfig, Start
+
+LAYERS = 16
+"""Number of M's neuron layers: layer 0 is the input, layer 15 the output."""
+
+
+class Encoder(nn.Module):
+    """E, eq. (2): hidden layers with tanh, linear output."""
+
+    config: PEMDConfig
+
+    @nn.compact
+    def __call__(self, mesh: Float[Array, "*batch u v 3"]) -> Float[Array, "*batch latent"]:
+        units = mesh.reshape(*mesh.shape[:-3], -1)
+        for i, width in enumerate(self.config.encoder):
+            units = jnp.tanh(dense(width, f"layer_{i + 1}")(units))
+        return dense(self.config.latent, "latent")(units)
+
+
+class Manipulator(nn.Module):
+    """M, eq. (3): 16 layers with a residual channel, which is the first `latent` units of every layer.
+
+    Every layer is dense; its input is the layer before it, with the manipulation appended. After tanh, the channel of
+    the layer before is added to that of the new layer. Layers 2, 4, .., 12 are also projected into the channel of
+    layers 4, .., 14, before the tanh. The centre shift is an output without tanh.
+    """
+
+    latent: int
+    """Units of the latent, of the memory trace and of the residual channel."""
+    width: int
+    """Units of the hidden layers, without the manipulation."""
+    start: Start
+
+    @nn.compact
+    def __call__(
+        self,
+        latent: Float[Array, "*batch latent"],
+        trace: Float[Array, "*batch latent"],
+        manipulation: Float[Array, "*batch 6"],
+    ) -> tuple[Float[Array, "*batch latent"], Float[Array, "*batch latent"], Float[Array, "*batch 2"]]:
+        channel = self.latent
+        layers = [jnp.concatenate([latent, trace, manipulation], axis=-1)]
+        for i in range(1, LAYERS - 1):
+            units = self._writing(self.width, f"layer_{i}")(layers[-1])
+            if i >= 4 and i % 2 == 0:
+                skip = dense(channel, f"skip_{i - 2}_{i}", scale=self.start.residual, bias=False)(layers[i - 2])
+                units = units + self._widened(skip)
+            units = jnp.tanh(units) + self._widened(layers[-1][..., :channel])
+            layers.append(jnp.concatenate([units, manipulation], axis=-1))
+        output = self._writing(2 * channel + 2, f"layer_{LAYERS - 1}")(layers[-1])
+        new_latent = jnp.tanh(output[..., :channel]) + layers[-1][..., :channel]
+        return new_latent, jnp.tanh(output[..., channel : 2 * channel]), output[..., 2 * channel :]
+
+    def _widened(self, channel: Float[Array, "*batch latent"]) -> Float[Array, "*batch width"]:
+        """The channel, padded with zeros to the width of a hidden layer.
+
+        XLA fuses the padding with other operations, which it does not do with an indexed update.
+        """
+        wider = [(0, 0)] * (channel.ndim - 1) + [(0, self.width - self.latent)]
+        return jnp.pad(channel, wider)
+
+    def _writing(self, width: int, name: str) -> nn.Dense:
+        """A dense layer whose first `latent` outputs belong to the residual channel.
+
+        The initial weights of these outputs are scaled by `start.residual`.
+        """
+        channel, factor = self.latent, self.start.residual
+        glorot = nn.initializers.glorot_uniform()
+
+        def weights(key: Array, shape: tuple[int, int], dtype: type) -> Array:
+            return glorot(key, shape, dtype) * jnp.where(jnp.arange(shape[1]) < channel, factor, 1.0).astype(dtype)
+
+        return nn.Dense(width, kernel_init=weights, name=name)
+
+
+def unrolled(
+    manipulator: Callable[..., Any],
+    latent: Float[Array, "*batch latent"],
+    manipulations: Float[Array, "*batch n 6"],
+    trace: Float[Array, "*batch latent"] | None = None,
+) -> tuple[Float[Array, "n *batch latent"], Float[Array, "n *batch latent"], Float[Array, "n *batch 2"]]:
+    """Latents, memory traces and centre shifts after each manipulation; without `trace` the first trace is zero."""
+    trace = jnp.zeros_like(latent) if trace is None else trace
+    steps = []
+    for i in range(manipulations.shape[-2]):
+        latent, trace, shift = manipulator(latent, trace, manipulations[..., i, :])
+        steps.append((latent, trace, shift))
+    latents, traces, shifts = (jnp.stack(values) for values in zip(*steps, strict=True))
+    return latents, traces, shifts
+
+
+class Decoder(nn.Module):
+    """D, eq. (4): hidden layers with tanh, and the output of eq. (6)."""
+
+    config: PEMDConfig
+    start: Start
+
+    @nn.compact
+    def __call__(self, latent: Float[Array, "*batch latent"]) -> ProbabilisticMesh:
+        # Batch axes are merged into one, because with two of them the backward pass took twice as long on CPUs.
+        units = latent.reshape(-1, latent.shape[-1])
+        for i, width in enumerate(self.config.decoder):
+            units = jnp.tanh(dense(width, f"layer_{i + 1}")(units))
+        units = probabilistic_output("mesh", self.start)(units)
+        return probabilistic_mesh(units.reshape(*latent.shape[:-1], -1), self.config.least_std)
+
+
+class PEMD(nn.Module):
+    """E, M and D in one module; `start` affects the initial weights only."""
+
+    config: PEMDConfig
+    start: Start = Start()
+
+    def setup(self) -> None:
+        self.E = Encoder(self.config)
+        self.M = Manipulator(self.config.latent, self.config.manipulation, self.start)
+        self.D = Decoder(self.config, self.start)
+
+    def __call__(
+        self, mesh: Float[Array, "*batch u v 3"], manipulations: Float[Array, "*batch n 6"]
+    ) -> tuple[ProbabilisticMesh, Float[Array, "n *batch latent"], Float[Array, "n *batch 2"]]:
+        latents, traces, shifts = self.unroll(mesh, manipulations)
+        return self.D(latents), traces, shifts
+
+    def encode(self, mesh: Float[Array, "*batch u v 3"]) -> Float[Array, "*batch latent"]:
+        return self.E(mesh)
+
+    def step(
+        self,
+        latent: Float[Array, "*batch latent"],
+        trace: Float[Array, "*batch latent"],
+        manipulation: Float[Array, "*batch 6"],
+    ) -> tuple[Float[Array, "*batch latent"], Float[Array, "*batch latent"], Float[Array, "*batch 2"]]:
+        return self.M(latent, trace, manipulation)
+
+    def decode(self, latent: Float[Array, "*batch latent"]) -> ProbabilisticMesh:
+        return self.D(latent)
+
+    def unroll(
+        self,
+        mesh: Float[Array, "*batch u v 3"],
+        manipulations: Float[Array, "*batch n 6"],
+        trace: Float[Array, "*batch latent"] | None = None,
+    ) -> tuple[Float[Array, "n *batch latent"], Float[Array, "n *batch latent"], Float[Array, "n *batch 2"]]:
+        """Latents, memory traces and centre shifts after each manipulation: eq. (5) without the decoder."""
+        return unrolled(self.M, self.E(mesh), manipulations, trace)
+
+
+def initial(config: PEMDConfig, start: Start = Start(), *, key: PRNGKeyArray) -> PyTree:  # noqa: B008
+    """Initial weights for training."""
+    mesh, manipulations = jnp.zeros((SIDE, SIDE, 3)), jnp.zeros((1, 6))
+    return PEMD(config, start).init(key, mesh, manipulations)["params"]
+
+
+def encode(net: Net, mesh: Float[Array | ndarray, "*batch u v 3"]) -> Float[Array, "*batch latent"]:
+    """The latent of a centred mesh [normalised]: eq. (2).
+
+    If the net is canonical, the mesh's frame is appended to the latent. `step` and `decode` use it to convert, so that
+    manipulations and predictions are in the coordinates and labels of `mesh`.
+    """
+    mesh, module = jnp.asarray(mesh), PEMD(net.config)
+    if not net.config.canonical:
+        return run(module, net.params, mesh, method="encode")
+    found = frame(mesh)
+    return framed(run(module, net.params, described(mesh, found), method="encode"), found)
+
+
+def step(
+    net: Net,
+    latent: Float[Array | ndarray, "*batch latent"],
+    trace: Float[Array | ndarray, "*batch latent"],
+    manipulation: Float[Array | ndarray, "*batch 6"],
+) -> tuple[Float[Array, "*batch latent"], Float[Array, "*batch latent"], Float[Array, "*batch 2"]]:
+    """Latent, memory trace and centre shift [normalised] after one manipulation: eq. (3).
+
+    The first memory trace is zero. A canonical net replaces a trace that refers to another frame by zeros.
+    """
+    latent, trace, manipulation = map(jnp.asarray, (latent, trace, manipulation))
+    module = PEMD(net.config)
+    if not net.config.canonical:
+        return run(module, net.params, latent, trace, manipulation, method="step")
+    units, found = unframed(latent)
+    described_so = manipulation_described(manipulation, found)
+    units, left, shift = run(module, net.params, units, trace_within(trace, latent), described_so, method="step")
+    return framed(units, found), framed(left, found), shift_undone(shift, found)
+
+
+def decode(net: Net, latent: Float[Array | ndarray, "*batch latent"], every: int = 1) -> ProbabilisticMesh:
+    """The probabilistic mesh [normalised] for a latent: eq. (4).
+
+    With `every` above 1, only the vertices that `grid.thinned` keeps are computed and returned.
+    """
+    latent = jnp.asarray(latent)
+    units, found = unframed(latent) if net.config.canonical else (latent, None)
+    if every == 1:
+        predicted = run(PEMD(net.config), net.params, units, method="decode")
+    else:
+        predicted = _decode_thinned(net, units, every)
+    return predicted if found is None else undone(predicted, found)
+
+
+def _decode_thinned(net: Net, latent: Float[Array, "*batch latent"], every: int) -> ProbabilisticMesh:
+    """D with an output layer for some of the vertices only.
+
+    This saves time because most of a search's arithmetic is in the output layer, while neighbouring vertices have
+    similar predictions.
+    """
+    decoder = net.params["D"]
+    units = latent.reshape(-1, latent.shape[-1])
+    for i in range(len(net.config.decoder)):
+        layer = decoder[f"layer_{i + 1}"]
+        units = jnp.tanh(units @ layer["kernel"] + layer["bias"])
+    kernel, bias = (thinned(decoder["mesh"][name].reshape(-1, SIDE, SIDE, 6), every) for name in ("kernel", "bias"))
+    side = kernel.shape[1]
+    units = units @ kernel.reshape(len(kernel), -1) + bias.reshape(-1)
+    units = units.reshape(*latent.shape[:-1], side, side, 6)
+    return ProbabilisticMesh(units[..., :3], jnp.exp(units[..., 3:]) + net.config.least_std)
+
+
+def rollout(
+    net: Net,
+    mesh: Float[Array | ndarray, "*batch u v 3"],
+    manipulations: Float[Array | ndarray, "*batch n 6"],
+    trace: Float[Array | ndarray, "*batch latent"] | None = None,
+) -> tuple[ProbabilisticMesh, Float[Array, "n *batch latent"], Float[Array, "n *batch 2"]]:
+    """Probabilistic meshes [n *batch u v 3], memory traces and centre shifts after each of n manipulations: eq. (5)."""
+    latent = encode(net, mesh)
+    trace = None if trace is None else jnp.asarray(trace)
+    latents, traces, shifts = unrolled(partial(step, net), latent, jnp.asarray(manipulations), trace)
+    return decode(net, latents), traces, shifts

@@ -1,0 +1,92 @@
+"""VtM, the voxel-to-mesh net: seven fully connected layers, probabilistic output (section 4.7, design 6.3)."""
+
+import flax.linen as nn
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree, Shaped
+from numpy import ndarray
+
+from clothkit.cloth.equivalents import COUNT, SWAP, equivalents, relabel
+from clothkit.cloth.mesh import Mesh, ProbabilisticMesh, distance
+from clothkit.cloth.voxels import RESOLUTION, observe
+from clothkit.manipulation.turns import turn_mesh
+from clothkit.models.canonical import axes, lies_along_y
+from clothkit.models.layers import dense, probabilistic_mesh, probabilistic_output, run
+from clothkit.models.net import Net
+from clothkit.models.settings import Start, VtMConfig
+
+HIDDEN_LAYERS = 5
+
+
+class VtM(nn.Module):
+    """Five hidden layers with tanh, and the output of eq. (6); `start` affects the initial weights only."""
+
+    config: VtMConfig
+    start: Start = Start()
+
+    @nn.compact
+    def __call__(self, voxels: Shaped[Array, "*batch x y z"]) -> ProbabilisticMesh:
+        units = voxels.reshape(*voxels.shape[:-3], -1).astype(jnp.float32)
+        for i in range(HIDDEN_LAYERS):
+            units = jnp.tanh(dense(self.config.hidden, f"layer_{i + 1}")(units))
+        return probabilistic_mesh(probabilistic_output("mesh", self.start)(units), self.config.least_std)
+
+
+def initial(config: VtMConfig, start: Start = Start(), *, key: PRNGKeyArray) -> PyTree:  # noqa: B008
+    """Initial weights for training."""
+    return VtM(config, start).init(key, jnp.zeros(RESOLUTION))["params"]
+
+
+def seen_by(net: Net, mesh: Float[Array | ndarray, "*batch u v 3"]) -> Bool[Array, "*batch 32 32 16"]:
+    """The net's input voxels for meshes: the output of `voxels.observe` up to the net's height."""
+    return observe(mesh, height=net.config.height)
+
+
+def estimate(net: Net, voxels: Shaped[Array | ndarray, "*batch 32 32 16"]) -> ProbabilisticMesh:
+    """Estimate the probabilistic mesh [normalised] from occluded, centred voxels (bool or 0 / 1): eq. (9).
+
+    With eight views, the net is applied to all versions of the voxels that are rotated by right angles and mirrored.
+    Each output is transformed back and relabelled to be nearest to the first one; the result has the mean and standard
+    deviation of their mixture. This averages out errors that depend on the orientation. For a canonical net the eight
+    views are equal in pairs, so only four are computed.
+    """
+    voxels = jnp.asarray(voxels)
+    count = COUNT if net.config.views > 1 else 1
+    views = [seen_as(net, voxels, k) for k in range(0, count, 2 if net.config.canonical else 1)]
+    if len(views) == 1:
+        return views[0]
+    first = views[0].mean
+    labelled = [(relabelled_like(m, first, m), relabelled_like(s, first, m)) for m, s in views]
+    means, stds = (jnp.stack(parts) for parts in zip(*labelled, strict=True))
+    mean = jnp.mean(means, axis=0)
+    return ProbabilisticMesh(mean, jnp.sqrt(jnp.mean(stds**2 + (means - mean) ** 2, axis=0)))
+
+
+def seen_as(net: Net, voxels: Shaped[Array, "*batch x y z"], k: int) -> ProbabilisticMesh:
+    """The net's estimate from voxels whose axes x and y are transformed as by equivalent k, transformed back."""
+    shown = relabel(voxels, k)
+    if not net.config.canonical:
+        return back(run(VtM(net.config), net.params, shown), k)
+    swap = lies_along_y(shown) * SWAP
+    return back(back(run(VtM(net.config), net.params, relabel(shown, swap[..., None, None, None])), swap), k)
+
+
+def back(estimated: ProbabilisticMesh, k: int | Int[Array, "*batch"]) -> ProbabilisticMesh:
+    """An estimate from voxels transformed by equivalent k, transformed back to the original orientation."""
+    mean, std = estimated
+    return ProbabilisticMesh(turned_back(mean, k), jnp.abs(turned_back(std, k)))
+
+
+def turned(mesh: Mesh, k: int | Int[Array, "*batch"]) -> Float[Array, "*batch u v 3"]:
+    """A mesh whose coordinates x and y are transformed as equivalent k transforms u and v."""
+    return turn_mesh(jnp.asarray(mesh), axes(jnp.asarray(k)))
+
+
+def turned_back(mesh: Mesh, k: int | Int[Array, "*batch"]) -> Float[Array, "*batch u v 3"]:
+    """The inverse of `turned`."""
+    return turn_mesh(jnp.asarray(mesh), jnp.swapaxes(axes(jnp.asarray(k)), -1, -2))
+
+
+def relabelled_like(values: Mesh, like: Mesh, mesh: Mesh) -> Float[Array, "*batch u v 3"]:
+    """Values at a mesh's vertices, under the labels that bring `mesh` nearest to the mesh `like`."""
+    nearest = jnp.argmin(distance(equivalents(mesh), like), axis=0)
+    return jnp.take_along_axis(equivalents(values), nearest[None, ..., None, None, None], axis=0)[0]

@@ -1,0 +1,181 @@
+"""Training of VtM: the mesh, in any of its eight labellings, is learnt from its noisy voxels (section 4.8, eq. 12).
+
+The first layer takes more than half of the multiplications, but most voxels, which are far from the centre or high
+above the table, are hardly ever occupied. Training can leave these out (`rare`). The trained net takes all voxels; the
+weights of those that were left out are zero.
+"""
+
+import dataclasses
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree, Shaped
+
+from clothkit.cloth import mesh as meshes
+from clothkit.cloth import voxels
+from clothkit.cloth.equivalents import SWAP, equivalents, relabel_batch
+from clothkit.cloth.mesh import ProbabilisticMesh
+from clothkit.dataset.store import STEPS, Dataset
+from clothkit.errors import InputError
+from clothkit.manipulation.turns import turn_mesh
+from clothkit.models.canonical import lies_along_y
+from clothkit.models.layers import run
+from clothkit.models.settings import VtMConfig
+from clothkit.models.vtm import VtM, initial, turned
+from clothkit.training.augment import random_turns
+from clothkit.training.devices import spread
+from clothkit.training.likelihood import held_nll
+from clothkit.training.loop import Problem, Trained, train
+from clothkit.training.settings import TrainVtMConfig
+
+EVERY = np.arange(np.prod(voxels.RESOLUTION))
+"""Indices of all voxels in a flattened volume."""
+
+COUNTED = 8192
+"""Least number of examples from which the rare voxels are determined."""
+
+
+class States(NamedTuple):
+    """Single states as device arrays, centred [normalised]."""
+
+    folded: Float[Array, "states u v 3"]
+    flat: Float[Array, "u v 3"]
+
+
+def states(dataset: Dataset) -> States:
+    """The states of a dataset that follow a manipulation, and the flat cloth."""
+    follows = np.arange(STEPS + 1) <= dataset.length[:, None]
+    follows[:, 0] = False
+    return States(jnp.asarray(dataset.vertices[follows]), jnp.asarray(dataset.vertices[0, 0]))
+
+
+def draw(data: States, settings: TrainVtMConfig, *, key: PRNGKeyArray) -> Float[Array, "batch u v 3"]:
+    """A random batch of states, rotated and mirrored at random; a share `settings.flat` of them is flat."""
+    state_key, flat_key, turn_key = jax.random.split(key, 3)
+    batch = settings.training.batch
+    chosen = data.folded[jax.random.randint(state_key, (batch,), 0, data.folded.shape[0])]
+    is_flat = jax.random.bernoulli(flat_key, settings.flat, (batch, 1, 1, 1))
+    return turn_mesh(jnp.where(is_flat, data.flat, chosen), random_turns(batch, key=turn_key))
+
+
+def observed(
+    mesh: Float[Array, "batch u v 3"], settings: TrainVtMConfig, *, key: PRNGKeyArray
+) -> Bool[Array, "batch 32 32 16"]:
+    """Training inputs: doubled, duplicated with noise and occluded voxels. Without noise, duplicates are not needed."""
+    if settings.noise == 0:
+        return voxels.observe(mesh, height=settings.net.height)
+    noise_z = settings.noise * settings.noise_z_factor
+    return voxels.observe_noisily(mesh, noise=settings.noise, noise_z=noise_z, height=settings.net.height, key=key)
+
+
+def shown(
+    mesh: Float[Array, "batch u v 3"], seen: Bool[Array, "batch x y z"], net: VtMConfig
+) -> tuple[Float[Array, "batch u v 3"], Bool[Array, "batch x y z"]]:
+    """Examples as the net takes them. For a canonical net, voxels and mesh are turned to be widest along x."""
+    if not net.canonical:
+        return mesh, seen
+    swap = lies_along_y(seen) * SWAP
+    return turned(mesh, swap), relabel_batch(seen, swap)
+
+
+def loss_vtm(
+    mesh: Float[Array, "batch u v 3"], estimate: ProbabilisticMesh, *, hold: float = 0.0
+) -> Float[Array, " batch"]:
+    """Eq. (12): the negative log likelihood (`held_nll` with that `hold`) for the most likely labelling of the mesh."""
+    # Choosing the labelling first keeps the other seven out of the backward pass; the gradient is the same.
+    likelihoods = jax.lax.stop_gradient(meshes.nll(equivalents(mesh), estimate))
+    return held_nll(relabel_batch(mesh, jnp.argmin(likelihoods, axis=0)), estimate, hold)
+
+
+def among(chosen: Int[np.ndarray, " voxels"], seen: Shaped[Array, "batch x y z"]) -> Shaped[Array, "batch voxels 1 1"]:
+    """The chosen voxels only, in the input shape of a net with narrowed weights."""
+    flat = seen.reshape(len(seen), -1)
+    return (flat if len(chosen) == len(EVERY) else flat[:, chosen])[..., None, None]
+
+
+def narrowed(params: PyTree, chosen: Int[np.ndarray, " voxels"]) -> PyTree:
+    """The weights without those of the first layer for voxels that are not chosen."""
+    first = params["layer_1"]
+    return {**params, "layer_1": {**first, "kernel": first["kernel"][chosen]}}
+
+
+def widened(params: PyTree, chosen: Int[np.ndarray, " voxels"]) -> PyTree:
+    """The inverse of `narrowed`: weights for all voxels, with zeros for those that were not chosen."""
+    first = params["layer_1"]
+    kernel = jnp.zeros((len(EVERY), first["kernel"].shape[1])).at[chosen].set(first["kernel"])
+    return {**params, "layer_1": {**first, "kernel": kernel}}
+
+
+def taken(data: States, settings: TrainVtMConfig) -> Int[np.ndarray, " voxels"]:
+    """Indices in a flattened volume of the voxels occupied in more than a share `rare` of random training examples.
+
+    Raises InputError if there are none.
+    """
+    if settings.rare == 0:
+        return EVERY
+
+    @jax.jit
+    def occupied(data: States, key: PRNGKeyArray) -> Float[Array, "x y z"]:
+        draw_key, noise_key = jax.random.split(key)
+        mesh = draw(data, settings, key=draw_key)
+        return jnp.mean(shown(mesh, observed(mesh, settings, key=noise_key), settings.net)[1], axis=0)
+
+    batches = -(-COUNTED // settings.training.batch)
+    shares = np.mean([occupied(data, key) for key in jax.random.split(jax.random.key(0), batches)], axis=0)
+    chosen = np.flatnonzero(shares > settings.rare)
+    if not len(chosen):
+        raise InputError(f"train_vtm.rare: {settings.rare} leaves no voxels, the commonest has {shares.max():.3g}")
+    return chosen
+
+
+def problem(settings: TrainVtMConfig, validation: Dataset, chosen: Int[np.ndarray, " voxels"] = EVERY) -> Problem:
+    """The functions that the training loop needs for VtM; the training data are `States`, the weights are narrowed."""
+    net = VtM(settings.net, settings.training.start)
+
+    def estimated(params: PyTree, seen: Bool[Array, "batch x y z"]) -> ProbabilisticMesh:
+        return run(net, params, among(chosen, seen))
+
+    def gradient(params: PyTree, data: States, key: PRNGKeyArray) -> tuple[PyTree, dict[str, Any]]:
+        draw_key, noise_key = jax.random.split(key)
+        mesh = spread(draw(data, settings, key=draw_key))
+        mesh, seen = shown(mesh, observed(mesh, settings, key=noise_key), settings.net)
+
+        def loss(params: PyTree) -> Float[Array, ""]:
+            return jnp.mean(loss_vtm(mesh, estimated(params, seen), hold=settings.hold))
+
+        value, gradient = jax.value_and_grad(loss)(params)
+        return gradient, {"loss": value}
+
+    @jax.jit
+    def errors_of(params: PyTree, mesh: Float[Array, "batch u v 3"]) -> Float[Array, " batch"]:
+        mesh, seen = shown(mesh, voxels.observe(mesh, height=settings.net.height), settings.net)
+        return meshes.error(estimated(params, seen).mean, mesh)
+
+    longest = int(validation.length.max())
+    by_step = [jnp.asarray(validation.vertices[validation.length >= i, i]) for i in range(longest + 1)]
+
+    def validate(params: PyTree) -> dict[str, float]:
+        errors = [float(errors_of(params, mesh).mean()) for mesh in by_step]
+        return {"score": float(np.mean(errors[1:])), **{f"step_{i}": error for i, error in enumerate(errors)}}
+
+    def start(key: PRNGKeyArray) -> PyTree:
+        return narrowed(initial(settings.net, settings.training.start, key=key), chosen)
+
+    return Problem(start, gradient, validate)
+
+
+def train_vtm(
+    settings: TrainVtMConfig, training: Dataset, validation: Dataset, *, work: Path, key: PRNGKeyArray
+) -> Trained:
+    """Train VtM and return the weights with the best validation score.
+
+    The score is the mean error over the states after 1 to 3 manipulations, as far as the validation split has them. An
+    interrupted run resumes from the folder `work`.
+    """
+    data = states(training)
+    chosen = taken(data, settings)
+    trained = train(problem(settings, validation, chosen), data, settings.training, work=work, key=key)
+    return dataclasses.replace(trained, params=widened(trained.params, chosen))
