@@ -34,11 +34,15 @@ from clothkit.estimation.estimate import estimate, estimate_unrefined
 from clothkit.models import emd_voxel, pemd, vtm
 from clothkit.models.net import Net
 from clothkit.params import load_params
-from clothkit.planning.draw import EXTENT, RASTER, Candidates
-from clothkit.planning.loss import Range, Spread, Weights
-from clothkit.planning.search import UNKNOWN, Problem, Reference, SearchConfig, search
-from clothkit.planning.sight import CORNERS, MeshSight, VoxelSight
+from clothkit.planning.forward_model import EMD_VOXEL, PEMD
+from clothkit.planning.initial import EXTENT, RASTER
+from clothkit.planning.mesh_representation import CORNERS, MESH
+from clothkit.planning.objective import Range, Reference, Weights, objective_of
+from clothkit.planning.search import SearchConfig, search
 from clothkit.planning.systems import SYSTEMS, System
+from clothkit.planning.types import UNKNOWN, Candidates, Problem
+from clothkit.planning.uncertainty import Spread
+from clothkit.planning.voxel_representation import VOXEL
 from clothkit.report import paper
 
 LENGTHS = (1, 2, 3)
@@ -47,17 +51,18 @@ ESTIMATION = {"VtM": 0.0037, "refined": 0.5737}
 """The paper's time per estimate (section 6.1), in s."""
 
 
-def problems(system: System, nets: tuple[Net, ...], forward: Any, length: int, batch: int) -> Problem:
+def problems(system: System, nets: tuple[Net, ...], length: int, batch: int) -> Problem:
     """Return a batch of problems whose state and goal are the flat cloth."""
     state = np.asarray(observe(flat())) if system.voxels else flat()
     grasps = np.zeros((CANDIDATES, 2), np.float32)
     grasps[: len(CORNERS)] = 0.7 * CORNERS if system.voxels else CORNERS
-    widths = [jax.eval_shape(forward.encode, net, jnp.asarray(state)).shape[-1] for net in nets]
+    model, representation = (EMD_VOXEL, VOXEL) if system.voxels else (PEMD, MESH)
+    widths = [jax.eval_shape(model.encode, net, jnp.asarray(state)).shape[-1] for net in nets]
     one = Problem(
         state=state,
         goal=state,
         candidates=Candidates(grasps, np.array(len(CORNERS))),
-        traces=tuple(np.zeros((forward.labels, width), np.float32) for width in widths),
+        traces=tuple(np.zeros((representation.labels, width), np.float32) for width in widths),
         relative=np.array(0 if system.voxels else UNKNOWN),
         later=np.array(False),
         carried=np.zeros((length, 6), np.float32),
@@ -106,19 +111,18 @@ def measure(system: System, stages: Any, settings: SearchConfig, batch: int, rou
     net: Any = stages.train_emd_voxel if system.voxels else stages.train_pemd
     build: Any = emd_voxel.initial if system.voxels else pemd.initial
     nets = tuple(Net(net.net, build(net.net, key=jax.random.key(seed))) for seed in range(system.nets))
-    forward = VoxelSight().forward if system.voxels else MeshSight(None, stages.plan.refine).forward
+    kind = (EMD_VOXEL, VOXEL) if system.voxels else (PEMD, MESH)
     explicit = system.alpha is None and system.nets == 2
     found = []
     for length in LENGTHS:
-        asked = problems(system, nets, forward, length, batch)
+        asked = problems(system, nets, length, batch)
         keys = jax.random.split(jax.random.key(0), batch)
         reference = Reference((Range(0.0, 1.0),) * 2, Spread(np.ones(length, np.float32), np.ones(length, np.float32)))
-        given = (nets, asked, reference, Weights(float(explicit), 5.0, 1.25))
+        objective = objective_of(len(nets), reference, Weights(float(explicit), 5.0, 1.25))
+        inputs = (nets, asked, objective)
         # Compiled ahead of time, without a first run: at table 1's sizes one search takes minutes on a CPU.
-        program = search.lower(
-            forward, *given, length=length, settings=settings, explicit=explicit, keys=keys
-        ).compile()
-        seconds = least(partial(program, *given, keys=keys), rounds, compiled=True)
+        program = search.lower(*kind, *inputs, length=length, settings=settings, keys=keys).compile()
+        seconds = least(partial(program, *inputs, keys=keys), rounds, compiled=True)
         row: dict[str, Any] = {"system": system.name, "strains": settings.strains, "length": length}
         row |= {"s a plan": round(seconds / batch, 3), "paper's": published(system.name, length)}
         if not system.voxels:

@@ -9,7 +9,7 @@ from clothkit.dataset.rows import write_rows
 from clothkit.episodes import record
 from clothkit.evaluation import arrays, camera, camera_planning
 from clothkit.models.store import load
-from clothkit.planning.loss import Weights
+from clothkit.planning.objective import Weights
 from clothkit.planning.planner import artifacts, assemble
 from clothkit.planning.systems import SYSTEMS
 from clothkit.simulation.executor import end_workers, execute

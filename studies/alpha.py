@@ -22,9 +22,10 @@ from made_with import NAME, joined, made_with, read
 
 from clothkit.dataset import store
 from clothkit.episodes.evaluate import try_out
-from clothkit.episodes.rows import rows
+from clothkit.evaluation.diagnosis import diagnosed
+from clothkit.evaluation.session_rows import rows
 from clothkit.params import load_params
-from clothkit.planning.loss import Weights
+from clothkit.planning.objective import Weights
 from clothkit.planning.planner import artifacts, assemble
 from clothkit.planning.systems import SYSTEMS
 from clothkit.publish import unfinished
@@ -76,7 +77,8 @@ def main() -> None:
         if missing:
             planner = assemble(SYSTEMS[name], data, weights, params.stages.plan, simulate.candidates)
             simulator = partial(execute, settings=simulate.simulation)
-            sessions, _ = try_out(dataset, missing, "validation", planner, simulator)
+            annotate = partial(diagnosed, planner=planner)
+            sessions, _ = try_out(dataset, missing, "validation", planner, simulator, annotate=annotate)
             found = rows(sessions, name).assign(**weights._asdict(), **{NAME: made})
             table = joined(table, found)
             with unfinished(path) as part:

@@ -19,8 +19,8 @@ from clothkit.dataset.regularise import regularise
 from clothkit.dataset.rows import write_rows
 from clothkit.dataset.tasks import tasks_of
 from clothkit.episodes.record import Sessions, Sizes, tasks_of_dataset
-from clothkit.episodes.rows import rows
 from clothkit.evaluation import arrays, estimation, prediction
+from clothkit.evaluation.session_rows import rows
 from clothkit.models import emd_voxel, pemd, store, vtm
 from clothkit.models.net import Net
 from clothkit.models.settings import EMDVoxelConfig, PEMDConfig, VtMConfig

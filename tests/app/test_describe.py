@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from clothkit.planning.sight import VoxelSight
 
 from clothkit.app.describe import Given, covered, describe, expected, frame_of, heights, paths_of, poses_of
 from clothkit.app.given import Seen
@@ -18,7 +19,6 @@ from clothkit.observation.pose import Pose
 from clothkit.observation.states import MeshState, PointCloud
 from clothkit.observation.waypoints import MotionConfig
 from clothkit.planning.planner import Planner
-from clothkit.planning.sight import VoxelSight
 from clothkit.planning.systems import system
 from tests.observation.scenes import motion
 from tests.planning import toy

@@ -7,11 +7,12 @@ from unittest import mock
 import jax
 import numpy as np
 import pytest
+from clothkit.episodes.camera_sight import CameraSight, through_camera
+from clothkit.planning.sight import MeshSight
 
 from clothkit.cloth import voxels
 from clothkit.cloth.grid import flat
 from clothkit.dataset.store import SPLITS, Dataset
-from clothkit.episodes.camera_sight import CameraSight, through_camera
 from clothkit.episodes.evaluate import evaluate
 from clothkit.episodes.record import Sessions
 from clothkit.errors import InputError
@@ -23,7 +24,6 @@ from clothkit.models import vtm
 from clothkit.models.net import Net
 from clothkit.models.settings import VtMConfig
 from clothkit.observation.picture import Picture, PictureConfig, take
-from clothkit.planning.sight import MeshSight
 from tests.episodes.test_session import dataset as toy_dataset
 from tests.evaluation import camera_rows
 from tests.observation.scenes import SMALL, folded

@@ -5,13 +5,15 @@ from pathlib import Path
 import jax
 import numpy as np
 import pandas as pd
+from clothkit.planning.forward import MESH
+from clothkit.planning.loss import Weights
+from clothkit.planning.sight import MeshSight
 
 from clothkit.dataset import store
 from clothkit.dataset.augment import AugmentConfig, augment
 from clothkit.dataset.regularise import RegulariseConfig, assign_splits, regularise
 from clothkit.episodes import record
 from clothkit.episodes.evaluate import evaluate
-from clothkit.episodes.rows import rows
 from clothkit.estimation.refine import RefineConfig
 from clothkit.evaluation import (
     arrays,
@@ -26,18 +28,16 @@ from clothkit.evaluation import (
 )
 from clothkit.evaluation.camera_settings import Condition, EvaluateCameraConfig
 from clothkit.evaluation.comparisons import of_predictions
+from clothkit.evaluation.session_rows import rows
 from clothkit.evaluation.settings import EvaluateEstimationConfig, EvaluatePredictionConfig
 from clothkit.manipulation.candidates import CandidateConfig
 from clothkit.models.net import Net
 from clothkit.models.settings import EMDVoxelConfig, PEMDConfig, VtMConfig
 from clothkit.observation.picture import PictureConfig
-from clothkit.planning.forward import MESH
-from clothkit.planning.loss import Weights
 from clothkit.planning.normalisation import normalise
 from clothkit.planning.planner import Planner
 from clothkit.planning.search import SearchConfig
 from clothkit.planning.settings import NormaliseConfig, PlanConfig
-from clothkit.planning.sight import MeshSight
 from clothkit.planning.systems import system
 from clothkit.report.build import build
 from clothkit.report.inputs import Inputs

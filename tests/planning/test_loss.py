@@ -4,9 +4,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.stats import norm
-
-from clothkit.cloth.mesh import ProbabilisticMesh, whiten
 from clothkit.planning.loss import (
     LARGEST_EXPONENT,
     Range,
@@ -17,6 +14,9 @@ from clothkit.planning.loss import (
     diff,
     uncertainty,
 )
+from scipy.stats import norm
+
+from clothkit.cloth.mesh import ProbabilisticMesh, whiten
 
 
 def meshes(seed: int, *batch: int) -> tuple[np.ndarray, ProbabilisticMesh]:

@@ -6,6 +6,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
+from clothkit.planning.loss import Weights, accuracy, diff, uncertainty
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -14,8 +15,7 @@ from clothkit.cloth.mesh import error, whiten
 from clothkit.cloth.silhouette import pixel_centres
 from clothkit.manipulation.geometry import release_points, to_cartesian
 from clothkit.manipulation.vector import is_null
-from clothkit.planning.draw import EXTENT, FOLD_POINT, RASTER, Candidates
-from clothkit.planning.loss import Weights, accuracy, diff, uncertainty
+from clothkit.planning.initial import EXTENT, FOLD_POINT, RASTER, Candidates
 from clothkit.planning.search import (
     UNKNOWN,
     Fixed,

@@ -6,23 +6,23 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from clothkit.planning.loss import Range, Weights
+from clothkit.planning.recorded import in_voxels
+from clothkit.planning.sight import VoxelSight
+from clothkit.planning.voxel_forward import VOXEL, accuracy, accuracy_of_each, diff
 
 from clothkit.cloth import voxels
 from clothkit.dataset.tasks import Task
-from clothkit.episodes.rows import rows
-from clothkit.episodes.session import run_sessions
+from clothkit.episodes.sessions import run_sessions
+from clothkit.evaluation.session_rows import rows
 from clothkit.manipulation.candidates import CandidateConfig
 from clothkit.models.emd_voxel import EMDVoxelConfig, initial
 from clothkit.models.net import Net
-from clothkit.planning.loss import Range, Weights
 from clothkit.planning.normalisation import normalise
 from clothkit.planning.planner import Planner
-from clothkit.planning.recorded import in_voxels
 from clothkit.planning.search import SearchConfig
 from clothkit.planning.settings import NormaliseConfig, PlanConfig
-from clothkit.planning.sight import VoxelSight
 from clothkit.planning.systems import system
-from clothkit.planning.voxel_forward import VOXEL, accuracy, accuracy_of_each, diff
 from tests.episodes.test_session import MANIPULATIONS, dataset, tasks
 from tests.planning import toy
 

@@ -13,13 +13,14 @@ from clothkit.cloth.grid import SIDE, flat, geodesic, thinned
 from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.manipulation.candidates import CandidateConfig
 from clothkit.manipulation.geometry import to_geodesic
-from clothkit.planning.forward import Forward
-from clothkit.planning.loss import Weights
+from clothkit.planning.forward_model import ForwardModel
+from clothkit.planning.mesh_representation import MESH
 from clothkit.planning.normalisation import Normalisation
+from clothkit.planning.objective import Weights
+from clothkit.planning.perception import KnownMeshes
 from clothkit.planning.planner import Planner
 from clothkit.planning.search import SearchConfig
 from clothkit.planning.settings import PlanConfig
-from clothkit.planning.sight import MeshSight
 from clothkit.planning.systems import system
 
 NETS = (jnp.float32(1.0), jnp.float32(1.03))
@@ -58,7 +59,7 @@ def decode(net: Array, latent: Array, every: int) -> ProbabilisticMesh:
     return ProbabilisticMesh(mesh, jnp.full_like(mesh, 0.015))
 
 
-FORWARD = Forward(encode, step, decode)
+MODEL = ForwardModel(encode, step, decode)
 
 
 def bent(k: int = 0) -> np.ndarray:
@@ -86,6 +87,16 @@ def planner(name: str) -> Planner:
     """A planner of the toy world."""
     plan = PlanConfig(test=2, train=0, search=SEARCH, together=1, batch=BATCH)
     chosen = system(name)
-    nets = NETS[: chosen.nets]
-    sight = MeshSight(None, plan.refine, forward=FORWARD)
-    return Planner(chosen, sight, nets, 0, NORMALISATION, WEIGHTS, plan, CANDIDATES)
+    return Planner(
+        chosen,
+        representation=MESH,
+        model=MODEL,
+        nets=NETS[: chosen.nets],
+        better=0,
+        perception=KnownMeshes(),
+        normalisation=NORMALISATION,
+        weights=WEIGHTS,
+        settings=plan,
+        grasping=CANDIDATES,
+        labelled=True,
+    )

@@ -9,9 +9,9 @@ from clothkit.app import plan_file
 from clothkit.app.explained import Explained
 from clothkit.app.given import Seen
 from clothkit.app.plan_file import Plan, plan_of, rounded
-from clothkit.app.planner import Believed, Planned, disagreement, taken
+from clothkit.app.planner import Planned, State, epistemic_uncertainty, taken
 from clothkit.cloth.grid import CLOTH_SIDE
-from clothkit.cloth.mesh import ProbabilisticMesh, distance, error
+from clothkit.cloth.mesh import distance, error
 from clothkit.cloth.silhouette import centred, iou, silhouette
 from clothkit.cloth.voxels import HEIGHT, RESOLUTION
 from clothkit.manipulation.vector import grasp_points, is_null
@@ -30,7 +30,7 @@ class Given(NamedTuple):
 
     state: Seen
     goal: Seen
-    wanted: Believed
+    wanted: State
     """The goal of the search, in the system's representation; turned if the plan was turned."""
     matrix: Float[np.ndarray, "2 2"] | None
     """The matrix that the goal was turned or mirrored by; None: it was not."""
@@ -54,7 +54,7 @@ def paths_of(planner: Planner, planned: Planned, pose: Pose, motion: MotionConfi
 
     In the first step the hands grasp the state, in later steps the better net's prediction of it.
     """
-    means = planner.sight.means(planned.predictions[planner.better])
+    means = planned.means[planner.better]
     places = poses_of(planned, pose)
     states = [planned.state, *means[:-1]]
     if not planner.system.voxels:
@@ -75,7 +75,7 @@ def poses_of(planned: Planned, pose: Pose) -> list[Pose]:
     return [pose, *(pose.moved(shift) for shift in np.cumsum(planned.shifts, axis=0))]
 
 
-def heights(voxels: Believed, xy: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, " points"]:
+def heights(voxels: State, xy: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, " points"]:
     """Return the cloth's height in the occupied column nearest to each point [normalised]; 0 if none is occupied."""
     columns = np.argwhere((voxels >= _SURELY).any(-1))
     if not len(columns):
@@ -138,8 +138,7 @@ def expected(planner: Planner, planned: Planned, given: Given) -> dict[str, Any]
 
     Mesh errors are aligned, and the smallest over the goal's Cartesian equivalents.
     """
-    means = [planner.sight.means(prediction) for prediction in planned.predictions]
-    outcome = np.mean([mean[-1] for mean in means], axis=0)
+    outcome = np.mean(planned.means[:, -1], axis=0)
     fields: dict[str, Any] = dict.fromkeys(
         ("error_cloth_lengths", "error_m", "error_no_action_cloth_lengths", "error_no_action_m")
     )
@@ -147,7 +146,7 @@ def expected(planner: Planner, planned: Planned, given: Given) -> dict[str, Any]
     errors = []
     for name, state in (("", outcome), ("_no_action", planned.state)):
         if planner.system.voxels:
-            errors.append(float(planner.sight.misses(state[None], given.wanted[None])[0]))
+            errors.append(float(planner.representation.distance(state[None], given.wanted[None])[0]))
             fields[f"voxel_error{name}"] = errors[-1]
         else:
             errors.append(float(error(state.astype(np.float32), given.wanted, aligned=True)))
@@ -156,13 +155,13 @@ def expected(planner: Planner, planned: Planned, given: Given) -> dict[str, Any]
     acts = not all(bool(is_null(manipulation)) for manipulation in planned.plan)
     return {
         **fields,
-        "epistemic_uncertainty": disagreement(planner, planned),
+        "epistemic_uncertainty": epistemic_uncertainty(planner, planned),
         "loss": planned.loss,
         "improves": acts and errors[0] < errors[1],
     }
 
 
-def covered(state: Believed) -> np.ndarray:
+def covered(state: State) -> np.ndarray:
     """Return the mask of the silhouette of a mesh, centred, or of the voxel columns that hold cloth."""
     if state.shape == RESOLUTION:
         return np.asarray((state >= _SURELY).any(-1))
@@ -184,8 +183,8 @@ def _source(planner: Planner, seen: Seen, found: Explained | None, *, goal: bool
 def _step(
     planner: Planner, planned: Planned, nets: tuple[str, ...], i: int, path: HandPaths, after: Pose
 ) -> dict[str, Any]:
-    states = [_of_step(prediction, i) for prediction in planned.predictions]
-    means = [planner.sight.means(state) for state in states]
+    means = planned.means[:, i]
+    stds = [None] * len(means) if planned.stds is None else planned.stds[:, i]
     apart = None
     if len(means) > 1 and not planner.system.voxels:
         apart = float(distance(means[0], means[1])) * CLOTH_SIDE * after.scale
@@ -206,24 +205,14 @@ def _step(
         "null": bool(is_null(planned.plan[i])),
         "hands": hands,
         "predictions": [
-            {
-                "net": net,
-                "state": _state(mean, np.asarray(state.std) if isinstance(state, ProbabilisticMesh) else None, after),
-            }
-            for net, mean, state in zip(nets, means, states, strict=True)
+            {"net": net, "state": _state(mean, std, after)} for net, mean, std in zip(nets, means, stds, strict=True)
         ],
         "centre_m": _centre(after),
         "disagreement_m": apart,
     }
 
 
-def _of_step(prediction: Any, i: int) -> Any:
-    if isinstance(prediction, ProbabilisticMesh):
-        return ProbabilisticMesh(prediction.mean[i], prediction.std[i])
-    return prediction[i]
-
-
-def _state(mean: Believed, std: np.ndarray | None, pose: Pose) -> dict[str, Any]:
+def _state(mean: State, std: np.ndarray | None, pose: Pose) -> dict[str, Any]:
     if mean.shape == RESOLUTION:
         return {"kind": "voxels", "occupancy": rounded(mean, 3)}
     return {

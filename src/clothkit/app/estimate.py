@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from clothkit.app.explained import explained
 from clothkit.app.given import keep_compiled_programs, look, looking, seeing, settings
 from clothkit.app.output import check_target, part, write_arrays, write_mesh
-from clothkit.app.planner import estimated, vtm_of
+from clothkit.app.planner import estimated, load_vtm
 from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.cloth.silhouette import silhouette
 from clothkit.dataset.export import FORMATS
@@ -55,7 +55,7 @@ def command(file: str, *, out: Path, sigma: Path | None, data: Path, mask: str |
     with part("look"):
         seen = look(file, how, mask=mask)
     with part("estimate"):
-        found = estimated(vtm_of(data, given), seen, given)
+        found = estimated(load_vtm(data, given), seen, given)
     mesh, mean = (np.asarray(part[0], float) for part in (found.mesh, found.probabilistic.mean))
     std = np.asarray(found.probabilistic.std[0], float)
     place, scale = seen.pose.normalised_to_table, seen.pose.scale

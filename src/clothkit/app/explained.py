@@ -6,7 +6,7 @@ import click
 import numpy as np
 
 from clothkit.app.given import Seen, Settings
-from clothkit.app.planner import Believed, mesh_of
+from clothkit.app.planner import State, mesh_of
 from clothkit.estimation.agreement import agreement
 from clothkit.planning.systems import System
 
@@ -23,7 +23,7 @@ class Explained(NamedTuple):
     words: str
 
 
-def explained(seen: Seen, mesh: Believed, settings: Settings) -> Explained:
+def explained(seen: Seen, mesh: State, settings: Settings) -> Explained:
     """Compare an estimated mesh [normalised, centred] with the voxels that it was estimated from."""
     found = agreement(mesh.astype(np.float32), seen.observation.voxels, height=settings.app.cloud.height)
     least = settings.app.agreement
@@ -40,17 +40,17 @@ def explained(seen: Seen, mesh: Believed, settings: Settings) -> Explained:
     return Explained(silhouette, heights, False, words)
 
 
-def of_state(system: System, seen: Seen, believed: Believed, settings: Settings) -> Explained | None:
+def of_state(system: System, seen: Seen, estimate: State, settings: Settings) -> Explained | None:
     """Compare a system's estimate of a state with the observation; None if the system does not estimate states."""
-    return None if system.voxels or system.true_meshes else explained(seen, believed, settings)
+    return None if system.voxels or system.true_meshes else explained(seen, estimate, settings)
 
 
-def of_goal(system: System, seen: Seen, believed: Believed, settings: Settings) -> Explained | None:
+def of_goal(system: System, seen: Seen, estimate: State, settings: Settings) -> Explained | None:
     """Compare a system's estimate of a goal with the observation; None if the goal was not estimated.
 
     Goals are estimated if the file holds no mesh and the system plans with meshes.
     """
-    return None if system.voxels or mesh_of(seen) is not None else explained(seen, believed, settings)
+    return None if system.voxels or mesh_of(seen) is not None else explained(seen, estimate, settings)
 
 
 def warn(found: Explained | None) -> None:

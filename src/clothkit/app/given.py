@@ -25,7 +25,7 @@ from clothkit.observation.side import Stated
 from clothkit.observation.states import MeshState, PointCloud, VoxelState
 from clothkit.observation.waypoints import ReachConfig
 from clothkit.params import load_params
-from clothkit.planning.loss import Weights
+from clothkit.planning.objective import Weights
 from clothkit.planning.settings import PlanConfig
 from clothkit.simulation.settings import SimulationConfig
 

@@ -12,8 +12,17 @@ from clothkit.app.explained import of_goal, of_state, warn
 from clothkit.app.given import Seen, keep_compiled_programs, look, looking, reach_of, seeing, settings
 from clothkit.app.output import check_target, part
 from clothkit.app.plan_file import Plan, Source, read_plan, write_plan
-from clothkit.app.planner import Planned, believed, find_plan, goal_of, planner_of, turned_goal, turned_plan
-from clothkit.app.recall import check_nets, past_of, side_of
+from clothkit.app.planner import (
+    Planned,
+    begin,
+    decide,
+    goal_of,
+    load_planner,
+    observation_of,
+    turned_goal,
+    turned_plan,
+)
+from clothkit.app.recall import check_nets, memory_of, side_of
 from clothkit.errors import InputError
 from clothkit.observation.waypoints import HandPaths, MotionConfig, ReachConfig, beyond, symmetries
 from clothkit.planning.planner import Planner, artifacts
@@ -112,19 +121,22 @@ def command(
         seen, wanted = look(state, how, mask=mask), look(goal, how)
     chosen = _system(name, seen, before, after)
     with part("load nets"):
-        planner = planner_of(chosen, data, given)
+        planner = load_planner(chosen, data, given)
         if before and after:
             check_nets(before, planner, data, after)
-        past = past_of(before, planner, after) if before and after else None
     with part("estimate"):
-        cloth = believed(chosen, seen, data, given, expected=past.expected if past else None)
-        target, matrix = goal_of(chosen, wanted, data, given), None
-        found = (of_state(chosen, seen, cloth, given), of_goal(chosen, wanted, target, given))
+        observation, matrix = observation_of(chosen, seen), None
+        target = goal_of(chosen, wanted, data, given)
+        explained_goal = of_goal(chosen, wanted, target, given)
         if before and before.turned and not chosen.voxels:
             matrix = np.array(before.turned)
             target = turned_goal(target, matrix)
+        memory = begin(planner, target, length)
+        if before and after:
+            memory = memory_of(before, planner, memory, after)
     with part(f"search, {planner.settings.search.strains} strains"):
-        planned = find_plan(planner, cloth, target, length, seed=seed, past=past)
+        planned, _ = decide(planner, observation, memory, seed=seed)
+        found = (of_state(chosen, seen, planned.state, given), explained_goal)
         planned, paths, turn = reached(planner, planned, seen, given.app.motion, box)
         if turn is not None:
             target, matrix = turned_goal(target, turn), turn if matrix is None else turn @ matrix

@@ -11,8 +11,8 @@ from clothkit.app.explained import of_state, warn
 from clothkit.app.given import keep_compiled_programs, look, looking, seeing, settings
 from clothkit.app.output import check_target, part, write_arrays, write_mesh
 from clothkit.app.plan_file import read_plan
-from clothkit.app.planner import believed, planner_of, predicted
-from clothkit.app.recall import believed_of, check_nets, manipulations, side_of, traces_before
+from clothkit.app.planner import begin, load_planner, predicted, state_of
+from clothkit.app.recall import check_nets, manipulations, recalled_state, side_of, traces_before
 from clothkit.cloth.mesh import distance_aligned
 from clothkit.errors import InputError
 from clothkit.planning.systems import system
@@ -48,25 +48,28 @@ def command(*, state: str, source: Path, out: Path, data: Path, mask: str | None
     with part("look"):
         seen = look(state, how, mask=mask)
     with part("load nets"):
-        planner = planner_of(chosen, data, given)
+        planner = load_planner(chosen, data, given)
         check_nets(plan, planner, data, source)
         traces = traces_before(plan, planner, source)
     with part("predict"):
-        start = believed_of(plan, plan.start)
+        start = recalled_state(plan, plan.start)
         # The plan's grasp points are in the labels of its start, so the state needs the same labels.
-        cloth = believed(chosen, seen, data, given, expected=None if chosen.voxels else start)
+        memory = begin(planner, start, len(plan.steps))
+        if not chosen.voxels:
+            memory = memory._replace(planned=np.ones(1, bool), expected=start[None].astype(np.float32))
+        cloth = state_of(planner, seen, memory)
         estimate = of_state(chosen, seen, cloth, given)
         found = predicted(planner, cloth, manipulations(plan), common=plan.memory.common, traces=traces)
     warn(estimate)
     with unfinished_files(out) as unfinished:
         for step, pose in enumerate(poses_of(found, seen.pose)[1:]):
-            for net, of_net in zip(nets, found.predictions, strict=True):
-                name, mean = f"step_{step + 1}_net_{net}", planner.sight.means(of_net)[step]
-                if chosen.voxels:
+            for number, net in enumerate(nets):
+                name, mean = f"step_{step + 1}_net_{net}", found.means[number, step]
+                if found.stds is None:
                     write_arrays(unfinished / f"{name}.npz", {"occupancy": mean.astype(np.float32)})
                     continue
                 placed = pose.normalised_to_table(mean.astype(float))
-                sigma = np.asarray(of_net.std[step], float) * pose.scale
+                sigma = found.stds[number, step].astype(float) * pose.scale
                 write_mesh(unfinished / f"{name}.obj", placed)
                 arrays = {"mean": placed.astype(np.float32), "sigma": sigma.astype(np.float32)}
                 write_arrays(unfinished / f"{name}.npz", arrays)

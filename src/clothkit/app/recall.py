@@ -6,10 +6,12 @@ import numpy as np
 from jaxtyping import Float
 
 from clothkit.app.plan_file import MeshState, Placed, Plan
-from clothkit.app.planner import Believed, Past, Planned, Traces, first_traces, traces_after
+from clothkit.app.planner import Planned, State, traces_after
 from clothkit.errors import InputError
+from clothkit.planning.agent import no_traces
 from clothkit.planning.planner import Planner, artifacts
 from clothkit.planning.systems import better_net
+from clothkit.planning.types import Memory, Traces
 
 _SAME = 1e-6
 """Relative difference up to which two sides count as equal."""
@@ -20,7 +22,7 @@ def manipulations(plan: Plan) -> Float[np.ndarray, "n 6"]:
     return np.array([step.manipulation for step in plan.steps], np.float32)
 
 
-def believed_of(plan: Plan, placed: Placed) -> Believed:
+def recalled_state(plan: Plan, placed: Placed) -> State:
     """Return a state of a plan: a mesh, or voxels (boolean if each is 0 or 1, else probabilities)."""
     if not isinstance(placed.state, MeshState):
         occupancy = np.array(placed.state.occupancy, np.float32)
@@ -50,7 +52,7 @@ def check_nets(plan: Plan, planner: Planner, data: Path, name: Path) -> None:
 
 def traces_before(plan: Plan, planner: Planner, name: Path) -> Traces:
     """Return the memory traces before a plan. Raises InputError when their shapes don't fit the planner's nets."""
-    first = first_traces(planner)
+    first = tuple(trace[0] for trace in no_traces(planner, 1))
     if plan.memory.traces_before is None:
         return first
     found = tuple(np.array(trace, np.float32) for trace in plan.memory.traces_before)
@@ -62,17 +64,29 @@ def traces_before(plan: Plan, planner: Planner, name: Path) -> Traces:
     return found
 
 
-def past_of(plan: Plan, planner: Planner, name: Path) -> Past:
-    """Return what the next search needs after a plan's first step (section 5.1). Raises InputError if it was the last.
+def memory_of(plan: Plan, planner: Planner, blank: Memory, name: Path) -> Memory:
+    """Return what the next decision needs after a plan's first step (section 5.1), as a batch of one.
 
-    A null manipulation is not executed, so the state and the traces do not change.
+    `blank` is the memory before a first decision, with the goal. A null manipulation is not executed, so the expected
+    state and the traces are those before it. Raises InputError if the first step was the plan's last.
     """
     if len(plan.steps) < 2:
         raise InputError(f"{name}: has one step, so nothing is left to plan after it; plan afresh, without --after")
-    start, traces, later = believed_of(plan, plan.start), traces_before(plan, planner, name), manipulations(plan)
-    first = plan.steps[0]
-    if first.null:
-        return Past(start, traces, plan.memory.relative, later[1:])
-    placed = Placed(state=first.predictions[plan.memory.better].state, centre_m=first.centre_m)
-    done = Planned(start, later, plan.memory.common, plan.memory.relative, (), np.zeros((0, 2)), traces)
-    return Past(believed_of(plan, placed), traces_after(planner, done), plan.memory.relative, later[1:])
+    start, traces, steps = recalled_state(plan, plan.start), traces_before(plan, planner, name), manipulations(plan)
+    first, expected = plan.steps[0], start
+    if not first.null:
+        placed = Placed(state=first.predictions[plan.memory.better].state, centre_m=first.centre_m)
+        expected = recalled_state(plan, placed)
+        done = Planned(
+            start, steps, plan.memory.common, plan.memory.relative, np.zeros(0), None, np.zeros((0, 2)), None, traces
+        )
+        traces = traces_after(planner, done)
+    rest = np.full_like(blank.rest, np.nan)
+    rest[0, : len(steps) - 1] = steps[1:]
+    return blank._replace(
+        planned=np.ones(1, bool),
+        relative=np.array([plan.memory.relative], np.int32),
+        rest=rest,
+        expected=expected[None].astype(np.float32),
+        traces=tuple(trace[None] for trace in traces),
+    )

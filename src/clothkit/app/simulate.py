@@ -12,8 +12,8 @@ from clothkit.app.explained import explained, warn
 from clothkit.app.given import Seen, keep_compiled_programs, look, looking, seeing, settings
 from clothkit.app.output import check_target, part, write_mesh
 from clothkit.app.plan_file import Plan, Step, read_plan
-from clothkit.app.planner import estimated, mesh_of, vtm_of
-from clothkit.app.recall import believed_of, side_of
+from clothkit.app.planner import estimated, load_vtm, mesh_of
+from clothkit.app.recall import recalled_state, side_of
 from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.cloth.mesh import error
 from clothkit.cloth.silhouette import centred, iou, silhouette
@@ -98,7 +98,7 @@ def command(
     mesh, pose = (mesh_of(seen), seen.pose) if seen else _start(plan, source)
     if mesh is None and seen:
         with part("estimate"):
-            mesh = np.asarray(estimated(vtm_of(data, given), seen, given).mesh[0])
+            mesh = np.asarray(estimated(load_vtm(data, given), seen, given).mesh[0])
         warn(explained(seen, mesh, given))
     assert mesh is not None
     # If the cloth is crammed into a point, each vertex touches all others, and one simulation step takes minutes.
@@ -171,7 +171,7 @@ def _grasps(step: Step, pose: Pose) -> Float[np.ndarray, "2 2"]:
 
 def _start(plan: Plan, name: Path) -> tuple[Mesh, Pose]:
     """Return the mesh and the pose of the plan's start. Raises InputError if the start is voxels."""
-    found = believed_of(plan, plan.start)
+    found = recalled_state(plan, plan.start)
     if found.ndim != 3 or found.shape[-1] != 3:
         raise InputError(f"{name}: start: holds voxels, give --state with a mesh, or with what one is estimated from")
     return found, plan.pose(plan.start.centre_m)

@@ -11,7 +11,7 @@ from tqdm import tqdm
 from clothkit.cloth import voxels
 from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.dataset.store import STATES, Dataset
-from clothkit.episodes.camera_sight import for_net
+from clothkit.episodes.sensors import with_height
 from clothkit.errors import InputError
 from clothkit.estimation.estimate import estimate
 from clothkit.estimation.refine import RefineConfig
@@ -107,7 +107,9 @@ def estimation(dataset: Dataset, vtm: Net, settings: EvaluateCameraConfig, refin
             none = np.zeros(len(truth))
             looked = Looked(clean, none, none + 1, [])
         else:
-            looked = look(truth, for_net(pictured(settings, condition), vtm), keep=stored, what=condition.name)
+            looked = look(
+                truth, with_height(pictured(settings, condition), vtm.config.height), keep=stored, what=condition.name
+            )
         mesh = in_batches(lambda seen: estimate(vtm, seen, refinement).mesh, TOGETHER, looked.voxels)
         seen = looked.voxels.any((1, 2, 3))
         measures = {

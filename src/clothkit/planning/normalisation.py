@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,12 +15,12 @@ from clothkit.dataset.store import STEPS, Dataset
 from clothkit.errors import InputError
 from clothkit.json_file import read_json
 from clothkit.planning.batches import in_batches
-from clothkit.planning.draw import random_manipulations
-from clothkit.planning.forward import Forward, unroll
-from clothkit.planning.loss import Range, Spread
-from clothkit.planning.recorded import Recorded, in_meshes
-from clothkit.planning.search import Reference
+from clothkit.planning.forward_model import ForwardModel, rollout
+from clothkit.planning.initial import random_manipulations
+from clothkit.planning.objective import Range, Reference
+from clothkit.planning.representation import Representation
 from clothkit.planning.settings import NormaliseConfig
+from clothkit.planning.uncertainty import Spread
 
 LEAST_SPAN = 0.001
 """Least difference high - low: for nets with little training, random plans may score as well as the recorded ones."""
@@ -91,23 +90,21 @@ class Normalisation:
 
 
 def normalise(
-    forward: Forward,
+    model: ForwardModel,
+    representation: Representation,
     nets: tuple[Any, Any],
     validation: Dataset,
     settings: NormaliseConfig,
-    *,
-    recorded: Callable[..., Recorded] = in_meshes,
 ) -> Normalisation:
     """Compute the reference values of two nets for all lengths up to that of the longest validation sequence.
 
-    For plans of length n, the start state i of eq. (14) runs over 0..3 - n (design 6.9). `recorded` converts recorded
-    manipulations to the nets' inputs.
+    For plans of length n, the start state i of eq. (14) runs over 0..3 - n (design 6.9).
     """
     key = jax.random.key(settings.seed)
     low, high, mu, sigma = [], [], [], []
     for length in range(1, int(validation.length.max()) + 1):
-        tasks = recorded(*_stretches(validation, length))
-        together, score = min(TOGETHER, len(tasks.start)), partial(_scores, forward, nets)
+        tasks = representation.recorded(*_stretches(validation, length))
+        together, score = min(TOGETHER, len(tasks.start)), partial(_scores, model, representation, nets)
         found = in_batches(score, together, tasks.start, tasks.goal, tasks.plan)
         low.append([float(np.median(scores)) for scores in found[:2]])
         mu.append(float(found[2].mean()))
@@ -131,19 +128,28 @@ def _stretches(dataset: Dataset, length: int) -> tuple[np.ndarray, np.ndarray]:
     return dataset.vertices[d[:, None], states], dataset.manipulation[d[:, None], states[:, :-1]]
 
 
-@partial(jax.jit, static_argnames="forward")
+@partial(jax.jit, static_argnames=("model", "representation"))
 def _scores(
-    forward: Forward, nets: tuple[Any, Any], start: Array, goal: Array, plan: Array
+    model: ForwardModel,
+    representation: Representation,
+    nets: tuple[Any, Any],
+    start: Array,
+    goal: Array,
+    plan: Array,
 ) -> tuple[Array, Array, Array]:
     """The accuracy term of each net's predicted outcome, without span, and `diff` between the two outcomes."""
-    a, b = (_outcomes(forward, net, start, plan) for net in nets)
-    wanted = forward.target(goal)
-    return forward.accuracy(wanted, a), forward.accuracy(wanted, b), forward.diff(a, b)
+    a, b = (_outcomes(model, net, start, plan) for net in nets)
+    wanted = representation.target(goal)
+    return (
+        representation.accuracy(wanted, a),
+        representation.accuracy(wanted, b),
+        representation.difference(a, b),
+    )
 
 
-def _outcomes(forward: Forward, net: Any, start: Array, plan: Array) -> Any:
-    latent = forward.encode(net, start)
-    return forward.decode(net, unroll(forward, net, latent, jnp.zeros_like(latent), plan).latents[-1], 1)
+def _outcomes(model: ForwardModel, net: Any, start: Array, plan: Array) -> Any:
+    latent = model.encode(net, start)
+    return model.decode(net, rollout(model, net, latent, jnp.zeros_like(latent), plan).latents[-1], 1)
 
 
 def save(path: Path, normalisation: Normalisation, attributes: dict[str, Any]) -> None:

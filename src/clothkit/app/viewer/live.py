@@ -1,7 +1,8 @@
 """A live session: search for a plan, simulate its first manipulation, observe, and search again.
 
-As in `planning.session`, with two differences: a person starts each action, and may execute a plan that is not expected
-to improve the state. If a file holds no mesh, the estimate is simulated; a tangled estimate takes long to simulate.
+The decisions are those of `planning.agent`, with two differences: a person starts each action, and may execute a plan
+that is not expected to improve the state. If a file holds no mesh, the estimate is simulated; a tangled estimate takes
+long to simulate.
 """
 
 import dataclasses
@@ -11,28 +12,20 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from clothkit.app import planner as plans
 from clothkit.app.given import Seen, Settings
-from clothkit.app.planner import (
-    Believed,
-    Past,
-    Planned,
-    believed,
-    disagreement,
-    estimated,
-    goal_of,
-    mesh_of,
-    traces_after,
-    vtm_of,
-)
+from clothkit.app.planner import State, epistemic_uncertainty, estimated, goal_of, load_vtm, mesh_of, observation_of
 from clothkit.app.viewer.session import Look, Mesh, Session, ShownPlan, Step, error_of, matched
-from clothkit.app.viewer.watched import Progress, Watch, find_watched
+from clothkit.app.viewer.watched import Progress, Watch, search_watched
 from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.cloth.silhouette import centred
 from clothkit.errors import InputError
 from clothkit.manipulation.vector import is_null, is_single
 from clothkit.observation.observe import observe
 from clothkit.observation.states import MeshState
+from clothkit.planning import agent
 from clothkit.planning.planner import Planner
+from clothkit.planning.types import Memory, Plan
 from clothkit.simulation.executor import execute
 
 
@@ -46,13 +39,12 @@ class Live:
     settings: Settings
     centre: Float[np.ndarray, "2"]
     """Position of the cloth's centre on the table [normalised]."""
-    goal: Believed
-    """The goal in the system's representation."""
     look: Look
     """The system's estimate of the current state, in the estimate's own labels."""
-    past: Past | None = None
-    planned: Planned | None = None
-    """The plan that waits to be executed."""
+    memory: Memory
+    """The agent's memory before the next plan, as a batch of one."""
+    plan: Plan | None = None
+    """The plan that waits to be executed, as a batch of one."""
 
     @property
     def at(self) -> int:
@@ -74,28 +66,29 @@ def begin(
     cannot plan from these files.
     """
     system = planner.system
-    look = look_at(planner, start, data, settings)
+    wanted = goal_of(system, goal, data, settings)
+    memory = plans.begin(planner, wanted, length)
+    look = look_at(planner, start, memory, data, settings)
     truth = mesh_of(start)
     if truth is None:
         truth = look.estimate
         if system.voxels:
-            truth = np.asarray(estimated(vtm_of(data, settings), start, settings).mesh[0])
-    wanted = goal_of(system, goal, data, settings)
+            truth = np.asarray(estimated(load_vtm(data, settings), start, settings).mesh[0])
     mesh = mesh_of(goal)
     shown = Session(title, length, wanted if mesh is None else mesh, (truth,), (matched(Step(look), truth),))
     centre = np.asarray(start.pose.centre / start.pose.scale, np.float32)
-    return Live(shown, planner, data, settings, centre, wanted, look)
+    return Live(shown, planner, data, settings, centre, look, memory)
 
 
-def look_at(planner: Planner, seen: Seen, data: Path, settings: Settings, *, past: Past | None = None) -> Look:
+def look_at(planner: Planner, seen: Seen, memory: Memory, data: Path, settings: Settings) -> Look:
     """Return the system's estimate of a cloth, with standard deviations if it is a refined one. Raises InputError."""
-    system, expected = planner.system, past.expected if past else None
-    if system.voxels or system.true_meshes or not system.refine:
-        state, sigma = believed(system, seen, data, settings, expected=expected), None
-    else:
-        found = estimated(vtm_of(data, settings), seen, settings, expected=expected)
-        state, sigma = np.asarray(found.mesh[0]), np.asarray(found.probabilistic.std[0])
-    return Look(state, sigma, planner.sight.grasps(state, planner.grasping))
+    states, points = agent.perceive(planner, observation_of(planner.system, seen), memory)
+    sigma = None
+    if planner.system.estimates and planner.system.refine:
+        expected: State | None = memory.expected[0] if memory.planned[0] else None
+        found = estimated(load_vtm(data, settings), seen, settings, expected=expected)
+        sigma = np.asarray(found.probabilistic.std[0])
+    return Look(states[0], sigma, points[0][np.isfinite(points[0]).all(-1)])
 
 
 def plan(live: Live, *, seed: int, watch: Watch) -> Live:
@@ -105,9 +98,9 @@ def plan(live: Live, *, seed: int, watch: Watch) -> Live:
     """
     if not live.left:
         raise InputError("session: is over, expected manipulations that are left to plan")
-    progress = find_watched(
-        live.planner, live.look.estimate, live.goal, live.left, seed=seed, watch=watch, past=live.past
-    )
+    candidates = np.full((live.planner.grasping.most, 2), np.nan, np.float32)
+    candidates[: len(live.look.candidates)] = live.look.candidates
+    progress = search_watched(live.planner, live.look.estimate, candidates, live.memory, seed=seed, watch=watch)
     return with_progress(live, progress)
 
 
@@ -115,21 +108,18 @@ def with_progress(live: Live, progress: Progress) -> Live:
     """Return the session with the best plan of a search so far."""
     best = progress.best
     if best is None:
-        return dataclasses.replace(live, planned=None, session=_with_step(live.session, Step(live.look)))
-    sight = live.planner.sight
-    sigmas = None
-    if not live.planner.system.voxels:
-        sigmas = np.stack([np.asarray(prediction.std) for prediction in best.predictions])
+        return dataclasses.replace(live, plan=None, session=_with_step(live.session, Step(live.look)))
+    planned = plans.planned_of(live.planner, best, live.memory)
     shown = ShownPlan(
-        manipulations=best.plan,
-        means=np.stack([sight.means(prediction) for prediction in best.predictions]),
-        sigmas=sigmas,
-        uncertainty=disagreement(live.planner, best),
-        loss=best.loss,
+        manipulations=planned.plan,
+        means=planned.means,
+        sigmas=planned.stds,
+        uncertainty=epistemic_uncertainty(live.planner, planned),
+        loss=planned.loss,
         progress=progress.lowest,
         tried=progress.tried,
     )
-    return dataclasses.replace(live, planned=best, session=_with_step(live.session, Step(live.look, shown)))
+    return dataclasses.replace(live, plan=best, session=_with_step(live.session, Step(live.look, shown)))
 
 
 def _with_step(session: Session, step: Step) -> Session:
@@ -142,23 +132,19 @@ def perform(live: Live) -> Live:
 
     Raises InputError when there is no plan or the outcome is not finite.
     """
-    planned = live.planned
-    if planned is None:
+    if live.plan is None:
         raise InputError("session: has no plan, expected one to execute")
-    null = bool(is_null(planned.plan[0]))
-    truth, centre = (live.session.states[-1], live.centre) if null else _simulated(live, planned.plan[0])
-    past = Past(planned.state, planned.traces, planned.relative, planned.plan[1:])
-    if not null:
-        better = live.planner.better
-        expected = np.asarray(live.planner.sight.means(planned.predictions[better])[0], np.float32)
-        past = past._replace(expected=expected, traces=traces_after(live.planner, planned))
+    first = live.plan.manipulations[0, 0]
+    null = bool(is_null(first))
+    truth, centre = (live.session.states[-1], live.centre) if null else _simulated(live, first)
+    memory = agent.remember(live.planner, live.memory, live.plan, executed=np.array([not null]))
     look = live.look
     session = live.session._replace(states=(*live.session.states, truth), steps=_noted(live, null, truth))
     if not session.over:
         if not null:
-            look = look_at(live.planner, _seen(truth, centre, live.settings), live.data, live.settings, past=past)
+            look = look_at(live.planner, _seen(truth, centre, live.settings), memory, live.data, live.settings)
         session = session._replace(steps=(*session.steps, matched(Step(look), truth)))
-    return dataclasses.replace(live, session=session, centre=centre, look=look, past=past, planned=None)
+    return dataclasses.replace(live, session=session, centre=centre, look=look, memory=memory, plan=None)
 
 
 def _noted(live: Live, null: bool, outcome: Mesh) -> tuple[Step, ...]:
@@ -172,7 +158,7 @@ def _noted(live: Live, null: bool, outcome: Mesh) -> tuple[Step, ...]:
 
 def _simulated(live: Live, manipulation: Float[np.ndarray, "6"]) -> tuple[Mesh, Float[np.ndarray, "2"]]:
     mesh = live.session.states[-1] + np.append(live.centre, 0).astype(np.float32)
-    places = live.planner.sight.places(live.look.estimate[None], manipulation[None, :4].reshape(1, 2, 2))
+    places = live.planner.representation.positions(live.look.estimate[None], manipulation[None, :4].reshape(1, 2, 2))
     run = partial(execute, settings=live.settings.simulation, workers=1)
     outcome = run(
         mesh[None],

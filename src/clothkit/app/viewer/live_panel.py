@@ -7,7 +7,7 @@ from pathlib import Path
 import viser
 
 from clothkit.app.given import Seeing, Settings, keep_compiled_programs, look
-from clothkit.app.planner import planner_of
+from clothkit.app.planner import load_planner
 from clothkit.app.viewer.live import Live, begin, perform, plan, with_progress
 from clothkit.app.viewer.player import Player, assign, by_hand
 from clothkit.app.viewer.session import unlikely
@@ -102,7 +102,7 @@ class LivePanel:
             for control in (self._load, self._system, self._task):
                 control.disabled = False
             self._plan.disabled = self._live is None or not self._live.left
-            self._execute.disabled = self._live is None or self._live.planned is None
+            self._execute.disabled = self._live is None or self._live.plan is None
             self._running.release()
 
     def _begin(self) -> str:
@@ -112,7 +112,7 @@ class LivePanel:
         if not ask.state or not ask.goal:
             raise InputError("own files: state or goal is missing, expected a file for each")
         keep_compiled_programs()
-        planner = planner_of(system(self._system.value), self._data, self._settings)
+        planner = load_planner(system(self._system.value), self._data, self._settings)
         start, goal = look(ask.state, self._seeing, mask=ask.mask), look(ask.goal, self._seeing)
         title = f"{Path(ask.state).name} to {Path(ask.goal).name}" if ask is own else name
         title = f"{planner.system.name}, {title}"
@@ -146,7 +146,7 @@ class LivePanel:
             self._stop.visible = self._bar.visible = False
         session = self._live.session
         self._player.show(session, at=live.at)
-        if self._live.planned is None:
+        if self._live.plan is None:
             return "stopped before anything was found."
         if unlikely(session.steps[live.at], session.goal):
             return "planned, but it is not expected to help: plan again with another seed, or execute all the same."

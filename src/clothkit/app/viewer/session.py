@@ -18,14 +18,14 @@ from clothkit.manipulation.geometry import to_cartesian
 from clothkit.manipulation.vector import is_null
 
 Mesh = Float[np.ndarray, "u v 3"]
-Believed = Shaped[np.ndarray, "*state"]
+State = Shaped[np.ndarray, "*state"]
 """A mesh [u v 3], or voxels [x y z] for a system that plans in voxels."""
 
 
 class Look(NamedTuple):
     """A system's estimate of the cloth, and its candidate grasp points."""
 
-    estimate: Believed
+    estimate: State
     sigma: Mesh | None
     """Standard deviations of the estimate; None: not known."""
     candidates: Float[np.ndarray, "points 2"]
@@ -61,7 +61,7 @@ class Session(NamedTuple):
 
     title: str
     length: int
-    goal: Believed
+    goal: State
     states: tuple[Mesh, ...]
     """The true states, centred."""
     steps: tuple[Step, ...]
@@ -101,14 +101,14 @@ def _relabelled(mesh: np.ndarray, k: int) -> np.ndarray:
     return np.asarray(relabel(mesh.astype(np.float32), k))
 
 
-def places(state: Believed, grasps: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, "points 2"]:
+def places(state: State, grasps: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, "points 2"]:
     """Return the positions of grasp points on a state, xy [normalised]."""
     if not is_mesh(state) or not len(grasps):
         return grasps
     return np.asarray(to_cartesian(np.broadcast_to(state, (len(grasps), *state.shape)), grasps))[:, :2]
 
 
-def error_of(state: Believed, goal: Shaped[np.ndarray, "*goal"]) -> float | None:
+def error_of(state: State, goal: Shaped[np.ndarray, "*goal"]) -> float | None:
     """Return a state's error against a goal [cloth length], aligned, any labels; None unless both are meshes."""
     if not is_mesh(state) or not is_mesh(goal):
         return None
@@ -130,7 +130,7 @@ def facts(session: Session, at: int) -> str:
     return "\n".join(lines)
 
 
-def _facts_of(step: Step, goal: Believed) -> list[str]:
+def _facts_of(step: Step, goal: State) -> list[str]:
     plan = step.plan
     if plan is None:
         return ["- no plan yet"]
@@ -152,14 +152,14 @@ def _facts_of(step: Step, goal: Believed) -> list[str]:
     return lines
 
 
-def expectation(step: Step, goal: Believed) -> tuple[float | None, float | None]:
+def expectation(step: Step, goal: State) -> tuple[float | None, float | None]:
     """Return the errors of the nets' mean prediction after the plan, and of the estimate; each None if not known."""
     if step.plan is None or not len(step.plan.means):
         return None, None
     return error_of(step.plan.means[:, -1].mean(0), goal), error_of(step.look.estimate, goal)
 
 
-def unlikely(step: Step, goal: Believed) -> bool:
+def unlikely(step: Step, goal: State) -> bool:
     """Return whether there is a plan that is not expected to improve the state."""
     if step.plan is None:
         return False

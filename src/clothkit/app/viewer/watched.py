@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 
-from clothkit.app.planner import Past, Planned, find, planned_of, problem_of
-from clothkit.app.viewer.session import Believed
+from clothkit.planning.agent import conclude, pose
 from clothkit.planning.planner import Planner
+from clothkit.planning.types import Memory, Plan
 
 AT_ONCE = 16
 """Strains in a batch. A multiple of eight, as a search's number of strains must be."""
@@ -28,8 +28,8 @@ class Progress(NamedTuple):
     """Number of strains that are done."""
     strains: int
     """Number of strains in total."""
-    best: Planned | None
-    """The best plan so far; None before the first batch is done."""
+    best: Plan | None
+    """The best plan so far, as a batch of one; None before the first batch is done."""
     lowest: Float[np.ndarray, " evaluations"]
     """The lowest loss up to each iteration, over the batches one after the other."""
     tried: int
@@ -40,40 +40,36 @@ Watch = Callable[[Progress], bool]
 """Called with the progress of a search; returns whether to continue."""
 
 
-def find_watched(
+def search_watched(
     planner: Planner,
-    state: Believed,
-    goal: Believed,
-    length: int,
+    state: Shaped[np.ndarray, "*state"],
+    candidates: Float[np.ndarray, "candidate 2"],
+    memory: Memory,
     *,
     seed: int,
     watch: Watch,
-    past: Past | None = None,
 ) -> Progress:
-    """Run a search that calls `watch` before each batch and at the end; return its final progress.
+    """Run the search of a decision for one cloth, with `watch` called before each batch and at the end.
 
-    Stops early when `watch` returns False. Raises InputError when the nets have no reference values for plans of that
-    length.
+    `state` and `candidates` are what the agent perceives. Returns the final progress. Stops early when `watch` returns
+    False. Raises InputError when the nets have no reference values for plans of that length.
     """
-    strains = planner.settings.search.strains
+    strains, length = planner.settings.search.strains, int(memory.left[0])
     lot = min(AT_ONCE, strains)
     settings = dataclasses.replace(planner.settings.search, strains=lot)
-    finder = dataclasses.replace(planner, settings=dataclasses.replace(planner.settings, search=settings)).finder(
-        length
-    )
-    problem = problem_of(planner, state, goal, length, past=past)
+    in_lots = dataclasses.replace(planner, settings=dataclasses.replace(planner.settings, search=settings))
+    problems = pose(planner, state[None].astype(np.float32), candidates[None], memory, length)
     progress = Progress(0, strains, None, np.zeros(0, np.float32), lot)
-    keys = jax.random.split(jax.random.key(seed), -(-strains // lot))
-    for key in keys:
+    for key in jax.random.split(jax.random.key(seed), -(-strains // lot)):
         if not watch(progress):
             break
-        found = find(finder, problem, key)
-        lowest = np.minimum.accumulate(np.append(progress.lowest, found.losses.min(-1)))
+        found = jax.tree.map(np.asarray, in_lots.search(problems, key.reshape(1), length=length))
+        lowest = np.minimum.accumulate(np.append(progress.lowest, found.losses[0].min(-1)))
         best = progress.best
-        if best is None or float(found.loss) < best.loss:
-            best = planned_of(planner, problem, found)
+        if best is None or found.loss[0] < best.loss[0]:
+            best = conclude(in_lots, problems, found, candidates[None])
         progress = Progress(min(progress.done + lot, strains), strains, best, lowest, lot)
         # The carried plan is an initial value in the first batch only; in later ones it would give the same result.
-        problem = problem._replace(later=np.array(False))
+        problems = problems._replace(later=np.zeros(1, bool))
     watch(progress)
     return progress

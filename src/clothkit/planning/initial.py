@@ -4,16 +4,15 @@ Grasp points are in the net's input coordinates: geodesic, or Cartesian for the 
 on the table [normalised], which geometric computations need.
 """
 
-from typing import NamedTuple
-
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from clothkit.manipulation.geometry import release_points
 from clothkit.manipulation.sampling import SamplingConfig
 from clothkit.manipulation.vector import is_null
+from clothkit.planning.types import Candidates
 
 REACH = 1.4
 """Displacements are drawn from -REACH..REACH in x and y [normalised]."""
@@ -31,16 +30,6 @@ RASTER, EXTENT = 64, 1.1
 """Pixels per side, and half the side length [normalised], of the square mask of the area that a cloth covers."""
 
 Covered = Bool[Array, "x y"] | Bool[np.ndarray, "x y"]
-
-
-class Candidates(NamedTuple):
-    """Grasp points of one state, padded to a fixed number so that all tasks have the same shapes.
-
-    The first `present` rows of `grasps` are candidates, the rest is padding.
-    """
-
-    grasps: Float[Array, "candidates 2"] | Float[np.ndarray, "candidates 2"]
-    present: Int[Array, ""] | Int[np.ndarray, ""] | int
 
 
 def random_manipulations(shape: tuple[int, ...], *, key: PRNGKeyArray) -> Float[Array, "*shape 6"]:

@@ -3,6 +3,8 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+from clothkit.planning.forward import points
+from clothkit.planning.sight import MeshSight, VoxelSight
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -10,9 +12,7 @@ from clothkit.cloth.grid import flat, triangles
 from clothkit.cloth.silhouette import iou
 from clothkit.cloth.voxels import observe
 from clothkit.estimation.refine import RefineConfig
-from clothkit.planning.draw import EXTENT, RASTER, Candidates, folds, random_manipulations, random_plans, snap
-from clothkit.planning.forward import points
-from clothkit.planning.sight import MeshSight, VoxelSight
+from clothkit.planning.initial import EXTENT, RASTER, Candidates, folds, random_manipulations, random_plans, snap
 from tests.observation.scenes import folded
 
 POINTS = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1], [1, 0], [0, 0], [0, 0]], np.float32)

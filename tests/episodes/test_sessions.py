@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import zarr
+from clothkit.planning.sight import MeshSight, View, mesh_candidates
 
 from clothkit.cloth.equivalents import relabel
 from clothkit.cloth.grid import flat
@@ -21,12 +22,11 @@ from clothkit.dataset.tasks import Task
 from clothkit.episodes import record
 from clothkit.episodes.evaluate import cost, evaluate
 from clothkit.episodes.record import Pieces, Tasks, blank, join, load, save, save_piece, tasks_of_dataset
-from clothkit.episodes.rows import rows
-from clothkit.episodes.session import best_of_restarts, run_sessions
+from clothkit.episodes.sessions import best_of_restarts, run_sessions
 from clothkit.errors import InputError
+from clothkit.evaluation.session_rows import rows
 from clothkit.planning import planner as planners
 from clothkit.planning.search import Found, Problem
-from clothkit.planning.sight import MeshSight, View, mesh_candidates
 from tests.planning import toy
 
 MANIPULATIONS = np.array([[-1, -1, -1, -1, 0.6, 0.5], [1, 1, 1, 1, -0.7, -0.3], [-1, 1, -1, 1, 0.5, -0.6]], np.float32)
