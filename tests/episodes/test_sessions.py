@@ -11,7 +11,6 @@ import numpy as np
 import pandas as pd
 import pytest
 import zarr
-from clothkit.planning.sight import MeshSight, View, mesh_candidates
 
 from clothkit.cloth.equivalents import relabel
 from clothkit.cloth.grid import flat
@@ -21,11 +20,11 @@ from clothkit.dataset.store import SPLITS, Dataset
 from clothkit.dataset.tasks import Task
 from clothkit.episodes import record
 from clothkit.episodes.evaluate import cost, evaluate
-from clothkit.episodes.record import Pieces, Tasks, blank, join, load, save, save_piece, tasks_of_dataset
-from clothkit.episodes.sessions import best_of_restarts, run_sessions
+from clothkit.episodes.record import Pieces, Tasks, blank, join, load, save, save_piece, sizes_of, tasks_of_dataset
+from clothkit.episodes.sensors import Sensed
+from clothkit.episodes.sessions import run_sessions
 from clothkit.errors import InputError
 from clothkit.evaluation.session_rows import rows
-from clothkit.planning import planner as planners
 from clothkit.planning.search import Found, Problem
 from tests.planning import toy
 
@@ -62,26 +61,24 @@ def tasks(*chosen: Task) -> Tasks:
 def finding(plan: np.ndarray) -> Any:
     """In place of searches: as if they found the last steps of a plan, whatever they are asked."""
 
-    def search(
-        _: object, nets: tuple, problems: Problem, *rest: object, length: int, settings: Any, **more: Any
-    ) -> Found:
+    def search(planner: Planner, problems: Problem, keys: Any, *, length: int) -> Found:
         tasks = len(problems.state)
-        size = (tasks, settings.iterations(length), settings.strains)
+        size = (tasks, planner.settings.search.iterations(length), planner.settings.search.strains)
         return Found(
             plan=jnp.broadcast_to(plan[-length:], (tasks, length, 6)),
             loss=jnp.zeros(tasks),
-            terms=jnp.zeros((tasks, len(nets) + 1)),
+            terms={"accuracy": jnp.zeros((tasks, len(planner.nets)))},
             common=jnp.zeros(tasks, jnp.int32),
             relative=jnp.asarray(problems.relative),
             losses=jnp.zeros(size),
             restarts=jnp.zeros(size, bool),
         )
 
-    return mock.patch.object(planners, "search", search)
+    return mock.patch.object(Planner, "search", search)
 
 
 def test_true_meshes_reach_the_goal_in_known_labels() -> None:
-    sessions, _ = run_sessions(tasks(Task(0, 0, 1), Task(1, 1, 1)), toy.planner("b1"), toy.execute)
+    sessions = run_sessions(tasks(Task(0, 0, 1), Task(1, 1, 1)), toy.planner("b1"), toy.execute)
     tidy = rows(sessions, "b1")
     # Eq. (13) with the planner's alpha.
     a, b, u = sessions.terms[:, 0].T
@@ -102,8 +99,8 @@ def test_hands_go_where_the_cloth_was_seen() -> None:
     off = np.array([0.2, -0.1], np.float32)
     grasped = []
 
-    def seen(sight: MeshSight, truth: np.ndarray, expected: np.ndarray | None) -> View:
-        return View(truth, np.repeat(off[None], len(truth), axis=0))
+    def sensor(truth: np.ndarray, expected: np.ndarray | None) -> Sensed:
+        return Sensed(Observation(meshes=truth), np.repeat(off[None], len(truth), axis=0))
 
     def execute(meshes: np.ndarray, grasps: np.ndarray, *rest: np.ndarray) -> np.ndarray:
         grasped.append(grasps)
@@ -111,30 +108,22 @@ def test_hands_go_where_the_cloth_was_seen() -> None:
 
     planner, given = toy.planner("b1"), tasks(Task(0, 0, 1), Task(1, 0, 1))
     run_sessions(given, planner, execute)
-    with mock.patch.object(MeshSight, "see", seen):
-        run_sessions(given, planner, execute)
+    run_sessions(given, planner, execute, sensor=sensor)
     np.testing.assert_allclose(grasped[1], grasped[0] + off, atol=1e-5)
 
 
 def test_estimates_in_any_labels_reach_the_goals_shape() -> None:
-    """Two steps, each estimate in labels of its own as VtM may give them: later ones follow the prediction's."""
-    labels = {0: 5, 1: 6}
+    """Two steps, each observed in labels of its own as VtM may give them: later ones follow the prediction's."""
+    labels, later = {0: 5, 1: 6}, {0: 3}
 
-    def seen(sight: MeshSight, truth: np.ndarray, expected: np.ndarray | None) -> View:
-        found = [np.asarray(relabel(mesh, labels[i])) for i, mesh in enumerate(truth)]
-        if expected is not None:
-            near = [
-                np.abs(np.asarray(relabel(m, k)) - e).mean()
-                for m, e in zip(truth, expected, strict=True)
-                for k in range(8)
-            ]
-            found = [np.asarray(relabel(m, int(np.argmin(near[8 * i : 8 * i + 8])))) for i, m in enumerate(truth)]
-        return View(np.stack(found), np.zeros((len(found), 2)))
+    def sensor(truth: np.ndarray, expected: np.ndarray | None) -> Sensed:
+        of = labels if expected is None else later
+        found = [np.asarray(relabel(mesh, of[i])) for i, mesh in enumerate(truth)]
+        return Sensed(Observation(meshes=np.stack(found)), np.zeros((len(found), 2), np.float32))
 
-    planner = toy.planner("main")
+    planner = dataclasses.replace(toy.planner("main"), perception=KnownMeshes(labelled=False), labelled=False)
     given = tasks(Task(0, 0, 2), Task(1, 0, 1))
-    with mock.patch.object(MeshSight, "see", seen), mock.patch.object(MeshSight, "labelled", False):
-        sessions, _ = run_sessions(given, planner, toy.execute)
+    sessions = run_sessions(given, planner, toy.execute, sensor=sensor)
     outcome = sessions.state[np.arange(2), sessions.length]
     errors, before = np.asarray(error(outcome, sessions.goal, aligned=True)), rows(sessions, "main").error_no_action
     assert (errors < 0.5 * before).all()
@@ -155,7 +144,7 @@ def test_nothing_is_done_where_nothing_helps() -> None:
         calls.append(arguments)
         return toy.execute(*arguments)
 
-    sessions, _ = run_sessions(given, toy.planner("b1"), execute)
+    sessions = run_sessions(given, toy.planner("b1"), execute)
     assert sessions.null[0, :2].all()
     tidy = rows(sessions, "b1")
     # What the check has cancelled was tried on the side, and would have been worse.
@@ -171,14 +160,14 @@ def test_nothing_is_done_where_nothing_helps() -> None:
 def test_a_second_search_is_given_the_first_ones_plan_and_traces() -> None:
     planner = toy.planner("b1")
     asked = []
-    original = planners.search
+    original = Planner.search
 
-    def spy(forward: object, nets: object, problems: Problem, *rest: object, **more: object) -> object:
+    def spy(planner: Planner, problems: Problem, keys: Any, *, length: int) -> Found:
         asked.append(problems)
-        return original(forward, nets, problems, *rest, **more)
+        return original(planner, problems, keys, length=length)
 
-    with mock.patch.object(planners, "search", spy):
-        sessions, _ = run_sessions(tasks(Task(0, 0, 2)), planner, toy.execute)
+    with mock.patch.object(Planner, "search", spy):
+        sessions = run_sessions(tasks(Task(0, 0, 2)), planner, toy.execute)
     assert [problems.carried.shape[1] for problems in asked] == [2, 1]
     for step, problems in enumerate(asked[1:], start=1):
         assert problems.later.all()
@@ -194,7 +183,7 @@ def test_the_null_check_goes_by_the_mean_of_both_nets(strengths: tuple[float, fl
     planner = dataclasses.replace(toy.planner("b1"), nets=tuple(map(jnp.float32, strengths)))
     given = tasks(Task(0, 0, 1))._replace(recorded=None)
     with finding(MANIPULATIONS[:1]):
-        sessions, _ = run_sessions(given, planner, toy.execute)
+        sessions = run_sessions(given, planner, toy.execute)
     assert sessions.null[0, 0] == sessions.cancelled[0, 0] == cancelled
     # What hands do is linear in the nets' strength.
     outcome = toy.dragged(jnp.asarray(given.start[0]), jnp.asarray(MANIPULATIONS[0]), np.mean(strengths))
@@ -208,7 +197,7 @@ def test_a_null_check_counts_what_it_cancelled() -> None:
     given = tasks(Task(0, 0, 1))
     given = given._replace(goal=given.start, recorded=None)
     with finding(MANIPULATIONS[:1]):
-        sessions, _ = run_sessions(given, toy.planner("b1"), toy.execute)
+        sessions = run_sessions(given, toy.planner("b1"), toy.execute)
     assert sessions.cancelled[0, 0]
     outcome = centred(np.asarray(toy.dragged(jnp.asarray(given.start[0]), jnp.asarray(MANIPULATIONS[0]))))[0]
     away = min(float(distance_aligned(outcome, relabel(given.goal[0], k))) for k in range(8))
@@ -224,12 +213,12 @@ def test_the_next_state_is_expected_after_the_manipulation_that_is_executed() ->
     given = tasks(Task(0, 0, 2))._replace(recorded=None)
     told = []
 
-    def seen(sight: MeshSight, truth: np.ndarray, expected: np.ndarray | None) -> View:
+    def perceive(perception: KnownMeshes, observation: Observation, expected: np.ndarray | None) -> np.ndarray:
         told.append(expected)
-        return View(truth, np.zeros((len(truth), 2), np.float32))
+        return observation.meshes
 
-    with finding(MANIPULATIONS[:2]), mock.patch.object(MeshSight, "see", seen):
-        sessions, _ = run_sessions(given, planner, toy.execute)
+    with finding(MANIPULATIONS[:2]), mock.patch.object(KnownMeshes, "__call__", perceive):
+        sessions = run_sessions(given, planner, toy.execute)
     assert not sessions.null[0, 0]
     assert told[0] is None
     after = toy.dragged(jnp.asarray(given.start[0]), jnp.asarray(MANIPULATIONS[0]), toy.NETS[1])
@@ -242,12 +231,12 @@ def test_a_broken_simulation_is_told() -> None:
 
 
 def test_candidates_of_the_flat_cloth_are_its_corners() -> None:
-    points = mesh_candidates(flat(), toy.planner("b1").grasping)
+    points = MESH.candidates(flat(), toy.planner("b1").grasping)
     assert sorted(points.tolist()) == [[-1, -1], [-1, 1], [1, -1], [1, 1]]
     disc = np.zeros((32, 32, 3), np.float32)
     angle, radius = np.linspace(0, 2 * np.pi, 32)[:, None], np.linspace(0, 0.6, 32)[None]
     disc[..., 0], disc[..., 1] = radius * np.cos(angle), radius * np.sin(angle)
-    assert len(mesh_candidates(disc, toy.planner("b1").grasping)) >= 1
+    assert len(MESH.candidates(disc, toy.planner("b1").grasping)) >= 1
 
 
 def test_best_of_restarts_by_hand() -> None:
@@ -261,7 +250,7 @@ def test_an_interrupted_run_goes_on_to_the_same_rows(tmp_path: Path) -> None:
     # Sequences of one manipulation have one task each.
     data = dataset()
     data, planner = dataclasses.replace(data, length=np.ones_like(data.length)), toy.planner("b1")
-    whole, clock = evaluate(data, planner, toy.execute, work=tmp_path / "whole")
+    whole, times = evaluate(data, planner, toy.execute, work=tmp_path / "whole")
     calls = 0
 
     def killed(*arguments: np.ndarray) -> np.ndarray:
@@ -277,7 +266,7 @@ def test_an_interrupted_run_goes_on_to_the_same_rows(tmp_path: Path) -> None:
     resumed, _ = evaluate(data, planner, toy.execute, work=tmp_path / "broken")
     pd.testing.assert_frame_equal(rows(whole.whole(), "b1"), rows(resumed.whole(), "b1"))
     # Two pieces of one task; the first search, which compiles, is not counted.
-    assert cost(clock)["plans"] == {"1": (1, pytest.approx(clock["1"][1][1], abs=1e-3))}
+    assert cost(times)["plans"] == {"1": (1, pytest.approx(times["1"][1][1], abs=1e-3))}
     save(tmp_path / "a.zarr", whole, {"system": "b1"})
     save(tmp_path / "b.zarr", resumed, {"system": "b1"})
     files = [sorted(p for p in (tmp_path / f"{n}.zarr").rglob("*") if p.is_file()) for n in "ab"]
@@ -290,7 +279,7 @@ def test_an_interrupted_run_goes_on_to_the_same_rows(tmp_path: Path) -> None:
 
 def test_memory_does_not_grow_with_the_number_of_tasks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(record, "SHARD", 6)
-    sessions = blank(tasks(*[Task(0, 0, 3)] * 4), toy.planner("b1").sizes)
+    sessions = blank(tasks(*[Task(0, 0, 3)] * 4), sizes_of(toy.planner("b1")))
     save_piece(tmp_path / "piece.npz", sessions)
 
     def peak(count: int) -> int:

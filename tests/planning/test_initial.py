@@ -3,16 +3,16 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-from clothkit.planning.forward import points
-from clothkit.planning.sight import MeshSight, VoxelSight
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clothkit.cloth.grid import flat, triangles
 from clothkit.cloth.silhouette import iou
 from clothkit.cloth.voxels import observe
-from clothkit.estimation.refine import RefineConfig
-from clothkit.planning.initial import EXTENT, RASTER, Candidates, folds, random_manipulations, random_plans, snap
+from clothkit.planning.initial import EXTENT, RASTER, folds, random_manipulations, random_plans, snap
+from clothkit.planning.mesh_representation import MESH
+from clothkit.planning.types import Candidates
+from clothkit.planning.voxel_representation import VOXEL
 from tests.observation.scenes import folded
 
 POINTS = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1], [1, 0], [0, 0], [0, 0]], np.float32)
@@ -56,7 +56,7 @@ def test_snapping_takes_the_nearest_candidate_in_xy() -> None:
     mesh[..., 0] = -np.abs(mesh[..., 0])
     candidates = Candidates(jnp.array([[-1.0, -1], [-1, 1], [9, 9]]), 2)
     manipulation = jnp.array([1.0, 0.9, -0.8, -0.9, 0.5, 0.6])
-    wanted, xy = (points(jnp.asarray(mesh), uv) for uv in (manipulation[:4].reshape(2, 2), candidates.grasps))
+    wanted, xy = (MESH.points(jnp.asarray(mesh), uv) for uv in (manipulation[:4].reshape(2, 2), candidates.grasps))
     snapped = snap(manipulation, wanted, candidates, xy)
     np.testing.assert_allclose(snapped, [-1, 1, -1, -1, 0.5, 0.6])
 
@@ -83,8 +83,7 @@ def test_starts_fold_the_cloth_where_it_is_told_what_it_covers() -> None:
 def test_a_fold_has_its_q_on_the_silhouette(seed: int) -> None:
     random = np.random.default_rng(seed)
     mesh = folded(along=random.uniform(-0.2, 0.5), angle=random.uniform(0, 3))
-    sight = MeshSight(None, RefineConfig())
-    covered = sight.covered(mesh)
+    covered = MESH.covered(mesh)
     vertices = mesh.reshape(-1, 3)[random.integers(1024, size=2), :2]
     d = random.uniform(-1.4, 1.4, 2)
     manipulation = np.array([0, 0, 1, 1, *d], np.float32)
@@ -109,8 +108,8 @@ def on_triangles(mesh: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 def test_voxels_cover_what_the_mesh_covers() -> None:
     mesh = folded(along=0.2, angle=0.4)
-    of_mesh = MeshSight(None, RefineConfig()).covered(mesh)
-    of_voxels = VoxelSight().covered(np.asarray(observe(mesh)))
+    of_mesh = MESH.covered(mesh)
+    of_voxels = VOXEL.covered(np.asarray(observe(mesh)))
     # A voxel is twice as wide as a pixel, so the border differs.
     assert iou(of_mesh, of_voxels) > 0.85
     assert of_voxels.shape == of_mesh.shape == (RASTER, RASTER)

@@ -12,9 +12,10 @@ from scipy.stats import norm
 
 from clothkit.errors import InputError
 from clothkit.planning import normalisation
+from clothkit.planning.mesh_representation import MESH
 from clothkit.planning.normalisation import load, normalise, save
 from clothkit.planning.settings import NormaliseConfig
-from tests.episodes.test_session import dataset
+from tests.episodes.test_sessions import dataset
 from tests.planning import toy
 
 
@@ -53,7 +54,7 @@ def test_medians_and_moments_by_hand() -> None:
         return jnp.asarray(drawn[-1])
 
     with mock.patch.object(normalisation, "random_manipulations", draw):
-        found = normalise(toy.FORWARD, toy.NETS, data, NormaliseConfig(draws=2))
+        found = normalise(toy.MODEL, MESH, toy.NETS, data, NormaliseConfig(draws=2))
     for length in (1, 2):
         tasks = [(d, i) for d in range(len(data)) for i in range(4 - length)]
         ends = [(data.vertices[d, i], data.vertices[d, i + length]) for d, i in tasks]
@@ -82,7 +83,7 @@ def test_reference_values_end_with_the_longest_sequence(tmp_path: Path) -> None:
     data.length[:] = [2, 1]
     data.vertices[[0, 1, 1], [3, 2, 3]] = np.nan
     data.manipulation[[0, 1, 1], [2, 1, 2]] = np.nan
-    found = normalise(toy.FORWARD, toy.NETS, data, NormaliseConfig(draws=2))
+    found = normalise(toy.MODEL, MESH, toy.NETS, data, NormaliseConfig(draws=2))
     assert len(found.mu) == len(found.sigma) == len(found.low[0]) == len(found.high[1]) == 2
     save(tmp_path / "mesh.json", found, {})
     assert load(tmp_path / "mesh.json") == found

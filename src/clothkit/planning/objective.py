@@ -7,7 +7,7 @@ The accuracy term is always there; it also decides which labelling of the goal a
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -62,6 +62,7 @@ class Outlook:
         return tuple(jax.tree.map(lambda part: part[-1], states) for states in self.predictions)
 
 
+@runtime_checkable
 class Term(Protocol):
     """A further term of an objective: a pytree whose leaves are its parameters, such as a registered dataclass."""
 

@@ -1,7 +1,7 @@
 """Perception: from an observation to the state that a planner plans from (sections 4.7 and 5.1)."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import jax
 import numpy as np
@@ -18,6 +18,7 @@ from clothkit.planning.batches import in_batches
 from clothkit.planning.types import Meshes, Observation, States
 
 
+@runtime_checkable
 class Perception(Protocol):
     """What turns observations of a batch of cloths into states of a planner's representation."""
 

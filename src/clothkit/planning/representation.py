@@ -4,7 +4,7 @@
 nothing of a net's weights, and nothing of how a state was observed.
 """
 
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Shaped
@@ -21,6 +21,7 @@ class Recorded(NamedTuple):
     goal: Shaped[np.ndarray, "task *state"]
 
 
+@runtime_checkable
 class Representation(Protocol):
     """The states, of shape `*state`, of a planner and of its forward models; a prediction is what a model decodes.
 
