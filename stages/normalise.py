@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from clothkit.dataset import store
-from clothkit.models.store import Kind, load
+from clothkit.models.ensemble import folders, load
+from clothkit.models.store import Kind
 from clothkit.planning.forward import MESH
 from clothkit.planning.normalisation import normalise, save
 from clothkit.planning.recorded import in_meshes, in_voxels
@@ -19,12 +20,12 @@ KINDS: dict[str, tuple[Kind, Any, Any]] = {"mesh": ("pemd", MESH, in_meshes), "v
 def main(kind: str) -> None:
     """Write data/normalisation/<kind>.json."""
     net, forward, recorded = KINDS[kind]
-    folders = [NETS / f"{net}_a", NETS / f"{net}_b"]
     with stage("normalise", kind) as s:
-        work = s.work(inputs=[MESHES, *folders])
-        a, b = (load(folder, net) for folder in folders)
+        members = s.shared.ensemble.members
+        work = s.work(inputs=[MESHES, *folders(NETS, net, members).values()])
+        nets = load(NETS, net, members).nets
         validation = store.load(MESHES).of_split("validation")
-        normalisation = normalise(forward, (a, b), validation, s.params, recorded=recorded)
+        normalisation = normalise(forward, nets, validation, s.params, recorded=recorded)
         save(work / f"{kind}.json", normalisation, s.attributes)
         s.publish(work / f"{kind}.json", f"data/normalisation/{kind}.json")
 

@@ -102,7 +102,7 @@ def drawn(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     history = pd.DataFrame({"iteration": [10, 20], "score": [0.4, 0.3]})
     tidy = pd.DataFrame({"z": [1.0, 2.0], "expected": [0.683, 0.954], "coverage": [0.6, 0.9], "axis": "all"})
     rows = plots(
-        {"a": history, "b": history, "vtm": history},
+        {"pemd_0": history, "pemd_1": history, "vtm": history},
         pd.concat([tidy.assign(split="test", system=name, length=1) for name in ("estimate", "main")]),
         tables.prediction(tidy_tasks(("main", "a1")), ("main", "a1")),
         planning_tables.planning(planned, planning.intervals(planned), ("main", "b1")),
@@ -120,7 +120,7 @@ def drawn(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("plot", "column", "values", "x", "y"),
     [
-        ("learning curves", "line", {"pemd_a", "pemd_b", "vtm"}, "iteration", "error"),
+        ("learning curves", "line", {"pemd_0", "pemd_1", "vtm"}, "iteration", "error"),
         ("calibration", "line", {"estimates, 1", "predictions, 1", "ideal"}, "expected", "coverage"),
         ("errors of predictions", "line", {"main", "a1"}, "length", "error"),
         ("errors of plans", "line", {"main", "b1"}, "length", "error"),

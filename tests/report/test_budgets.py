@@ -21,7 +21,7 @@ def times(**cpu_seconds: float) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["stage", "cpu_seconds"])
 
 
-TIMES = times(train_pemd__a=600, train_pemd__b=660, train_emd_voxel__a=300, train_emd_voxel__b=330, plan__b4=9)
+TIMES = times(train_pemd__0=600, train_pemd__1=660, train_emd_voxel__0=300, train_emd_voxel__1=330, plan__b4=9)
 TABLE = budgets(MADE_WITH, TIMES, ["main", "b2", "b4", "b5"])
 
 
@@ -71,7 +71,7 @@ def test_unequal_means_are_told_apart() -> None:
     same = dataclasses.replace(MADE_WITH, voxel_search=MADE_WITH.search)
     assert not differ(budgets(same, None, ["main", "b4"]), "main", "b4")
     for minutes, apart in ((10.4, False), (11, True)):
-        trained = times(train_pemd__a=600, train_emd_voxel__a=60 * minutes)
+        trained = times(train_pemd__0=600, train_emd_voxel__0=60 * minutes)
         assert differ(budgets(same, trained, ["main", "b4"]), "main", "b4") == apart
     assert "a time that is not known" in told_of_nets(budgets(same, None, ["main", "b4"]), "a2's")
 
