@@ -259,6 +259,33 @@ def test_the_lock_is_kept_last(tmp_path: Path) -> None:
         assert len(graph) > 15
 
 
+@pytest.mark.filterwarnings("ignore::DeprecationWarning:pygtrie")
+@pytest.mark.filterwarnings("ignore::DeprecationWarning:dvc")
+@pytest.mark.parametrize("members", [[0], [0, 1, 7]])
+def test_every_member_is_trained_for_what_needs_the_ensemble(tmp_path: Path, members: list[int]) -> None:
+    """And nothing else is: no stage waits for the nets of another kind."""
+    repository = Repository(tmp_path)
+    for name in ("dvc.yaml", "params.yaml"):
+        shutil.copy(ROOT / name, tmp_path)
+    apply_overrides(tmp_path / "params.yaml", [f"ensemble.members={members}"])
+    with Repo(str(repository.folder)) as repo:
+        graph = repo.index.graph
+        named = {stage.addressing: stage for stage in graph}
+        before = {name: {s.addressing for s in networkx.descendants(graph, stage)} for name, stage in named.items()}
+    mesh, voxel = ({f"train_{kind}@{member}" for member in members} for kind in ("pemd", "emd_voxel"))
+    assert {name for name in named if name.startswith(("train_pemd", "train_emd_voxel"))} == mesh | voxel
+    every = mesh | voxel | {"train_vtm"}
+    for name, needed in {
+        "normalise@mesh": mesh,
+        "normalise@voxel": voxel,
+        "plan@b1": mesh,
+        "plan@main": mesh | {"train_vtm"},
+        "plan_fixed@b5": voxel,
+        "evaluate_prediction": every,
+    }.items():
+        assert before[name] & every == needed, name
+
+
 def test_the_lock_is_kept_without_its_own_stage(tmp_path: Path) -> None:
     (tmp_path / "reports" / "smoke").mkdir(parents=True)
     params = (ROOT / "params.yaml").read_text()

@@ -20,13 +20,14 @@ from clothkit.app.planner import Past, Planned, first_traces, predicted
 from clothkit.app.viewer import recorded
 from clothkit.app.viewer.tasks import test_tasks as tasks_in
 from clothkit.dataset import raw, store, tables
+from clothkit.episodes import record
 from clothkit.evaluation import arrays, tidy
 from clothkit.models import store as nets
 from clothkit.observation.files import read
 from clothkit.observation.observe import observe
 from clothkit.observation.states import PointCloud
 from clothkit.params import load_params
-from clothkit.planning import normalisation, record
+from clothkit.planning import normalisation
 from clothkit.planning.planner import Planner
 from clothkit.report import made_with
 from clothkit.report.timings import table_8
