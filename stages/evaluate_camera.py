@@ -24,13 +24,14 @@ def main() -> None:
     """Write estimation.parquet, planning.parquet, comparisons.parquet and pictures.zarr in data/evaluation/camera."""
     with stage("evaluate_camera") as s:
         system = SYSTEMS["main"]
-        found = artifacts(system, DATA)
+        members = s.shared.ensemble.members
+        found = artifacts(system, DATA, members)
         work = s.work(inputs=[MESHES, SESSIONS, *found.values()])
         weights = Weights(s.shared.alpha, s.shared.beta, s.shared.gamma)
         plan, simulate = s.shared.stages.plan, s.shared.stages.simulate
         dataset = store.load(MESHES)
         estimation = camera.estimation(dataset, load(found["vtm"], "vtm"), s.params, plan.refine)
-        planner = assemble(system, DATA, weights, plan, simulate.candidates)
+        planner = assemble(system, DATA, weights, plan, simulate.candidates, members)
         made_with = hashlib.sha256(repr((weights, plan, simulate)).encode()).hexdigest()[:16]
         simulator = partial(execute, settings=simulate.simulation, workers=simulate.workers)
         without = record.load(SESSIONS)

@@ -27,10 +27,11 @@ def main(name: str) -> None:
     """Write data/evaluation/planning/<system>.parquet and sessions_<system>.zarr."""
     system = SYSTEMS[name]
     with stage("plan", name) as s:
-        work = s.work(inputs=[MESHES, *artifacts(system, DATA).values()])
+        members = s.shared.ensemble.members
+        work = s.work(inputs=[MESHES, *artifacts(system, DATA, members).values()])
         weights = Weights(s.shared.alpha, s.shared.beta, s.shared.gamma)
         simulate = s.shared.stages.simulate
-        planner = assemble(system, DATA, weights, s.params, simulate.candidates)
+        planner = assemble(system, DATA, weights, s.params, simulate.candidates, members)
         # The name contains a hash, so that pieces of a run with other weights or another simulator are not reused.
         made_with = (planner.weights, planner.grasping, simulate.simulation)
         pieces = work / hashlib.sha256(repr(made_with).encode()).hexdigest()[:16]

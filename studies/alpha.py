@@ -63,19 +63,19 @@ def main() -> None:
     settings += [usual, *(usual._replace(beta=value) for value in asked.betas)]
     settings += [usual._replace(gamma=value) for value in asked.gammas]
     simulate = params.stages.simulate
-    data, meshes = Path("data"), Path("data/meshes.zarr")
+    data, meshes, members = Path("data"), Path("data/meshes.zarr"), params.ensemble.members
     dataset = store.load(meshes)
     sequences = dataset.indices("validation")[: asked.sequences].tolist()
     folder.mkdir(parents=True, exist_ok=True)
     name = asked.system
-    inputs = [meshes, *artifacts(SYSTEMS[name], data).values()]
+    inputs = [meshes, *artifacts(SYSTEMS[name], data, members).values()]
     made = made_with(inputs, params.stages.plan, simulate.candidates, simulate.simulation)
     table = read(path, [*NAMES, "sequence", "length", "error"], made)
     for weights in settings:
         done = set(known(table, weights)["sequence"])
         missing = [sequence for sequence in sequences if sequence not in done]
         if missing:
-            planner = assemble(SYSTEMS[name], data, weights, params.stages.plan, simulate.candidates)
+            planner = assemble(SYSTEMS[name], data, weights, params.stages.plan, simulate.candidates, members)
             simulator = partial(execute, settings=simulate.simulation)
             annotate = partial(diagnosed, planner=planner)
             sessions, _ = try_out(dataset, missing, "validation", planner, simulator, annotate=annotate)

@@ -111,12 +111,12 @@ def main() -> None:
         draw(pd.read_csv(path), restarts[_same(restarts, usual)], usual, folder / "search.png")
         return
     weights = Weights(params.alpha, params.beta, params.gamma)
-    data, meshes = Path("data"), Path("data/meshes.zarr")
+    data, meshes, members = Path("data"), Path("data/meshes.zarr"), params.ensemble.members
     dataset = store.load(meshes)
     sequences = dataset.indices("validation")[: asked.sequences].tolist()
     folder.mkdir(parents=True, exist_ok=True)
     others = {name: value for name, value in dataclasses.asdict(plan.search).items() if name not in KEYS}
-    inputs = [meshes, *artifacts(SYSTEMS["main"], data).values()]
+    inputs = [meshes, *artifacts(SYSTEMS["main"], data, members).values()]
     made = made_with(inputs, others, plan.refine, weights, simulate.candidates, simulate.simulation)
     table = read(path, [*KEYS, "sequence"], made)
     restarts = read(of_restarts, [*KEYS, "length", "restart", "best", "least"], made)
@@ -128,7 +128,7 @@ def main() -> None:
         missing = [] if known else sorted(done.union(sequences))
         if missing:
             settings = dataclasses.replace(plan, search=size)
-            planner = assemble(SYSTEMS["main"], data, weights, settings, simulate.candidates)
+            planner = assemble(SYSTEMS["main"], data, weights, settings, simulate.candidates, members)
             simulator = partial(execute, settings=simulate.simulation)
             annotate = partial(diagnosed, planner=planner)
             sessions, times = try_out(dataset, missing, "validation", planner, simulator, annotate=annotate)

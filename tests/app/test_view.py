@@ -362,7 +362,7 @@ def test_tasks_are_those_of_the_test_split(folder: Path, tmp_path: Path) -> None
         (("--host", "192.0.2.1"), "--host: 192.0.2.1 is no address of this machine"),
         (("--host", "no such host"), "--host: 'no such host' is unknown"),
         (("--data", "."), ".: holds nothing to show, expected recorded sessions"),
-        (("--state", "a.obj", "--goal", "a.obj", "--data", "."), "nets/pemd_a: not found, system main plans with it"),
+        (("--state", "a.obj", "--goal", "a.obj", "--data", "."), "nets/pemd/0: not found, system main plans with it"),
     ],
 )
 def test_bad_input_is_told_in_one_sentence(here: Path, arguments: tuple[object, ...], says: str) -> None:

@@ -209,7 +209,7 @@ def test_a_null_check_counts_what_it_cancelled() -> None:
 
 def test_the_next_state_is_expected_after_the_manipulation_that_is_executed() -> None:
     """By the better net, and not where the whole plan would end."""
-    planner = dataclasses.replace(toy.planner("b1"), better=1)
+    planner = dataclasses.replace(toy.planner("b1"), best=1)
     given = tasks(Task(0, 0, 2))._replace(recorded=None)
     told = []
 

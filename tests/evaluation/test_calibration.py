@@ -17,7 +17,8 @@ from clothkit.evaluation.prediction import Starts
 from clothkit.evaluation.settings import EvaluatePredictionConfig
 from clothkit.models import pemd
 from clothkit.models.net import Net
-from clothkit.models.pemd import PEMDConfig, rollout
+from clothkit.models.settings import PEMDConfig
+from tests.models.predicted import predicted_by
 
 
 def normal_coverage(z: pd.Series, factor: float = 1) -> np.ndarray:
@@ -93,7 +94,7 @@ def test_rows_count_the_states_that_there_are() -> None:
     of_estimates = tidy[tidy["system"] == "estimate"]
     np.testing.assert_array_equal(of_estimates["coverage"], (of_estimates["z"] > 1.45).astype(float))
     # Two manipulations of the test sequence: from its first state alone.
-    predicted, _, _ = rollout(net, vertices[1:, 0], manipulation[1:, :2])
+    predicted, _ = predicted_by(net, vertices[1:, 0], manipulation[1:, :2])
     final = ProbabilisticMesh(*(np.asarray(part)[-1] for part in predicted))
     by_hand = calibration.curve(np.asarray(deviations(final, vertices[1:, 2])))
     found = tidy.query("split == 'test' and system == 'main' and length == 2")

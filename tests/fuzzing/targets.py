@@ -20,13 +20,14 @@ from clothkit.app.planner import Past, Planned, first_traces, predicted
 from clothkit.app.viewer import recorded
 from clothkit.app.viewer.tasks import test_tasks as tasks_in
 from clothkit.dataset import raw, store, tables
+from clothkit.episodes import record
 from clothkit.evaluation import arrays, tidy
 from clothkit.models import store as nets
 from clothkit.observation.files import read
 from clothkit.observation.observe import observe
 from clothkit.observation.states import PointCloud
 from clothkit.params import load_params
-from clothkit.planning import normalisation, record
+from clothkit.planning import normalisation
 from clothkit.planning.planner import Planner
 from clothkit.report import made_with
 from clothkit.report.timings import table_8
@@ -203,9 +204,9 @@ CLOUD, MESH, GOAL, VOXELS = (
     Input("goal.glb", "bytes"),
     Input("voxels.npy", "npy"),
 )
-NETS = tuple(Input(f"data/nets/pemd_{net}/net.{kind}", f"{kind}") for net in "ab" for kind in ("json", "msgpack"))
+NETS = tuple(Input(f"data/nets/pemd/{net}/net.{kind}", f"{kind}") for net in (0, 1) for kind in ("json", "msgpack"))
 VTM = (Input("data/nets/vtm/net.msgpack", "bytes"), Input("data/nets/vtm/net.json", "json"))
-VOXEL_NETS = tuple(Input(f"data/nets/emd_voxel_{net}/net.json", "json") for net in "ab")
+VOXEL_NETS = tuple(Input(f"data/nets/emd_voxel/{net}/net.json", "json") for net in (0, 1))
 REFERENCE = Input("data/normalisation/mesh.json", "json")
 SESSIONS = Input("data/evaluation/planning/sessions_main.zarr", "zarr")
 
@@ -219,7 +220,7 @@ LOADERS = (
     loader("estimates", "data/evaluation/estimates.zarr", "zarr", lambda path: arrays.load(path, arrays.ESTIMATES)),
     loader("sessions", SESSIONS.path, "zarr", record.load),
     loader("reference values", REFERENCE.path, "json", normalisation.load),
-    Target("net", (*NETS[:2], *VTM), lambda _: [nets.load(Path(f"data/nets/{name}")) for name in ("pemd_a", "vtm")]),
+    Target("net", (*NETS[:2], *VTM), lambda _: [nets.load(Path(f"data/nets/{name}")) for name in ("pemd/0", "vtm")]),
     loader("piece of sessions", "work/sessions_000.npz", "npz", record.load_piece),
     loader("block of attempts", "work/block.npz", "bytes", generation.read_block),
     loader("checkpoint", "work/checkpoint", "bytes", lambda path: checkpoint.read(path, [0, 0])),

@@ -1,6 +1,7 @@
 """Planning in voxels: its losses by hand, and a session from voxels to a simulated outcome."""
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,8 +16,7 @@ from clothkit.evaluation.diagnosis import diagnosed
 from clothkit.evaluation.session_rows import rows
 from clothkit.manipulation.candidates import CandidateConfig
 from clothkit.models.emd_voxel import EMDVoxelConfig, initial
-from clothkit.models.net import Net
-from clothkit.planning.forward_model import EMD_VOXEL
+from clothkit.models.forward import forward_model
 from clothkit.planning.normalisation import normalise
 from clothkit.planning.objective import Accuracy, Range, Weights
 from clothkit.planning.perception import ObservedVoxels
@@ -31,9 +31,12 @@ from tests.planning import toy
 RANDOM = np.random.default_rng(0)
 
 
-def nets() -> tuple[Net, Net]:
-    config = EMDVoxelConfig(latent=8, manipulation=8, width=0.05)
-    a, b = (Net(config, initial(config, key=jax.random.key(seed))) for seed in (0, 1))
+CONFIG = EMDVoxelConfig(latent=8, manipulation=8, width=0.05)
+MODEL = forward_model(CONFIG)
+
+
+def nets() -> tuple[Any, Any]:
+    a, b = (initial(CONFIG, key=jax.random.key(seed)) for seed in (0, 1))
     return a, b
 
 
@@ -60,18 +63,19 @@ def test_recorded_manipulations_are_cartesian() -> None:
 @pytest.mark.parametrize("name", ["b4", "b5"])
 def test_a_session_in_voxels(name: str) -> None:
     chosen = system(name)
-    both = nets()
+    both, count = nets(), 1 if chosen.single else 2
     data = dataset()
     data.length[:] = 2
-    reference = normalise(EMD_VOXEL, VOXEL, both, data, NormaliseConfig(draws=1))
+    reference = normalise(MODEL, VOXEL, both, data, NormaliseConfig(draws=1))
     search = SearchConfig(strains=8, base_iterations=4, iterations_per_step=2)
     settings = PlanConfig(test=2, train=0, search=SearchConfig(), voxel_search=search, together=1).of(chosen)
     planner = Planner(
         chosen,
         representation=VOXEL,
-        model=EMD_VOXEL,
-        nets=both[: chosen.nets],
-        better=0,
+        model=MODEL,
+        members=(0, 1)[:count],
+        nets=both[:count],
+        best=0,
         perception=ObservedVoxels(),
         normalisation=reference,
         weights=Weights(1.0, 5.0, 1.25),
@@ -97,7 +101,7 @@ def test_a_session_in_voxels(name: str) -> None:
     assert sessions.estimate.shape[2:] == voxels.RESOLUTION
     np.testing.assert_array_equal(sessions.estimate[0, 0], voxels.observe(sessions.state[0, 0]))
     assert sessions.prediction_std.size == sessions.refined.size == 0
-    predicted = sessions.prediction_mean[1, 0, :2, : chosen.nets]
+    predicted = sessions.prediction_mean[1, 0, :2, :count]
     assert ((predicted >= 0) & (predicted <= 1)).all()
     # Grasp points are relative to the centre, and candidates.
     for task in range(2):

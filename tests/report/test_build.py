@@ -76,9 +76,9 @@ def inputs(dataset: Dataset) -> Inputs:
     planned = planning_rows(SETTINGS.planners, sequences=2, splits=("test",))
     prediction = pd.DataFrame(
         [
-            {**common, **shift, **in_voxels, **task, "system": system, "net": net, "better": net == "b"}
+            {**common, **shift, **in_voxels, **task, "system": system, "net": net, "better": net == "1"}
             for system in ("main", "a1", *VOXEL_SYSTEMS)
-            for net in ("a", "b")
+            for net in ("0", "1")
             for task in tasks
         ]
     )
@@ -98,7 +98,8 @@ def inputs(dataset: Dataset) -> Inputs:
     return Inputs(
         dataset=dataset,
         attempts=pd.DataFrame({"accepted": [True, False], "reason": ["", "height"]}),
-        histories={"a": by_task, "b": history, "vtm": by_state},
+        forward_histories={"0": by_task, "1": history},
+        vtm_history=by_state,
         estimation=estimation,
         calibration=pd.concat(
             [

@@ -24,14 +24,14 @@ def geodesic(side: int = SIDE) -> Float[np.ndarray, "u v 2"]:
     return np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1)
 
 
-def thinned(values: Shaped[Any, "*batch u v c"], every: int) -> Shaped[Any, "*batch thin thin c"]:
-    """Every `every`-th vertex along u and v of an array over all vertices.
+def thinned(values: Shaped[Any, "*batch u v c"], stride: int) -> Shaped[Any, "*batch thin thin c"]:
+    """Every `stride`-th vertex along u and v of an array over all vertices.
 
     The kept vertices lie symmetrically, so that they are the same in all eight labellings.
     """
-    if every == 1:
+    if stride == 1:
         return values
-    half = np.arange((every - 1) // 2, SIDE // 2, every)
+    half = np.arange((stride - 1) // 2, SIDE // 2, stride)
     kept = np.concatenate([half, (SIDE - 1 - half)[::-1]])
     return values[..., kept[:, None], kept, :]
 

@@ -92,7 +92,7 @@ def _refined(planner: Planner, plan: Plan) -> Meshes | None:
     """The better net's predictions of the outcomes, refined to plausible meshes; None for voxels."""
     if plan.stds is None:
         return None
-    last = (np.arange(len(plan.length)), plan.length - 1, planner.better)
+    last = (np.arange(len(plan.length)), plan.length - 1, planner.best)
     outcome = ProbabilisticMesh(plan.means[last], plan.stds[last])
     return in_batches(lambda some: refine(some, some.mean, planner.settings.refine), TOGETHER, outcome)
 

@@ -16,8 +16,8 @@ from clothkit.cloth.equivalents import equivalents_of_manipulation, relabel_mani
 from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.cloth.mesh import best_label
 from clothkit.episodes.record import Sessions, Tasks
+from clothkit.models.forward import ForwardModel
 from clothkit.planning.batches import in_batches
-from clothkit.planning.forward_model import ForwardModel
 from clothkit.planning.objective import Objective, evaluate, fix
 from clothkit.planning.planner import Planner
 from clothkit.planning.representation import Representation

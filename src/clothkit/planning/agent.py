@@ -220,6 +220,6 @@ def remember(planner: Planner, memory: Memory, plan: Plan, *, executed: np.ndarr
         candidates=plan.candidates,
         relative=plan.relative.astype(memory.relative.dtype),
         rest=_padded(plan.manipulations[:, 1:], STEPS),
-        expected=where(plan.means[:, 0, planner.better], memory.expected),
+        expected=where(plan.means[:, 0, planner.best], memory.expected),
         traces=tuple(where(*pair) for pair in zip(plan.traces, memory.traces, strict=True)),
     )

@@ -4,9 +4,8 @@ The accuracy term is always there; it also decides which labelling of the goal a
 `weight` and a `__call__` can be a further term (see `Term`), so that terms come from outside this package, too.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import jax
@@ -15,7 +14,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
 from clothkit.cloth.equivalents import COUNT, INVERSE, compose
-from clothkit.planning.forward_model import ForwardModel, rollout
+from clothkit.models.ensemble import pairs
+from clothkit.models.forward import ForwardModel, rollout
 from clothkit.planning.representation import Representation
 from clothkit.planning.types import UNKNOWN, Problem, Scalar
 from clothkit.planning.uncertainty import Spread, uncertainty
@@ -102,6 +102,12 @@ class Accuracy:
         return sum(of_nets[1:], of_nets[0]) * (2 / len(of_nets) if len(of_nets) > 2 else 1)
 
 
+def mean_difference(representation: Representation, predictions: Sequence[Any]) -> Float[Array, "n *batch"] | None:
+    """diff of eq. (15) between nets' predictions, in the mean over all pairs of nets; None for a single net."""
+    apart = [representation.difference(a, b) for a, b in pairs(predictions)]
+    return sum(apart[1:], apart[0]) / len(apart) if apart else None
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Uncertainty:
@@ -115,10 +121,9 @@ class Uncertainty:
     every_step: ClassVar[bool] = True
 
     def __call__(self, outlook: Outlook) -> Float[Array, " strains"]:
-        pairs = [outlook.representation.difference(a, b) for a, b in combinations(outlook.predictions, 2)]
-        difference = sum(pairs[1:], pairs[0])
-        difference = difference / len(pairs) if len(pairs) > 1 else difference
-        return uncertainty(difference, self.spread, beta=self.beta, gamma=self.gamma)
+        apart = mean_difference(outlook.representation, outlook.predictions)
+        assert apart is not None, "an ensemble of at least two nets"
+        return uncertainty(apart, self.spread, beta=self.beta, gamma=self.gamma)
 
 
 @jax.tree_util.register_dataclass
@@ -193,7 +198,7 @@ def evaluate(
     every_step = any(term.every_step for term in objective.terms.values())
     decoded = slice(None) if every_step else slice(-1, None)
     predictions = tuple(
-        model.decode(net, rollout(model, net, latent[common], trace[common], plan).latents[decoded], stride)
+        model.decode(net, rollout(model, net, latent[common], plan, trace[common]).latents[decoded], stride)
         for net, latent, trace in zip(nets, fixed.latents, fixed.traces, strict=True)
     )
     outlook = Outlook(representation, plan, predictions)

@@ -1,5 +1,6 @@
 """The planner: a system with its nets, its perception, its reference values and its settings."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -8,9 +9,9 @@ import jax
 
 from clothkit.manipulation.candidates import CandidateConfig
 from clothkit.models import store
-from clothkit.models.store import Kind
+from clothkit.models.ensemble import Ensemble, folders, load
+from clothkit.models.forward import ForwardModel
 from clothkit.planning import normalisation
-from clothkit.planning.forward_model import EMD_VOXEL, PEMD, ForwardModel
 from clothkit.planning.mesh_representation import MESH
 from clothkit.planning.normalisation import Normalisation
 from clothkit.planning.objective import Objective, Weights, objective_of
@@ -18,7 +19,7 @@ from clothkit.planning.perception import Estimation, KnownMeshes, ObservedVoxels
 from clothkit.planning.representation import Representation
 from clothkit.planning.search import search
 from clothkit.planning.settings import PlanConfig
-from clothkit.planning.systems import System, better_net
+from clothkit.planning.systems import System
 from clothkit.planning.types import Found, Problem
 from clothkit.planning.voxel_representation import VOXEL
 
@@ -30,9 +31,12 @@ class Planner:
     system: System
     representation: Representation
     model: ForwardModel
+    members: tuple[int, ...]
+    """The members of the ensemble whose nets these are."""
     nets: tuple[Any, ...]
-    better: int
-    """Index into `nets` of the one with the better validation score."""
+    """The weights of each net."""
+    best: int
+    """Index into `nets` of the one with the best validation score."""
     perception: Perception
     normalisation: Normalisation
     weights: Weights
@@ -62,36 +66,43 @@ class Planner:
         )
 
 
-def artifacts(system: System, data: Path) -> dict[str, Path]:
+def artifacts(system: System, data: Path, members: Sequence[int]) -> dict[str, Path]:
     """Paths, by name, of the artifacts under `data` that a system needs.
 
-    These are the nets a and b, the reference values and, for systems that estimate meshes, the VtM net.
+    These are the nets of the ensemble's members (net_0, ..), the reference values (reference) and, for systems that
+    estimate meshes, the VtM net (vtm).
     """
-    kind, net = ("voxel", "emd_voxel") if system.voxels else ("mesh", "pemd")
-    found = {name: data / f"nets/{net}_{name}" for name in ("a", "b")}
-    found["reference"] = data / f"normalisation/{kind}.json"
+    found = {f"net_{member}": path for member, path in folders(data / "nets", system.kind, members).items()}
+    found["reference"] = data / f"normalisation/{'voxel' if system.voxels else 'mesh'}.json"
     return {**found, "vtm": data / "nets/vtm"} if system.estimates else found
 
 
-def assemble(system: System, data: Path, weights: Weights, settings: PlanConfig, grasping: CandidateConfig) -> Planner:
+def assemble(
+    system: System,
+    data: Path,
+    weights: Weights,
+    settings: PlanConfig,
+    grasping: CandidateConfig,
+    members: Sequence[int],
+) -> Planner:
     """Load a system's planner from the artifacts under `data`. Raises InputError if one is missing or malformed."""
-    found = artifacts(system, data)
     settings = settings.of(system)
     perception: Perception = ObservedVoxels() if system.voxels else KnownMeshes()
     if system.estimates:
-        perception = Estimation(store.load(found["vtm"], "vtm"), settings.refine, refine=system.refine)
-    folders = {net: found[net] for net in ("a", "b")}
-    better = better_net(folders)
-    kind: Kind = "emd_voxel" if system.voxels else "pemd"
-    names = sorted(folders) if system.nets == 2 else [better]
+        vtm = store.load(artifacts(system, data, members)["vtm"], "vtm")
+        perception = Estimation(vtm, settings.refine, refine=system.refine)
+    ensemble = load(data / "nets", system.kind, members)
+    if system.single:
+        ensemble = Ensemble((ensemble.members[ensemble.best],), (ensemble.best_net,))
     return Planner(
         system,
         representation=VOXEL if system.voxels else MESH,
-        model=EMD_VOXEL if system.voxels else PEMD,
-        nets=tuple(store.load(folders[net], kind) for net in names),
-        better=names.index(better),
+        model=ensemble.model,
+        members=ensemble.members,
+        nets=ensemble.params,
+        best=ensemble.best,
         perception=perception,
-        normalisation=normalisation.load(found["reference"]),
+        normalisation=normalisation.load(artifacts(system, data, members)["reference"]),
         weights=weights if system.alpha is None else weights._replace(alpha=system.alpha),
         settings=settings,
         grasping=grasping,

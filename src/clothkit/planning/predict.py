@@ -1,7 +1,6 @@
 """The nets' predictions for a plan, and the memory traces after its first manipulation (section 5.1)."""
 
 from functools import partial
-from itertools import combinations
 from typing import Any, NamedTuple
 
 import jax
@@ -10,7 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
 from clothkit.cloth.equivalents import INVERSE, equivalents_of_manipulation, relabel_manipulation
-from clothkit.planning.forward_model import ForwardModel, rollout
+from clothkit.models.forward import ForwardModel, rollout
+from clothkit.planning.objective import mean_difference
 from clothkit.planning.representation import Representation
 
 
@@ -42,8 +42,8 @@ def predict(
 
     def one(net: Any, state: Array, traces: Array, plan: Array, common: Array) -> Prediction:
         latents = model.encode(net, representation.equivalents(state))
-        found = rollout(model, net, latents[common], traces[common], relabel_manipulation(plan, common))
-        states = model.decode(net, found.latents, 1)
+        found = rollout(model, net, latents[common], relabel_manipulation(plan, common), traces[common])
+        states = model.decode(net, found.latents)
         states = representation.relabel_prediction(states, jnp.asarray(INVERSE)[common])
         manipulations = equivalents_of_manipulation(plan[0])[: representation.labels]
         _, left, _ = model.step(net, latents, traces, manipulations)
@@ -59,5 +59,4 @@ def predict(
 @partial(jax.jit, static_argnames="representation")
 def differences(representation: Representation, predictions: tuple[Prediction, ...]) -> Float[Array, "tasks n"] | None:
     """diff of eq. (15) after each manipulation, in the mean over all pairs of nets; None for a single net."""
-    pairs = [representation.difference(a.states, b.states) for a, b in combinations(predictions, 2)]
-    return sum(pairs[1:], pairs[0]) / len(pairs) if pairs else None
+    return mean_difference(representation, [prediction.states for prediction in predictions])

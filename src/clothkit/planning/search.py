@@ -17,7 +17,7 @@ from clothkit.cloth.grid import SIDE
 from clothkit.config import config
 from clothkit.manipulation.geometry import release_points
 from clothkit.manipulation.vector import is_null, is_single
-from clothkit.planning.forward_model import ForwardModel
+from clothkit.models.forward import ForwardModel
 from clothkit.planning.initial import folds, random_plans, snap
 from clothkit.planning.irprop import IRpropConfig, irprop_minus
 from clothkit.planning.objective import Objective, evaluate, fix

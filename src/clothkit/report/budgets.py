@@ -1,7 +1,7 @@
 """Budgets of each system for planning and training, and which systems are compared with unequal budgets."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 
 import jax
@@ -34,19 +34,20 @@ EVALUATIONS = tuple(f"evaluations_{length}" for length in LENGTHS)
 def budgets(made_with: MadeWith, timings: pd.DataFrame | None, systems: list[str]) -> pd.DataFrame:
     """The table of budgets: a row per planner, one for VtM, and the paper's rows.
 
-    Columns: source, system; nets (number of forward models used in planning; two are trained, and a system with one net
-    uses the better of them), parameters (of each net), training_iterations, batch, training_cpu_minutes (of both
-    forward models together, or of VtM; NaN where the training left no note), strains, iterations_1, _2, _3 (of a
+    Columns: source, system; nets (number of forward models used in planning: the ensemble, or the best net of it),
+    parameters (of each net), training_iterations, batch, training_cpu_minutes (of the ensemble's forward models
+    together, or of VtM; NaN where the training left no note), strains, iterations_1, _2, _3 (of a
     search, by plan length), evaluations_1, _2, _3 (of the loss with its gradient: strains times iterations).
     """
-    rows = []
+    rows, members = [], made_with.ensemble.members
     for name in systems:
         system = SYSTEMS[name]
         learned, search = (
             (made_with.emd_voxel, made_with.voxel_search) if system.voxels else (made_with.pemd, made_with.search)
         )
-        minutes = _minutes(timings, "train_emd_voxel" if system.voxels else "train_pemd")
-        rows.append(_row("clothkit", name, system.nets, learned, search, minutes))
+        minutes = _minutes(timings, "train_emd_voxel" if system.voxels else "train_pemd", members)
+        nets = len(members) if system.nets > 1 else 1
+        rows.append(_row("clothkit", name, nets, learned, search, minutes))
     rows.append(_row("clothkit", VTM, 1, made_with.vtm, None, _minutes(timings, "train_vtm")))
     for name, net in PAPER.items():
         rows.append(_row("paper", name, 2, Learned(net, TrainingConfig()), SearchConfig(), math.nan))
@@ -77,11 +78,16 @@ def _parameters(net: Net) -> int:
     return sum(int(np.prod(leaf.shape)) for leaf in jax.tree.leaves(shapes(net)))
 
 
-def _minutes(timings: pd.DataFrame | None, stage: str) -> float:
-    """CPU minutes of the last training run of each of a stage's nets, added up; NaN if there is no note of any."""
+def _minutes(timings: pd.DataFrame | None, stage: str, members: Sequence[int] = ()) -> float:
+    """CPU minutes of the last training run of each of a stage's nets, added up; NaN if there is no note of any.
+
+    Of an ensemble only the members count, as far as they are named by number, which they are not in older reports.
+    """
     if timings is None:
         return math.nan
     own = timings[timings["stage"].map(lambda name: name.split("@")[0] == stage)]
+    numbered = own[own["stage"].isin([f"{stage}@{member}" for member in members])]
+    own = numbered if len(numbered) else own
     return float(own["cpu_seconds"].sum()) / 60 if len(own) else math.nan
 
 

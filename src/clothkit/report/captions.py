@@ -8,8 +8,8 @@ INTRO = (
     "eight equivalent labellings; outcomes and *no action* (start against goal) are moved onto the goal first, "
     "estimates and predictions are not. Columns: manipulations / state that they start from. *main* sees voxels "
     "only; *a1* predicts, and *b1* plans, from true meshes; *b2* plans with one net, *b3* without the uncertainty "
-    "term, *b4* and *b5* in voxels, with two nets and with one. Pictured are the first test sequences, not chosen "
-    "ones, but for the largest errors and the median cases.\n"
+    "term, *b4* and *b5* in voxels, with an ensemble and with one net. Pictured are the first test sequences, not "
+    "chosen ones, but for the largest errors and the median cases.\n"
 )
 CANONICAL = (
     "The nets that predict meshes see each cloth in one canonical description, whatever its direction and labels"
@@ -77,9 +77,9 @@ TALL_A2 = (
     "for the voxel that holds them, and what lies above that viewport is taken for empty."
 )
 BUDGETS = (
-    "What plans were made with, and how long the nets learned: *nets* in a plan (two were trained, and systems of one "
-    "plan with the better); *parameters* of each; *training_cpu_minutes* of both, in the stages' last runs on this "
-    "machine (a training that was interrupted counts from where it went on); *evaluations* of the loss with its "
+    "What plans were made with, and how long the nets learned: *nets* in a plan (of an ensemble, of which systems "
+    "of one net plan with the best); *parameters* of each; *training_cpu_minutes* of all, in the stages' last runs on "
+    "this machine (a training that was interrupted counts from where it went on); *evaluations* of the loss with its "
     "gradient in the search for a plan of 1, 2 and 3 manipulations, which are strains times iterations; one of the "
     "voxel nets costs many times as much as one of the mesh nets. The paper's: its settings, with the parameters that "
     "they have here.\n"
@@ -150,14 +150,14 @@ CAMERA_COMPARISONS = (
     "neither is told of fewer than ten.\n"
 )
 SYSTEMS = {
-    "main": "sees voxels only; two mesh nets",
+    "main": "sees voxels only; an ensemble of mesh nets",
     "a1": "main, from true meshes",
-    "a2": "two voxel nets",
+    "a2": "a voxel net",
     "main_occluded": "main's predictions, as a camera above would see them",
     "b1": "main, from true meshes",
     "b2": "main with one net",
     "b3": "main without the uncertainty term",
-    "b4": "two voxel nets",
+    "b4": "an ensemble of voxel nets",
     "b5": "one voxel net",
     "unrefined": "main without refinement of its estimates",
     "no action": "start against goal",

@@ -1,4 +1,4 @@
-"""First paragraphs of a report: whether the uncertainty term, two nets and refinement reduced planning errors.
+"""First paragraphs of a report: whether the uncertainty term, an ensemble and refinement reduced planning errors.
 
 The words are made from the paired comparisons of planners, so that they stay true when a chain is run again.
 """
@@ -61,7 +61,7 @@ def _term(rows: pd.DataFrame) -> str:
 
 
 def _lead(rivals: dict[str, pd.DataFrame]) -> str:
-    words = {"b2": "*b2* (one net)", "b3": "*b3* (two nets, without the term)"}
+    words = {"b2": "*b2* (one net)", "b3": "*b3* (without the term)"}
     enough = {name: rows for name, rows in rivals.items() if _sequences(rows) >= LEAST}
     if not enough:
         return "Nor is that enough to tell whether *main* leads over *b2* and *b3* as it does in the paper.\n"

@@ -9,7 +9,7 @@ import pydantic
 from ruamel.yaml import YAML, YAMLError
 
 from clothkit.errors import InputError, system_error
-from clothkit.models.settings import EMDVoxelConfig, PEMDConfig, VtMConfig
+from clothkit.models.settings import EMDVoxelConfig, EnsembleConfig, PEMDConfig, VtMConfig
 from clothkit.planning.search import SearchConfig
 from clothkit.training.settings import TrainingConfig
 
@@ -39,6 +39,7 @@ class MadeWith:
     """Largest number of sequences that are planned for, by split."""
     search: SearchConfig
     voxel_search: SearchConfig
+    ensemble: EnsembleConfig
     pemd: Learned
     emd_voxel: Learned
     vtm: Learned
@@ -79,6 +80,8 @@ def read(path: Path) -> MadeWith:
         sequences={split: _at(path, stages, f"plan.{split}") for split in ("test", "train")},
         search=_settings(path, stages, "plan.search", SearchConfig),
         voxel_search=_settings(path, stages, "plan.voxel_search", SearchConfig),
+        # Older reports do not say it: their ensembles are the paper's two nets.
+        ensemble=_settings(path, whole, "ensemble", EnsembleConfig) if "ensemble" in whole else EnsembleConfig(),
         pemd=_learned(path, stages, "train_pemd", PEMDConfig),
         emd_voxel=_learned(path, stages, "train_emd_voxel", EMDVoxelConfig),
         vtm=_learned(path, stages, "train_vtm", VtMConfig),
