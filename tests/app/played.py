@@ -12,9 +12,9 @@ from clothkit.cloth.equivalents import relabel, relabel_manipulation
 from clothkit.cloth.silhouette import centred
 from clothkit.dataset import store
 from clothkit.dataset.tasks import Task
-from clothkit.episodes.record import Sessions, blank, join, save, tasks_of_dataset
-from tests.episodes.test_session import dataset
+from clothkit.episodes.record import Sessions, blank, join, save, sizes_of, tasks_of_dataset
 from tests.planning import toy
+from tests.toy_dataset import dataset
 
 LABELS = 5
 """The equivalent under which estimates come."""
@@ -47,7 +47,7 @@ def session() -> Session:
 def recorded(task: Task) -> Sessions:
     """A record of `session`'s sort for a task of the toy dataset, estimates under other labels."""
     planner = toy.planner("main")
-    found = blank(tasks_of_dataset(dataset(), [task], "test"), planner.sizes)
+    found = blank(tasks_of_dataset(dataset(), [task], "test"), sizes_of(planner))
     n = task.length
     for i in range(n):
         plan = np.concatenate([PLAN, PLAN])[i:n]

@@ -7,7 +7,6 @@ import subprocess
 import sys
 import urllib.request
 from pathlib import Path
-from typing import Any
 from unittest import mock
 
 import numpy as np
@@ -16,7 +15,7 @@ import trimesh
 
 from clothkit.app.given import look, seeing, settings
 from clothkit.app.plan_file import UNLIKELY
-from clothkit.app.planner import Past, first_traces, predicted
+from clothkit.app.planner import for_one_cloth
 from clothkit.app.viewer import colours, live
 from clothkit.app.viewer.canvas import finer, two_sided
 from clothkit.app.viewer.colours import Scale, legend, round_up
@@ -24,16 +23,18 @@ from clothkit.app.viewer.recorded import entries, session_of, systems_in
 from clothkit.app.viewer.scene import Cloth, View, cubes, hand_paths, scale_of, scene_of, to_show
 from clothkit.app.viewer.session import Look, disagreement, error_of, facts, matched, places, unlikely
 from clothkit.app.viewer.tasks import test_tasks as tasks_in
-from clothkit.app.viewer.watched import AT_ONCE, Progress, find_watched
+from clothkit.app.viewer.watched import AT_ONCE, Progress, Watch, search_watched
 from clothkit.cloth import voxels
 from clothkit.cloth.grid import flat, triangles
 from clothkit.errors import InputError
 from clothkit.manipulation.geometry import release_points, to_cartesian
-from clothkit.planning.planner import Planner
+from clothkit.planning import agent
+from clothkit.planning.types import Memory, Observation
 from tests.app import played
 from tests.app.conftest import run
-from tests.episodes.test_session import MANIPULATIONS
+from tests.app.plans import finding
 from tests.planning import toy
+from tests.toy_dataset import MANIPULATIONS
 
 FORWARD = ("--no-browser", "--port", 0)
 
@@ -236,42 +237,38 @@ def test_a_broken_record_is_told(folder: Path, tmp_path: Path) -> None:
 
 
 def test_a_search_in_lots_tells_how_far_it_is_and_can_be_stopped() -> None:
-    planner = toy.planner("b1")
-    session = played.session()
+    planner = for_one_cloth(toy.planner("b1"))
+    start, goal, _ = played.session().states
+    begun = agent.begin(planner, goal[None], np.array([1]))
+    seen, candidates = agent.perceive(planner, Observation(meshes=start[None]), begun)
+
+    def search(watch: Watch, memory: Memory = begun) -> Progress:
+        return search_watched(planner, seen[0], candidates[0], memory, seed=0, watch=watch)
+
     told: list[Progress] = []
-    found = find_watched(planner, session.states[0], session.states[1], 1, seed=0, watch=lambda p: not told.append(p))
+    found = search(lambda progress: not told.append(progress))
     strains = toy.SEARCH.strains
     assert [progress.done for progress in told] == [*range(0, strains, AT_ONCE), strains]
     assert found.best is not None
     assert (np.diff(found.lowest) <= 0).all()
     assert len(found.lowest) == strains // AT_ONCE * toy.SEARCH.iterations(1)
-    losses = [progress.best.loss for progress in told if progress.best]
+    losses = [float(progress.best.loss[0]) for progress in told if progress.best]
     assert losses == sorted(losses, reverse=True)
-    mean = np.asarray(found.best.predictions[0].mean[-1])
-    reached, before = error_of(mean, session.states[1]), error_of(session.states[0], session.states[1])
+    reached, before = error_of(found.best.means[0, 0, 0], goal), error_of(start, goal)
     assert reached is not None
     assert before is not None
     assert reached < 0.5 * before
-    stopped = find_watched(
-        planner, session.states[0], session.states[1], 1, seed=0, watch=lambda progress: progress.done == 0
-    )
+    stopped = search(lambda progress: progress.done == 0)
     assert stopped.done == AT_ONCE
     # A later search of a session starts from what is left of the last plan: here it is found at once.
-    way = played.PLAN[:1]
-    past = Past(session.states[0], first_traces(planner), 0, way)
+    rest = np.full_like(begun.rest, np.nan)
+    rest[0, 0] = played.PLAN[0]
+    later = begun._replace(planned=np.ones(1, bool), relative=np.zeros(1, np.int32), rest=rest)
     first: list[Progress] = []
-    find_watched(
-        planner,
-        session.states[0],
-        session.states[1],
-        1,
-        seed=0,
-        past=past,
-        watch=lambda progress: not first.append(progress) and progress.done == 0,
-    )
+    search(lambda progress: not first.append(progress) and progress.done == 0, later)
     assert first[-1].done == AT_ONCE
     assert first[-1].lowest[-1] <= stopped.lowest[-1]
-    nothing = find_watched(planner, session.states[0], session.states[1], 1, seed=0, watch=lambda _: False)
+    nothing = search(lambda _: False)
     assert nothing.best is None
 
 
@@ -280,18 +277,7 @@ def under_way(folder: Path, monkeypatch: pytest.MonkeyPatch) -> live.Live:
     monkeypatch.chdir(folder)  # without params.yaml
     how = seeing(settings().app, side=None, table=None, table_colour=None, box=None)
     start, goal = (look(f"{folder}/meshes.zarr:0/{state}", how) for state in (0, 2))
-    return live.begin(toy.planner("b1"), start, goal, 2, title="toy", data=folder, settings=settings())
-
-
-def finds(plan: np.ndarray) -> Any:
-    """A search that always finds the same plan."""
-
-    def find(planner: Planner, state: np.ndarray, *_: Any, past: Past | None, **__: Any) -> Progress:
-        traces = past.traces if past else first_traces(planner)
-        best = predicted(planner, state, plan, common=0, traces=traces)
-        return Progress(8, 8, best, np.array([2.0, 1.0], np.float32), 8)
-
-    return mock.patch.object(live, "find_watched", find)
+    return live.begin(for_one_cloth(toy.planner("b1")), start, goal, 2, title="toy", data=folder, settings=settings())
 
 
 def test_a_live_session_goes_from_plan_to_plan(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -301,16 +287,15 @@ def test_a_live_session_goes_from_plan_to_plan(folder: Path, monkeypatch: pytest
     with mock.patch.object(live, "execute", lambda *given, **_: toy.execute(*given)):
         for left in (2, 1):
             assert session.left == left
-            with finds(recorded_plan()[-left:]):
+            with finding(recorded_plan()[-left:]):
                 session = live.plan(session, seed=0, watch=lambda _: True)
             plan = session.session.steps[-1].plan
             assert plan is not None
             assert plan.means.shape == (2, left, 32, 32, 3)
             session = live.perform(session)
-            assert session.past is not None
             # A toy trace counts the manipulations that were executed.
-            assert (session.past.traces[0] == 3 - left).all()
-            np.testing.assert_allclose(session.past.rest, recorded_plan()[-left:][1:])
+            assert (session.memory.traces[0] == 3 - left).all()
+            np.testing.assert_allclose(session.memory.rest[0, : left - 1], recorded_plan()[-left:][1:])
     shown = session.session
     assert shown.over
     assert len(shown.steps) == 2
@@ -331,12 +316,11 @@ def recorded_plan() -> np.ndarray:
 def test_a_null_manipulation_changes_nothing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     short = recorded_plan().copy()
     short[0, 4:] = 0.1
-    with finds(short):
+    with finding(short):
         planned = live.plan(under_way(folder, monkeypatch), seed=0, watch=lambda _: True)
     done = live.perform(planned)
     np.testing.assert_array_equal(done.session.states[1], done.session.states[0])
-    assert done.past is not None
-    assert (done.past.traces[0] == 0).all()
+    assert (done.memory.traces[0] == 0).all()
     assert "too short" in facts(done.session, 0)
 
 

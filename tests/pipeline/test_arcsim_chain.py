@@ -1,13 +1,11 @@
 """From ARCSim's runs to the report, in one process and with nets that learn nothing: short sequences break no stage."""
 
+from functools import partial
 from pathlib import Path
 
 import jax
 import numpy as np
 import pandas as pd
-from clothkit.planning.forward import MESH
-from clothkit.planning.loss import Weights
-from clothkit.planning.sight import MeshSight
 
 from clothkit.dataset import store
 from clothkit.dataset.augment import AugmentConfig, augment
@@ -28,13 +26,18 @@ from clothkit.evaluation import (
 )
 from clothkit.evaluation.camera_settings import Condition, EvaluateCameraConfig
 from clothkit.evaluation.comparisons import of_predictions
+from clothkit.evaluation.diagnosis import diagnosed
 from clothkit.evaluation.session_rows import rows
 from clothkit.evaluation.settings import EvaluateEstimationConfig, EvaluatePredictionConfig
 from clothkit.manipulation.candidates import CandidateConfig
 from clothkit.models.net import Net
 from clothkit.models.settings import EMDVoxelConfig, PEMDConfig, VtMConfig
 from clothkit.observation.picture import PictureConfig
+from clothkit.planning.forward_model import PEMD as MODEL
+from clothkit.planning.mesh_representation import MESH
 from clothkit.planning.normalisation import normalise
+from clothkit.planning.objective import Weights
+from clothkit.planning.perception import Estimation
 from clothkit.planning.planner import Planner
 from clothkit.planning.search import SearchConfig
 from clothkit.planning.settings import NormaliseConfig, PlanConfig
@@ -123,12 +126,21 @@ def test_the_chain_runs_on_from_arcsims_runs(tmp_path: Path) -> None:
     settings = EvaluatePredictionConfig(batch=4, stored=3)
     given = prediction.starts(dataset, estimates)
     arrays.save(tmp_path / "predictions.zarr", prediction.stored(dataset, given, nets["a"], settings), {})
-    normalisation = normalise(MESH, (nets["a"], nets["b"]), validation, NormaliseConfig(draws=1))
-    weights, candidates = Weights(1.0, 5.0, 1.25), CandidateConfig()
     both = (nets["a"], nets["b"])
-    sight = MeshSight(vtm, PLAN.refine)
-    planner = Planner(system("main"), sight, both, 0, normalisation, weights, PLAN, candidates)
-    pieces, _ = evaluate(dataset, planner, toy.execute, work=tmp_path / "plan")
+    planner = Planner(
+        system("main"),
+        representation=MESH,
+        model=MODEL,
+        nets=both,
+        better=0,
+        perception=Estimation(vtm, PLAN.refine),
+        normalisation=normalise(MODEL, MESH, both, validation, NormaliseConfig(draws=1)),
+        weights=Weights(1.0, 5.0, 1.25),
+        settings=PLAN,
+        grasping=CandidateConfig(),
+    )
+    annotate = partial(diagnosed, planner=planner)
+    pieces, _ = evaluate(dataset, planner, toy.execute, work=tmp_path / "plan", annotate=annotate)
     sessions = pieces.whole()
 
     seen = camera.estimation(dataset, vtm, CAMERA, REFINE)

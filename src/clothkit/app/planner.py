@@ -64,15 +64,21 @@ def load_planner(system: System, data: Path, settings: Settings) -> Planner:
             raise InputError(f"{path}: not found, system {system.name} plans with it; dvc repro makes it")
         if name != "reference":
             store.description(path)
-    planner = assemble(system, data, settings.weights, settings.plan, settings.grasping)
+    planner = for_one_cloth(assemble(system, data, settings.weights, settings.plan, settings.grasping))
+    if isinstance(planner.perception, Estimation):
+        _check_height(found["vtm"], planner.perception.vtm, settings)
+    return planner
+
+
+def for_one_cloth(planner: Planner) -> Planner:
+    """The planner for one cloth at a time, whose labels are not those of its goal."""
     perception = planner.perception
     if isinstance(perception, Estimation):
-        _check_height(found["vtm"], perception.vtm, settings)
         perception = dataclasses.replace(perception, batch=1)
     elif isinstance(perception, KnownMeshes):
         perception = KnownMeshes(labelled=False)
     one = dataclasses.replace(planner.settings, batch=1)
-    return dataclasses.replace(planner, perception=perception, settings=one, labelled=system.voxels)
+    return dataclasses.replace(planner, perception=perception, settings=one, labelled=planner.system.voxels)
 
 
 def load_vtm(data: Path, settings: Settings) -> Net:

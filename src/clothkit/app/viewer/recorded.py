@@ -1,4 +1,4 @@
-"""Read sessions that the pipeline has recorded (planning.record), one at a time."""
+"""Read sessions that the pipeline has recorded (episodes.record), one at a time."""
 
 import os
 from pathlib import Path
