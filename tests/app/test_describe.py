@@ -166,7 +166,10 @@ def test_a_plan_is_warned_of_that_brings_nothing_nearer() -> None:
     good = described()
     assert good.expected.improves
     assert good.warning is None
-    for plan in (described(means=planned().means + 10 * ENDS), described(plan=PLAN * np.float32([1, 1, 1, 1, 0.3, 0.3]))):
+    for plan in (
+        described(means=planned().means + 10 * ENDS),
+        described(plan=PLAN * np.float32([1, 1, 1, 1, 0.3, 0.3])),
+    ):
         assert not plan.expected.improves
         assert plan.warning == UNLIKELY
 

@@ -22,7 +22,7 @@ from clothkit.app.planner import (
     turned_goal,
     turned_plan,
 )
-from clothkit.app.recall import check_nets, memory_of, side_of
+from clothkit.app.recall import check_nets, check_steps_left, memory_of, side_of, traces_before
 from clothkit.errors import InputError
 from clothkit.observation.waypoints import HandPaths, MotionConfig, ReachConfig, beyond, symmetries
 from clothkit.planning.planner import Planner, artifacts
@@ -124,8 +124,10 @@ def command(
         planner = load_planner(chosen, data, given)
         if before and after:
             check_nets(before, planner, data, after)
+            check_steps_left(before, after)
+            traces = traces_before(before, planner, after)
     with part("estimate"):
-        observation, matrix = observation_of(chosen, seen), None
+        observation, matrix = observation_of(planner, seen, data, given), None
         target = goal_of(chosen, wanted, data, given)
         explained_goal = of_goal(chosen, wanted, target, given)
         if before and before.turned and not chosen.voxels:
@@ -133,7 +135,7 @@ def command(
             target = turned_goal(target, matrix)
         memory = begin(planner, target, length)
         if before and after:
-            memory = memory_of(before, planner, memory, after)
+            memory = memory_of(before, planner, memory, traces)
     with part(f"search, {planner.settings.search.strains} strains"):
         planned, _ = decide(planner, observation, memory, seed=seed)
         found = (of_state(chosen, seen, planned.state, given), explained_goal)

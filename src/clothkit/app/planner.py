@@ -55,8 +55,7 @@ class Planned(NamedTuple):
 def load_planner(system: System, data: Path, settings: Settings) -> Planner:
     """Load the planner of a system, for one cloth whose labels are not those of its goal.
 
-    Raises InputError that names a missing or broken artifact, and if the net that estimates meshes takes voxels of
-    another height than `app.cloud.height`.
+    Raises InputError that names a missing or broken artifact.
     """
     found = artifacts(system, data)
     for name, path in found.items():
@@ -64,10 +63,7 @@ def load_planner(system: System, data: Path, settings: Settings) -> Planner:
             raise InputError(f"{path}: not found, system {system.name} plans with it; dvc repro makes it")
         if name != "reference":
             store.description(path)
-    planner = for_one_cloth(assemble(system, data, settings.weights, settings.plan, settings.grasping))
-    if isinstance(planner.perception, Estimation):
-        _check_height(found["vtm"], planner.perception.vtm, settings)
-    return planner
+    return for_one_cloth(assemble(system, data, settings.weights, settings.plan, settings.grasping))
 
 
 def for_one_cloth(planner: Planner) -> Planner:
@@ -106,11 +102,15 @@ def estimated(vtm: Net, seen: Seen, settings: Settings, *, expected: State | Non
     return estimate(vtm, seen.observation.voxels[None], settings.plan.refine, predicted=predicted)
 
 
-def observation_of(system: System, seen: Seen) -> Observation:
-    """What a system observes of a file's content, as a batch of one.
+def observation_of(planner: Planner, seen: Seen, data: Path, settings: Settings) -> Observation:
+    """What a planner observes of a file's content, as a batch of one.
 
-    Raises InputError when the system needs a mesh and the file holds none.
+    Raises InputError when its system needs a mesh and the file holds none, and when its net in `data` that estimates
+    meshes takes voxels of another height than `app.cloud.height`.
     """
+    system, perception = planner.system, planner.perception
+    if isinstance(perception, Estimation):
+        _check_height(artifacts(system, data)["vtm"], perception.vtm, settings)
     if not system.true_meshes:
         return Observation(voxels=seen.observation.voxels[None])
     mesh = mesh_of(seen)
@@ -120,14 +120,6 @@ def observation_of(system: System, seen: Seen) -> Observation:
             "system main estimates it"
         )
     return Observation(meshes=mesh[None].astype(np.float32))
-
-
-def state_of(planner: Planner, seen: Seen, memory: Memory) -> State:
-    """The state that the planner's perception makes of a file's content: voxels, the file's mesh, or an estimate.
-
-    A mesh has the labels of the expected one, if the memory has one. Raises InputError as `observation_of` does.
-    """
-    return agent.perceive(planner, observation_of(planner.system, seen), memory)[0][0]
 
 
 def goal_of(system: System, seen: Seen, data: Path, settings: Settings) -> State:
@@ -150,16 +142,15 @@ def mesh_of(seen: Seen) -> Float[np.ndarray, "u v 3"] | None:
 
 
 def begin(planner: Planner, goal: State, length: int) -> Memory:
-    """The memory before the first decision, a batch of one. For every system a goal is reached in any of its labels.
-
-    Raises InputError when the nets have no reference values for plans of that length.
-    """
-    planner.normalisation.reference(length)
+    """The memory before the first decision, a batch of one. For every system a goal is reached in any of its labels."""
     return agent.begin(planner, goal[None], np.array([length]))
 
 
 def decide(planner: Planner, observation: Observation, memory: Memory, *, seed: int) -> tuple[Planned, Memory]:
-    """The agent's decision for one cloth: the plan, and the memory after its first manipulation."""
+    """The agent's decision for one cloth: the plan, and the memory after its first manipulation.
+
+    Raises InputError when the nets have no reference values for plans of that length.
+    """
     plan, later = agent.decide(planner, observation, memory, key=jax.random.key(seed).reshape(1))
     return planned_of(planner, plan, memory), later
 
@@ -202,9 +193,11 @@ def predicted(
     )
 
 
-def traces_after(planner: Planner, planned: Planned) -> Traces:
+def traces_after(
+    planner: Planner, state: State, plan: Float[np.ndarray, "n 6"], *, common: int, traces: Traces
+) -> Traces:
     """Return each net's memory traces after the first manipulation of a plan."""
-    found = _predictions(planner, planned.state, planned.plan, planned.common, planned.traces)
+    found = _predictions(planner, state, plan, common, traces)
     return tuple(np.asarray(of_net.traces[0]) for of_net in found)
 
 

@@ -11,10 +11,11 @@ from clothkit.app.explained import of_state, warn
 from clothkit.app.given import keep_compiled_programs, look, looking, seeing, settings
 from clothkit.app.output import check_target, part, write_arrays, write_mesh
 from clothkit.app.plan_file import read_plan
-from clothkit.app.planner import begin, load_planner, predicted, state_of
+from clothkit.app.planner import begin, load_planner, observation_of, predicted
 from clothkit.app.recall import check_nets, manipulations, recalled_state, side_of, traces_before
 from clothkit.cloth.mesh import distance_aligned
 from clothkit.errors import InputError
+from clothkit.planning import agent
 from clothkit.planning.systems import system
 from clothkit.publish import unfinished_files
 
@@ -57,7 +58,8 @@ def command(*, state: str, source: Path, out: Path, data: Path, mask: str | None
         memory = begin(planner, start, len(plan.steps))
         if not chosen.voxels:
             memory = memory._replace(planned=np.ones(1, bool), expected=start[None].astype(np.float32))
-        cloth = state_of(planner, seen, memory)
+        observation = observation_of(planner, seen, data, given)
+        cloth = agent.perceive(planner, observation, memory)[0][0]
         estimate = of_state(chosen, seen, cloth, given)
         found = predicted(planner, cloth, manipulations(plan), common=plan.memory.common, traces=traces)
     warn(estimate)

@@ -14,18 +14,20 @@ from jaxtyping import Float
 
 from clothkit.app import planner as plans
 from clothkit.app.given import Seen, Settings
-from clothkit.app.planner import State, epistemic_uncertainty, estimated, goal_of, load_vtm, mesh_of, observation_of
+from clothkit.app.planner import epistemic_uncertainty, estimated, goal_of, load_vtm, mesh_of, observation_of
 from clothkit.app.viewer.session import Look, Mesh, Session, ShownPlan, Step, error_of, matched
 from clothkit.app.viewer.watched import Progress, Watch, search_watched
 from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.cloth.silhouette import centred
 from clothkit.errors import InputError
+from clothkit.estimation.estimate import estimate_probabilistic
 from clothkit.manipulation.vector import is_null, is_single
 from clothkit.observation.observe import observe
 from clothkit.observation.states import MeshState
 from clothkit.planning import agent
+from clothkit.planning.perception import Estimation
 from clothkit.planning.planner import Planner
-from clothkit.planning.types import Memory, Plan
+from clothkit.planning.types import Memory, Observation, Plan
 from clothkit.simulation.executor import execute
 
 
@@ -65,29 +67,27 @@ def begin(
     The mesh in the file of `start` is simulated or, if there is none, the estimate. Raises InputError when the system
     cannot plan from these files.
     """
-    system = planner.system
+    system, observation = planner.system, observation_of(planner, start, data, settings)
+    truth, mesh = mesh_of(start), mesh_of(goal)
+    if truth is None and system.voxels:
+        truth = np.asarray(estimated(load_vtm(data, settings), start, settings).mesh[0])
     wanted = goal_of(system, goal, data, settings)
     memory = plans.begin(planner, wanted, length)
-    look = look_at(planner, start, memory, data, settings)
-    truth = mesh_of(start)
+    look = look_at(planner, observation, memory)
     if truth is None:
         truth = look.estimate
-        if system.voxels:
-            truth = np.asarray(estimated(load_vtm(data, settings), start, settings).mesh[0])
-    mesh = mesh_of(goal)
     shown = Session(title, length, wanted if mesh is None else mesh, (truth,), (matched(Step(look), truth),))
     centre = np.asarray(start.pose.centre / start.pose.scale, np.float32)
     return Live(shown, planner, data, settings, centre, look, memory)
 
 
-def look_at(planner: Planner, seen: Seen, memory: Memory, data: Path, settings: Settings) -> Look:
-    """Return the system's estimate of a cloth, with standard deviations if it is a refined one. Raises InputError."""
-    states, points = agent.perceive(planner, observation_of(planner.system, seen), memory)
-    sigma = None
-    if planner.system.estimates and planner.system.refine:
-        expected: State | None = memory.expected[0] if memory.planned[0] else None
-        found = estimated(load_vtm(data, settings), seen, settings, expected=expected)
-        sigma = np.asarray(found.probabilistic.std[0])
+def look_at(planner: Planner, observation: Observation, memory: Memory) -> Look:
+    """Return the system's estimate of a cloth, with standard deviations if it is a refined one."""
+    states, points = agent.perceive(planner, observation, memory)
+    sigma, perception = None, planner.perception
+    if isinstance(perception, Estimation) and perception.refine and observation.voxels is not None:
+        expected = memory.expected if memory.planned[0] else None
+        sigma = np.asarray(estimate_probabilistic(perception.vtm, observation.voxels, expected).std[0])
     return Look(states[0], sigma, points[0][np.isfinite(points[0]).all(-1)])
 
 
@@ -142,7 +142,8 @@ def perform(live: Live) -> Live:
     session = live.session._replace(states=(*live.session.states, truth), steps=_noted(live, null, truth))
     if not session.over:
         if not null:
-            look = look_at(live.planner, _seen(truth, centre, live.settings), memory, live.data, live.settings)
+            seen = _seen(truth, centre, live.settings)
+            look = look_at(live.planner, observation_of(live.planner, seen, live.data, live.settings), memory)
         session = session._replace(steps=(*session.steps, matched(Step(look), truth)))
     return dataclasses.replace(live, session=session, centre=centre, look=look, memory=memory, plan=None)
 
