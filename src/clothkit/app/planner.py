@@ -23,11 +23,14 @@ from clothkit.planning.perception import Estimation, KnownMeshes
 from clothkit.planning.planner import Planner, artifacts, assemble
 from clothkit.planning.predict import Prediction, differences, predict
 from clothkit.planning.systems import System
-from clothkit.planning.types import Memory, Observation, Plan, Traces
+from clothkit.planning.types import Memory, Observation, Plan
 from clothkit.planning.uncertainty import uncertainty
 
 State = Shaped[np.ndarray, "*state"]
 """A state as a system represents it: a mesh [u v 3], normalised and centred, or voxels [x y z]."""
+
+Traces = tuple[Float[np.ndarray, "labels latent"], ...]
+"""For each net, the memory traces of one cloth for all common equivalents of its state."""
 
 
 class Planned(NamedTuple):
@@ -48,7 +51,7 @@ class Planned(NamedTuple):
     differences: Float[np.ndarray, " n"] | None
     """diff of eq. (15) after each manipulation; None if there is only one net."""
     traces: Traces
-    """Each net's memory traces before the plan [labels latent]."""
+    """Each net's memory traces before the plan."""
     loss: float = np.nan
 
 

@@ -6,12 +6,12 @@ import numpy as np
 from jaxtyping import Float
 
 from clothkit.app.plan_file import MeshState, Placed, Plan
-from clothkit.app.planner import State, traces_after
+from clothkit.app.planner import State, Traces, traces_after
 from clothkit.errors import InputError
 from clothkit.planning.agent import no_traces
 from clothkit.planning.planner import Planner, artifacts
 from clothkit.planning.systems import better_net
-from clothkit.planning.types import Memory, Traces
+from clothkit.planning.types import Memory
 
 _SAME = 1e-6
 """Relative difference up to which two sides count as equal."""
