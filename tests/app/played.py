@@ -39,7 +39,18 @@ def session() -> Session:
     for i, end in enumerate((1, 0)):
         plan = PLAN[i:] if end else np.concatenate([CANDIDATES[0], CANDIDATES[0], [0.1, 0.1]])[None].astype(np.float32)
         means = np.stack([after(states[i], plan, strength) for strength in (1.0, 1.05)])
-        shown = ShownPlan(plan, means, np.full_like(means, 0.01), 0.1, 1.0, np.array([3.0, 1.0], np.float32), 8)
+        shown = ShownPlan(
+            manipulations=plan,
+            means=means,
+            sigmas=np.full_like(means, 0.01),
+            uncertainty=0.1,
+            loss=1.0,
+            progress=np.array([3.0, 1.0], np.float32),
+            tried=8,
+            improves=bool(end),
+            expected=0.02,
+            expected_no_action=0.3,
+        )
         steps.append(Step(Look(states[i], None, CANDIDATES), shown))
     return Session("made up", 2, states[2], tuple(states), tuple(steps))
 
@@ -61,6 +72,8 @@ def recorded(task: Task) -> Sessions:
         found.state[0, i + 1], found.centre[0, i + 1] = after(found.state[0, i], plan)[0], 0
         found.loss[0, i], found.terms[0, i], found.progress[0, i, :4] = 1.5, (0.5, 0.5, 0.25), (4, 3, 2, 1.5)
         found.null[0, i] = False
+        # The goal has the labels of the true states.
+        found.relative[0, i], found.expected[0, i] = LABELS, 0.05
     return found
 
 

@@ -14,7 +14,7 @@ from clothkit.app import plan as plan_command
 from clothkit.app import simulate as simulate_command
 from clothkit.app.given import reach_of, seeing
 from clothkit.app.plan_file import UNLIKELY, Plan, read_plan, schema
-from clothkit.app.planner import for_one_cloth
+from clothkit.app.planner import begin, decide, for_one_cloth, turned_plan
 from clothkit.app.recall import recalled_state
 from clothkit.app.settings import AppConfig
 from clothkit.cloth.grid import flat
@@ -201,6 +201,51 @@ def test_a_plan_that_makes_nothing_better_says_so(here: Path, files: Path) -> No
     del old["notices"], old["state"]["agreement"], old["goal"]["agreement"]
     (here / "old.json").write_text(json.dumps(old))
     assert read_plan(here / "old.json") == plan
+
+
+TOWARDS, AWAY = np.float32([[-1, -1, -1, -1, 0.6, 0.5]]), np.float32([[-1, -1, -1, -1, -0.6, -0.5]])
+
+
+@pytest.mark.parametrize(
+    ("plan", "goal", "improves"), [(TOWARDS, "start", True), (AWAY, "outcome", False)], ids=["improves", "useless"]
+)
+def test_a_plan_is_judged_in_the_labelling_that_was_found(
+    here: Path, plan: np.ndarray, goal: str, improves: bool
+) -> None:
+    """In both cases the goal's own labels would tell the opposite; what was found reverses v."""
+    start = toy.bent()
+    nets = [np.asarray(toy.dragged(jnp.asarray(start), jnp.asarray(plan[0]), float(net))) for net in toy.NETS]
+    outcome = np.mean(nets, axis=0)
+    wanted = {"start": start, "outcome": outcome}[goal]
+    np.save(here / "start.npy", start)
+    np.save(here / "goal.npy", wanted)
+    errors = []
+    for labelled in (wanted[:, ::-1], wanted):
+        for state in (outcome, start):
+            off = state.astype(float) - labelled
+            errors.append(np.linalg.norm(off - off.mean((0, 1)), axis=-1).mean() / 1.4)
+    assert (errors[0] < errors[1]) == improves
+    assert (errors[2] < errors[3]) != improves
+    with mock.patch.object(plan_command, "load_planner", toy_planner), finding(plan, relative=4):
+        said = succeed("plan", "--state", here / "start.npy", "--goal", here / "goal.npy", "--steps", 1)
+    found = read_plan(here / "plan.json")
+    assert found.expected.error_cloth_lengths == pytest.approx(errors[0], rel=1e-3)
+    assert found.expected.error_no_action_cloth_lengths == pytest.approx(errors[1], rel=1e-3)
+    assert found.expected.improves == improves
+    assert (found.warning == UNLIKELY) == (UNLIKELY in said) == (not improves)
+
+
+@pytest.mark.parametrize("useless", [False, True])
+def test_a_turned_plan_keeps_the_decision_and_turns_its_errors(useless: bool) -> None:
+    planner, goal = toy_planner(), np.asarray(toy.dragged(jnp.asarray(flat()), jnp.asarray(0.9 * TOWARDS[0])))
+    with finding(TOWARDS):
+        planned, _ = decide(planner, Observation(meshes=flat()[None]), begin(planner, goal, 1), seed=0)
+    assert not planned.useless
+    turned = turned_plan(planner, planned._replace(useless=useless), goal, -np.eye(2))
+    np.testing.assert_allclose(turned.plan, [[1, 1, 1, 1, -0.6, -0.5]], atol=1e-5)
+    assert turned.expected == pytest.approx(planned.expected, abs=1e-5)
+    assert turned.expected_no_action == pytest.approx(planned.expected_no_action, abs=1e-5)
+    assert (turned.useless, turned.improves) == (useless, not useless)
 
 
 def test_after_takes_up_what_is_left(here: Path, files: Path) -> None:

@@ -21,11 +21,12 @@ from clothkit.app.viewer.canvas import finer, two_sided
 from clothkit.app.viewer.colours import Scale, legend, round_up
 from clothkit.app.viewer.recorded import entries, session_of, systems_in
 from clothkit.app.viewer.scene import Cloth, View, cubes, hand_paths, scale_of, scene_of, to_show
-from clothkit.app.viewer.session import Look, disagreement, error_of, facts, matched, places, unlikely
+from clothkit.app.viewer.session import Look, disagreement, error_of, facts, matched, places
 from clothkit.app.viewer.tasks import test_tasks as tasks_in
 from clothkit.app.viewer.watched import AT_ONCE, Progress, Watch, search_watched
 from clothkit.cloth import voxels
 from clothkit.cloth.grid import flat, triangles
+from clothkit.episodes import record
 from clothkit.errors import InputError
 from clothkit.manipulation.geometry import release_points, to_cartesian
 from clothkit.planning import agent
@@ -138,7 +139,8 @@ def test_voxels_are_shown_as_cubes() -> None:
     seen = np.asarray(voxels.observe(session.states[0])).astype(np.float32)
     plan = session.steps[0].plan
     assert plan is not None
-    plan = plan._replace(means=np.broadcast_to(seen, (2, 2, *seen.shape)), sigmas=None)
+    means = np.broadcast_to(seen, (2, 2, *seen.shape))
+    plan = plan._replace(means=means, sigmas=None, expected=None, expected_no_action=None)
     step = session.steps[0]._replace(look=Look(seen, None, 0.5 * played.CANDIDATES), plan=plan)
     session = session._replace(steps=(step, *session.steps[1:]))
     assert matched(step, session.states[0]) is step
@@ -154,11 +156,10 @@ def test_voxels_are_shown_as_cubes() -> None:
 def test_facts_say_what_is_expected_and_when_nothing_good_is() -> None:
     session = played.session()
     first, second = (facts(session, at) for at in (0, 1))
-    assert not unlikely(session.steps[0], session.goal)
     assert UNLIKELY not in first
+    assert "expected error **0.020** after the plan, 0.300 if nothing is done" in first
     assert "epistemic uncertainty u = 0.1" in first
     # Its only manipulation is too short to be one.
-    assert unlikely(session.steps[1], session.goal)
     assert UNLIKELY in second
     assert "error **0.000**" in facts(session, 2)
     assert "no plan yet" in facts(session._replace(steps=(session.steps[0]._replace(plan=None),)), 0)
@@ -210,6 +211,21 @@ def test_recorded_sessions_are_read_one_by_one(folder: Path) -> None:
     assert plan.uncertainty == 0.25
     np.testing.assert_array_equal(plan.progress, [4, 3, 2, 1.5])
     assert "executed" in plan.note
+    assert plan.improves
+    assert plan.expected == pytest.approx(0.05)
+    off = kept.state[0, 0].astype(float) - kept.goal[0]
+    no_action = np.linalg.norm(off - off.mean((0, 1)), axis=-1).mean() / 1.4
+    assert plan.expected_no_action == pytest.approx(no_action, rel=1e-4)
+
+
+def test_a_recorded_plan_that_the_agent_cancelled_is_warned_of(folder: Path) -> None:
+    kept = record.load(folder / "evaluation/planning/sessions_main.zarr")
+    kept.cancelled[:], kept.null[:], kept.error_otherwise[:] = True, True, 0.2
+    with mock.patch.object(record, "load", return_value=kept):
+        session = session_of(folder, "main", entries(folder, "main")[0])
+    said = facts(session, 0)
+    assert UNLIKELY in said
+    assert "no improvement was expected (it would have come to 0.200)" in said
 
 
 def test_a_record_that_leads_nowhere_is_told_and_not_left_out(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from clothkit.app.given import Seen
 from clothkit.app.plan_file import Plan, plan_of, rounded
 from clothkit.app.planner import Planned, State, epistemic_uncertainty, taken
 from clothkit.cloth.grid import CLOTH_SIDE
-from clothkit.cloth.mesh import distance, error
+from clothkit.cloth.mesh import distance
 from clothkit.cloth.silhouette import centred, iou, silhouette
 from clothkit.cloth.voxels import HEIGHT, RESOLUTION
 from clothkit.manipulation.vector import grasp_points, is_null
@@ -136,28 +136,27 @@ def notices(given: Given) -> list[str]:
 def expected(planner: Planner, planned: Planned, given: Given) -> dict[str, Any]:
     """Return the fields of `plan_file.Expectation`, from the mean of the nets' predictions after the last step.
 
-    Mesh errors are aligned, and the smallest over the goal's Cartesian equivalents.
+    Errors are those by which the agent decides whether a plan is useless: in the labelling that the search found.
     """
     outcome = np.mean(planned.means[:, -1], axis=0)
     fields: dict[str, Any] = dict.fromkeys(
         ("error_cloth_lengths", "error_m", "error_no_action_cloth_lengths", "error_no_action_m")
     )
     fields |= dict.fromkeys(("voxel_error", "voxel_error_no_action"))
-    errors = []
-    for name, state in (("", outcome), ("_no_action", planned.state)):
+    for name, state, error in (
+        ("", outcome, planned.expected),
+        ("_no_action", planned.state, planned.expected_no_action),
+    ):
         if planner.system.voxels:
-            errors.append(float(planner.representation.distance(state[None], given.wanted[None])[0]))
-            fields[f"voxel_error{name}"] = errors[-1]
+            fields[f"voxel_error{name}"] = error
         else:
-            errors.append(float(error(state.astype(np.float32), given.wanted, aligned=True)))
-            fields[f"error{name}_cloth_lengths"], fields[f"error{name}_m"] = errors[-1], errors[-1] * given.side
+            fields[f"error{name}_cloth_lengths"], fields[f"error{name}_m"] = error, error * given.side
         fields[f"silhouette_iou{name}"] = iou(covered(state), covered(given.wanted))
-    acts = not all(bool(is_null(manipulation)) for manipulation in planned.plan)
     return {
         **fields,
         "epistemic_uncertainty": epistemic_uncertainty(planner, planned),
         "loss": planned.loss,
-        "improves": acts and errors[0] < errors[1],
+        "improves": planned.improves,
     }
 
 

@@ -14,6 +14,7 @@ from clothkit.app.output import check_target, part
 from clothkit.app.plan_file import Plan, Source, read_plan, write_plan
 from clothkit.app.planner import (
     Planned,
+    State,
     begin,
     decide,
     goal_of,
@@ -139,7 +140,7 @@ def command(
     with part(f"search, {planner.settings.search.strains} strains"):
         planned, _ = decide(planner, observation, memory, seed=seed)
         found = (of_state(chosen, seen, planned.state, given), explained_goal)
-        planned, paths, turn = reached(planner, planned, seen, given.app.motion, box)
+        planned, paths, turn = reached(planner, planned, target, seen, given.app.motion, box)
         if turn is not None:
             target, matrix = turned_goal(target, turn), turn if matrix is None else turn @ matrix
     nets = ("a", "b") if chosen.nets == 2 else (better_net({n: artifacts(chosen, data)[n] for n in ("a", "b")}),)
@@ -171,7 +172,7 @@ def _system(name: str | None, seen: Seen, before: Plan | None, after: Path | Non
 
 
 def reached(
-    planner: Planner, planned: Planned, seen: Seen, motion: MotionConfig, box: ReachConfig | None
+    planner: Planner, planned: Planned, goal: State, seen: Seen, motion: MotionConfig, box: ReachConfig | None
 ) -> tuple[Planned, list[HandPaths], np.ndarray | None]:
     """Return a form of the plan whose paths stay in the box, those paths, and the matrix that turned the plan.
 
@@ -183,7 +184,7 @@ def reached(
         return planned, paths, None
     nearest = beyond(paths, box)
     for matrix in [] if planner.system.voxels else symmetries(planned.state)[1:]:
-        turned = turned_plan(planner, planned, matrix)
+        turned = turned_plan(planner, planned, goal, matrix)
         paths = paths_of(planner, turned, seen.pose, motion)
         outside = beyond(paths, box)
         if outside == 0:

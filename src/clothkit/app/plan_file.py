@@ -177,8 +177,8 @@ class Expectation(Part):
     """What the plan is expected to come to, by the mean of the nets' predictions."""
 
     error_cloth_lengths: NotNegative | None
-    """Mean distance of the outcome's vertices to the goal's, moved to fit, as a share of the cloth's side; null where
-    the system plans in voxels."""
+    """Mean distance of the outcome's vertices to the goal's in the labels that the search found, moved to fit, as a
+    share of the cloth's side; null where the system plans in voxels."""
     error_m: NotNegative | None
     error_no_action_cloth_lengths: NotNegative | None
     """The same of the state as it is."""
@@ -194,7 +194,8 @@ class Expectation(Part):
     loss: float
     """The planning loss, eq. (13)."""
     improves: bool
-    """Whether the outcome is expected to be nearer to the goal than the state is."""
+    """Whether the plan does anything, and its outcome is not expected to be farther from the goal than the state is; of
+    a turned plan, whether that was so before."""
 
 
 class Memory(Part):

@@ -15,6 +15,7 @@ from clothkit.cloth.mesh import distance
 from clothkit.errors import InputError
 from clothkit.estimation.estimate import Estimate, estimate
 from clothkit.manipulation.turns import turn_manipulation, turn_mesh
+from clothkit.manipulation.vector import is_null
 from clothkit.models import store
 from clothkit.models.net import Net
 from clothkit.planning import agent
@@ -53,6 +54,18 @@ class Planned(NamedTuple):
     traces: Traces
     """Each net's memory traces before the plan."""
     loss: float = np.nan
+    expected: float = np.nan
+    """Distance of the nets' mean predicted outcome from the goal, in the labelling that was found and the measure of
+    the null check: aligned [cloth length], or the mean difference of voxels."""
+    expected_no_action: float = np.nan
+    """The same of the state."""
+    useless: bool = False
+    """Whether the agent found that the plan is not expected to bring the state nearer to its goal."""
+
+    @property
+    def improves(self) -> bool:
+        """Whether the plan is expected to improve the state: it is not useless, and does something."""
+        return not self.useless and not bool(np.all(is_null(self.plan)))
 
 
 def load_planner(system: System, data: Path, settings: Settings) -> Planner:
@@ -161,6 +174,7 @@ def decide(planner: Planner, observation: Observation, memory: Memory, *, seed: 
 def planned_of(planner: Planner, plan: Plan, memory: Memory) -> Planned:
     """The only plan of a batch; `memory` is that before the plan."""
     one, n = take(plan, 0), int(plan.length[0])
+    goal = planner.representation.relabel(memory.goal, plan.relative)
     return Planned(
         state=one.state,
         plan=one.manipulations[:n],
@@ -172,13 +186,16 @@ def planned_of(planner: Planner, plan: Plan, memory: Memory) -> Planned:
         differences=None if one.differences is None else one.differences[:n],
         traces=take(memory.traces, 0),
         loss=float(one.loss),
+        expected=float(one.expected),
+        expected_no_action=float(planner.representation.distance(plan.state, goal)[0]),
+        useless=bool(one.useless),
     )
 
 
 def predicted(
     planner: Planner, state: State, plan: Float[np.ndarray, "n 6"], *, common: int, traces: Traces
 ) -> Planned:
-    """Predict the states after each manipulation of a plan; the result's `relative` is 0 and its `loss` NaN."""
+    """Predict the states after each manipulation of a plan, whatever its goal: `relative` is 0, losses are NaN."""
     found = _predictions(planner, state, plan, common, traces)
     representation = planner.representation
     stds = [std for of_net in found if (std := representation.std(of_net.states)) is not None]
@@ -221,11 +238,12 @@ def epistemic_uncertainty(planner: Planner, planned: Planned) -> float | None:
     return float(uncertainty(apart, spread, beta=planner.weights.beta, gamma=planner.weights.gamma))
 
 
-def turned_plan(planner: Planner, planned: Planned, matrix: Float[np.ndarray, "2 2"]) -> Planned:
-    """Return the plan turned or mirrored by `matrix`, a symmetry of the state; its goal is `turned_goal`.
+def turned_plan(planner: Planner, planned: Planned, goal: State, matrix: Float[np.ndarray, "2 2"]) -> Planned:
+    """Return the plan turned or mirrored by `matrix`, a symmetry of the state; its goal is the turned one.
 
-    The state keeps its place and its labels, and only the manipulations turn. The nets' predictions are computed again
-    for the turned plan; the loss is that of the original.
+    The state keeps its place and its labels, and only the manipulations turn. The nets' predictions and what is
+    expected of them are computed again for the turned plan; the loss is that of the original, and so is the decision
+    whether it is useless.
     """
     turn = jnp.asarray(matrix, jnp.float32)
     turns = jnp.broadcast_to(turn, (len(planned.plan), 2, 2))
@@ -234,7 +252,14 @@ def turned_plan(planner: Planner, planned: Planned, matrix: Float[np.ndarray, "2
     plan = relabel_manipulation(turn_manipulation(jnp.asarray(planned.plan), turns), inverse(k))
     common = compose(k, planned.common)
     found = predicted(planner, planned.state, np.asarray(plan), common=common, traces=planned.traces)
-    return found._replace(relative=compose(planned.relative, inverse(k)), loss=planned.loss)
+    relative, representation = compose(planned.relative, inverse(k)), planner.representation
+    labelled = representation.relabel(turned_goal(goal, matrix)[None], np.array([relative]))
+    expected, no_action = (
+        float(representation.distance(state[None], labelled)[0]) for state in (found.means[:, -1].mean(0), found.state)
+    )
+    return found._replace(
+        relative=relative, loss=planned.loss, expected=expected, expected_no_action=no_action, useless=planned.useless
+    )
 
 
 def turned_goal(goal: State, matrix: Float[np.ndarray, "2 2"]) -> State:

@@ -118,6 +118,9 @@ def with_progress(live: Live, progress: Progress) -> Live:
         loss=planned.loss,
         progress=progress.lowest,
         tried=progress.tried,
+        improves=planned.improves,
+        expected=None if live.planner.system.voxels else planned.expected,
+        expected_no_action=None if live.planner.system.voxels else planned.expected_no_action,
     )
     return dataclasses.replace(live, plan=best, session=_with_step(live.session, Step(live.look, shown)))
 

@@ -10,7 +10,6 @@ from clothkit.app.given import Seeing, Settings, keep_compiled_programs, look
 from clothkit.app.planner import load_planner
 from clothkit.app.viewer.live import Live, begin, perform, plan, with_progress
 from clothkit.app.viewer.player import Player, assign, by_hand
-from clothkit.app.viewer.session import unlikely
 from clothkit.app.viewer.tasks import Ask
 from clothkit.app.viewer.watched import Progress
 from clothkit.errors import InputError, system_error
@@ -148,7 +147,8 @@ class LivePanel:
         self._player.show(session, at=live.at)
         if self._live.plan is None:
             return "stopped before anything was found."
-        if unlikely(session.steps[live.at], session.goal):
+        planned = session.steps[live.at].plan
+        if planned is not None and not planned.improves:
             return "planned, but it is not expected to help: plan again with another seed, or execute all the same."
         return "planned: look at it, then *execute* its first manipulation."
 

@@ -15,7 +15,6 @@ from clothkit.cloth.grid import CLOTH_SIDE, SIDE
 from clothkit.cloth.mesh import error
 from clothkit.evaluation.errors import labels_of_truth
 from clothkit.manipulation.geometry import to_cartesian
-from clothkit.manipulation.vector import is_null
 
 Mesh = Float[np.ndarray, "u v 3"]
 State = Shaped[np.ndarray, "*state"]
@@ -45,6 +44,13 @@ class ShownPlan(NamedTuple):
     """The lowest loss up to each iteration of the search."""
     tried: int
     """Number of plans that each iteration evaluates."""
+    improves: bool
+    """Whether the plan is expected to improve the state, as the agent decided."""
+    expected: float | None = None
+    """Distance of the nets' mean predicted outcome from the goal in the labelling that was found [cloth length]; None
+    for voxels."""
+    expected_no_action: float | None = None
+    """The same of the estimated state."""
     note: str = ""
     """What happened to the plan, in words."""
 
@@ -126,18 +132,18 @@ def facts(session: Session, at: int) -> str:
     if now is not None and start is not None:
         lines.append(f"- error **{now:.3f}** ({start:.3f} if nothing had been done)" if at else f"- error {now:.3f}")
     if at < len(session.steps):
-        lines += _facts_of(session.steps[at], session.goal)
+        lines += _facts_of(session.steps[at].plan)
     return "\n".join(lines)
 
 
-def _facts_of(step: Step, goal: State) -> list[str]:
-    plan = step.plan
+def _facts_of(plan: ShownPlan | None) -> list[str]:
     if plan is None:
         return ["- no plan yet"]
     lines = []
-    expected, still = expectation(step, goal)
-    if expected is not None and still is not None:
-        lines.append(f"- expected error **{expected:.3f}** after the plan, {still:.3f} if nothing is done")
+    if plan.expected is not None and plan.expected_no_action is not None:
+        lines.append(
+            f"- expected error **{plan.expected:.3f}** after the plan, {plan.expected_no_action:.3f} if nothing is done"
+        )
     if plan.uncertainty is not None:
         lines.append(f"- epistemic uncertainty u = {plan.uncertainty:.3g}")
     apart = disagreement(plan)
@@ -145,28 +151,11 @@ def _facts_of(step: Step, goal: State) -> list[str]:
         by = ", ".join(f"{after.mean():.3f}" for after in apart / CLOTH_SIDE)
         lines.append(f"- the nets differ by {by} after each manipulation")
     lines.append(f"- loss {plan.loss:.3g}")
-    if unlikely(step, goal):
+    if not plan.improves:
         lines.append(f"- ⚠ **{UNLIKELY}**")
     if plan.note:
         lines.append(f"- {plan.note}")
     return lines
-
-
-def expectation(step: Step, goal: State) -> tuple[float | None, float | None]:
-    """Return the errors of the nets' mean prediction after the plan, and of the estimate; each None if not known."""
-    if step.plan is None or not len(step.plan.means):
-        return None, None
-    return error_of(step.plan.means[:, -1].mean(0), goal), error_of(step.look.estimate, goal)
-
-
-def unlikely(step: Step, goal: State) -> bool:
-    """Return whether there is a plan that is not expected to improve the state."""
-    if step.plan is None:
-        return False
-    if all(bool(is_null(manipulation)) for manipulation in step.plan.manipulations):
-        return True
-    expected, still = expectation(step, goal)
-    return expected is not None and still is not None and expected >= still
 
 
 def disagreement(plan: ShownPlan) -> Float[np.ndarray, "m u v"] | None:
