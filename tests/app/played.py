@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 
-from clothkit.app.viewer.session import Look, Session, ShownPlan, Step, error_of
+from clothkit.app.viewer.session import Session, ShownPlan, StateEstimate, Step, error_of
 from clothkit.cloth.equivalents import relabel, relabel_manipulation
 from clothkit.cloth.silhouette import centred
 from clothkit.dataset import store
@@ -51,7 +51,7 @@ def session() -> Session:
             expected=0.02,
             expected_no_action=0.3,
         )
-        steps.append(Step(Look(states[i], None, CANDIDATES), shown))
+        steps.append(Step(StateEstimate(states[i], None, CANDIDATES), shown))
     return Session("made up", 2, states[2], tuple(states), tuple(steps))
 
 
@@ -101,4 +101,4 @@ def fill(folder: Path, nets: Path) -> Path:
 def with_sigma(shown: Session, sigma: np.ndarray) -> Session:
     """The session with a standard deviation of its first estimate."""
     first, *rest = shown.steps
-    return shown._replace(steps=(first._replace(look=first.look._replace(sigma=sigma)), *rest))
+    return shown._replace(steps=(first._replace(estimate=first.estimate._replace(sigma=sigma)), *rest))

@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from clothkit.app.describe import Given, covered, describe, expected, frame_of, heights, paths_of, poses_of
-from clothkit.app.given import Seen
+from clothkit.app.describe import PlanRequest, covered, describe, expected, frame_of, heights, paths_of, poses_of
+from clothkit.app.inputs import Input
 from clothkit.app.plan_file import UNLIKELY, Plan
 from clothkit.app.planner import Planned
 from clothkit.cloth.equivalents import relabel
@@ -64,17 +64,17 @@ def planned(nets: int = 2) -> Planned:
     )
 
 
-def given(goal: np.ndarray, frame: str = "camera") -> Given:
+def request(goal: np.ndarray, frame: str = "camera") -> PlanRequest:
     mesh = MeshState(flat(), np.zeros(2, np.float32), SCALE)
     seen = observe(mesh, cloth_side=SIDE)
-    state = Seen("start.obj", mesh, dataclasses.replace(seen, pose=POSE))
-    return Given(state, Seen("goal.obj", mesh, seen), goal, None, SIDE, 7, frame, ("a", "b"))
+    state = Input("start.obj", mesh, dataclasses.replace(seen, pose=POSE))
+    return PlanRequest(state, Input("goal.obj", mesh, seen), goal, None, SIDE, 7, frame, ("a", "b"))
 
 
 def described(frame: str = "camera", **changes: object) -> Plan:
     plans, of = planner(), planned()._replace(**changes)
     return describe(
-        plans, of, paths_of(plans, of, POSE, MotionConfig()), given(np.asarray(relabel(toy.bent(), 3)), frame)
+        plans, of, paths_of(plans, of, POSE, MotionConfig()), request(np.asarray(relabel(toy.bent(), 3)), frame)
     )
 
 
@@ -181,8 +181,8 @@ def test_what_a_later_plan_takes_up() -> None:
 
 def test_one_net_alone_can_not_disagree() -> None:
     plans, of = planner("b2", nets=1), planned(nets=1)
-    about = given(toy.bent())._replace(nets=("b",), matrix=np.array([[0.0, -1.0], [1.0, 0.0]]))
-    plan = describe(plans, of, paths_of(plans, of, POSE, MotionConfig()), about)
+    asked = request(toy.bent())._replace(nets=("b",), matrix=np.array([[0.0, -1.0], [1.0, 0.0]]))
+    plan = describe(plans, of, paths_of(plans, of, POSE, MotionConfig()), asked)
     assert plan.turned == ((0.0, -1.0), (1.0, 0.0))
     assert plan.expected.epistemic_uncertainty is None
     for step in plan.steps:
@@ -214,13 +214,13 @@ def test_plans_in_voxels() -> None:
     )
     (path,) = paths_of(plans, of, POSE, MotionConfig())
     np.testing.assert_allclose(path.points[0, 0], [0.1 - 0.12, -0.05 - 0.12, 0.3 * 0.5 * 0.125 / 16], atol=1e-6)
-    told = expected(plans, of, given(goal))
+    told = expected(plans, of, request(goal))
     assert (told["voxel_error"], told["voxel_error_no_action"]) == (0.001, 0.004)
     assert told["error_m"] is told["error_no_action_cloth_lengths"] is None
     assert told["silhouette_iou"] == 1
     assert told["silhouette_iou_no_action"] == 0.5
     assert told["improves"]
-    written = describe(plans, of, [path], given(goal))
+    written = describe(plans, of, [path], request(goal))
     occupancy = np.array(written.steps[0].predictions[0].state.occupancy)
     np.testing.assert_allclose(occupancy, np.where(goal, 0.75, 0), atol=1e-3)
     assert written.start.state.kind == "voxels"
@@ -228,7 +228,7 @@ def test_plans_in_voxels() -> None:
 
 
 def test_frames_and_silhouettes() -> None:
-    mesh = given(toy.bent()).state
+    mesh = request(toy.bent()).state
     cloud = dataclasses.replace(mesh, state=PointCloud(np.ones((4, 3))))
     assert frame_of(cloud, "camera") == "camera"
     assert frame_of(cloud, "table") == frame_of(mesh, "camera") == "table"

@@ -12,10 +12,10 @@ import pytest
 
 from clothkit.app import plan as plan_command
 from clothkit.app import simulate as simulate_command
-from clothkit.app.given import reach_of, seeing
+from clothkit.app.inputs import observation_options, reach_of
+from clothkit.app.plan_arrays import placed_state
 from clothkit.app.plan_file import UNLIKELY, Plan, read_plan, schema
 from clothkit.app.planner import begin, decide, for_one_cloth, turned_plan
-from clothkit.app.recall import recalled_state
 from clothkit.app.settings import AppConfig
 from clothkit.cloth.grid import flat
 from clothkit.cloth.mesh import distance
@@ -55,7 +55,7 @@ def grasps_on(plan: Plan, step: int) -> np.ndarray:
     if step:
         prediction = plan.steps[step - 1].predictions[plan.memory.better]
         placed = type(placed)(state=prediction.state, centre_m=plan.steps[step - 1].centre_m)
-    mesh = recalled_state(plan, placed)
+    mesh = placed_state(plan, placed)
     uv = np.array(plan.steps[step].manipulation[:4], np.float32).reshape(2, 2)
     points = np.stack([np.asarray(to_cartesian(mesh, point), float) for point in uv])
     return plan.pose(placed.centre_m).normalised_to_camera(points)
@@ -180,7 +180,7 @@ def test_a_plan_read_back_and_simulated_does_what_it_says(here: Path, files: Pat
     state = plan.steps[-1].predictions[0].state
     assert state.kind == "mesh"
     found = read(here / "mesh.ply")
-    apart = float(distance(found.mesh, recalled_state(plan, plan.start)))  # type: ignore[union-attr]
+    apart = float(distance(found.mesh, placed_state(plan, plan.start)))  # type: ignore[union-attr]
     where = found.pose.normalised_to_table(found.mesh.astype(float))  # type: ignore[union-attr]
     assert apart > 0.1
     # Hands of the toy world take the nearest vertex.
@@ -279,7 +279,7 @@ def test_after_takes_up_what_is_left(here: Path, files: Path) -> None:
     first = plan.steps[0]
     assert not first.null
     placed = type(plan.start)(state=first.predictions[0].state, centre_m=first.centre_m)
-    np.testing.assert_allclose(memory.expected[0], recalled_state(plan, placed), atol=1e-5)
+    np.testing.assert_allclose(memory.expected[0], placed_state(plan, placed), atol=1e-5)
     # A toy trace counts the manipulations that were executed.
     assert all((np.array(trace) == (not plan.steps[0].null)).all() for trace in later.memory.traces_before)
     assert wrong.exit_code == 1
@@ -343,12 +343,12 @@ def test_reach_and_side_come_from_params_unless_options_say_otherwise() -> None:
     app = AppConfig(side=0.5, reach=box, table=(0.0, 0.0, 2.0, 1.0))
     assert reach_of(app, None) == box
     assert reach_of(app, (0.0, 0.0, 0.0, 2.0, 2.0, 2.0)) == ReachConfig(low=(0.0, 0.0, 0.0), high=(2.0, 2.0, 2.0))
-    how = seeing(app, side=None, table=None, table_colour=(1, 2, 3, 4, 5, 6), box=None)
+    how = observation_options(app, side=None, table=None, table_colour=(1, 2, 3, 4, 5, 6), box=None)
     assert how.side == 0.5
     assert how.table is not None
     assert how.table.offset == 0.5
     assert how.cloud.table_colour == ((1, 2, 3), (4, 5, 6))
-    assert seeing(app, side=0.3, table=None, table_colour=None, box=None).side == 0.3
+    assert observation_options(app, side=0.3, table=None, table_colour=None, box=None).side == 0.3
 
 
 def test_the_published_schema_is_the_one_that_plans_are_read_by() -> None:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from clothkit.app.given import look, seeing, settings
+from clothkit.app.inputs import load_settings, observation_options, read_input
 from clothkit.app.plan_file import UNLIKELY
 from clothkit.app.planner import for_one_cloth
 from clothkit.app.viewer import colours, live
@@ -21,9 +21,9 @@ from clothkit.app.viewer.canvas import finer, two_sided
 from clothkit.app.viewer.colours import Scale, legend, round_up
 from clothkit.app.viewer.recorded import entries, session_of, systems_in
 from clothkit.app.viewer.scene import Cloth, View, cubes, hand_paths, scale_of, scene_of, to_show
-from clothkit.app.viewer.session import Look, disagreement, error_of, facts, matched, places
+from clothkit.app.viewer.search_progress import STRAINS_PER_BATCH, OnProgress, Progress, search_in_batches
+from clothkit.app.viewer.session import StateEstimate, disagreement, error_of, facts, matched, places
 from clothkit.app.viewer.tasks import test_tasks as tasks_in
-from clothkit.app.viewer.watched import AT_ONCE, Progress, Watch, search_watched
 from clothkit.cloth import voxels
 from clothkit.cloth.grid import flat, triangles
 from clothkit.episodes import record
@@ -141,7 +141,7 @@ def test_voxels_are_shown_as_cubes() -> None:
     assert plan is not None
     means = np.broadcast_to(seen, (2, 2, *seen.shape))
     plan = plan._replace(means=means, sigmas=None, expected=None, expected_no_action=None)
-    step = session.steps[0]._replace(look=Look(seen, None, 0.5 * played.CANDIDATES), plan=plan)
+    step = session.steps[0]._replace(estimate=StateEstimate(seen, None, 0.5 * played.CANDIDATES), plan=plan)
     session = session._replace(steps=(step, *session.steps[1:]))
     assert matched(step, session.states[0]) is step
     assert disagreement(plan) is None
@@ -201,13 +201,13 @@ def test_recorded_sessions_are_read_one_by_one(folder: Path) -> None:
     assert found[0].error == pytest.approx(error_of(session.states[2], session.goal), abs=1e-4)
     assert f"error {found[0].error:.3f}" in found[0].label
     # What came under other labels is under those of the truth, and lies where it lay.
-    look, plan = session.steps[0]
+    estimate, plan = session.steps[0]
     assert plan is not None
-    np.testing.assert_allclose(look.estimate, kept.state[0, 0], atol=1e-5)
+    np.testing.assert_allclose(estimate.state, kept.state[0, 0], atol=1e-5)
     np.testing.assert_allclose(plan.manipulations, played.PLAN, atol=1e-6)
     np.testing.assert_allclose(plan.means[0], played.after(kept.state[0, 0], played.PLAN), atol=2e-3)
     uv = kept.candidates[0, 0, : len(played.CANDIDATES)]
-    np.testing.assert_allclose(places(look.estimate, look.candidates), places(kept.estimate[0, 0], uv), atol=1e-5)
+    np.testing.assert_allclose(places(estimate.state, estimate.candidates), places(kept.estimate[0, 0], uv), atol=1e-5)
     assert plan.uncertainty == 0.25
     np.testing.assert_array_equal(plan.progress, [4, 3, 2, 1.5])
     assert "executed" in plan.note
@@ -258,16 +258,16 @@ def test_a_search_in_lots_tells_how_far_it_is_and_can_be_stopped() -> None:
     begun = agent.begin(planner, goal[None], np.array([1]))
     seen, candidates = agent.perceive(planner, Observation(meshes=start[None]), begun)
 
-    def search(watch: Watch, memory: Memory = begun) -> Progress:
-        return search_watched(planner, seen[0], candidates[0], memory, seed=0, watch=watch)
+    def search(on_progress: OnProgress, memory: Memory = begun) -> Progress:
+        return search_in_batches(planner, seen[0], candidates[0], memory, seed=0, on_progress=on_progress)
 
     told: list[Progress] = []
     found = search(lambda progress: not told.append(progress))
     strains = toy.SEARCH.strains
-    assert [progress.done for progress in told] == [*range(0, strains, AT_ONCE), strains]
+    assert [progress.done for progress in told] == [*range(0, strains, STRAINS_PER_BATCH), strains]
     assert found.best is not None
     assert (np.diff(found.lowest) <= 0).all()
-    assert len(found.lowest) == strains // AT_ONCE * toy.SEARCH.iterations(1)
+    assert len(found.lowest) == strains // STRAINS_PER_BATCH * toy.SEARCH.iterations(1)
     losses = [float(progress.best.loss[0]) for progress in told if progress.best]
     assert losses == sorted(losses, reverse=True)
     reached, before = error_of(found.best.means[0, 0, 0], goal), error_of(start, goal)
@@ -275,14 +275,14 @@ def test_a_search_in_lots_tells_how_far_it_is_and_can_be_stopped() -> None:
     assert before is not None
     assert reached < 0.5 * before
     stopped = search(lambda progress: progress.done == 0)
-    assert stopped.done == AT_ONCE
+    assert stopped.done == STRAINS_PER_BATCH
     # A later search of a session starts from what is left of the last plan: here it is found at once.
     rest = np.full_like(begun.rest, np.nan)
     rest[0, 0] = played.PLAN[0]
     later = begun._replace(planned=np.ones(1, bool), relative=np.zeros(1, np.int32), rest=rest)
     first: list[Progress] = []
     search(lambda progress: not first.append(progress) and progress.done == 0, later)
-    assert first[-1].done == AT_ONCE
+    assert first[-1].done == STRAINS_PER_BATCH
     assert first[-1].lowest[-1] <= stopped.lowest[-1]
     nothing = search(lambda _: False)
     assert nothing.best is None
@@ -291,9 +291,11 @@ def test_a_search_in_lots_tells_how_far_it_is_and_can_be_stopped() -> None:
 def under_way(folder: Path, monkeypatch: pytest.MonkeyPatch) -> live.Live:
     """A live session of the toy world, before its first plan."""
     monkeypatch.chdir(folder)  # without params.yaml
-    how = seeing(settings().app, side=None, table=None, table_colour=None, box=None)
-    start, goal = (look(f"{folder}/meshes.zarr:0/{state}", how) for state in (0, 2))
-    return live.begin(for_one_cloth(toy.planner("b1")), start, goal, 2, title="toy", data=folder, settings=settings())
+    how = observation_options(load_settings().app, side=None, table=None, table_colour=None, box=None)
+    start, goal = (read_input(f"{folder}/meshes.zarr:0/{state}", how) for state in (0, 2))
+    return live.begin(
+        for_one_cloth(toy.planner("b1")), start, goal, 2, title="toy", data=folder, settings=load_settings()
+    )
 
 
 def test_a_live_session_goes_from_plan_to_plan(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -304,7 +306,7 @@ def test_a_live_session_goes_from_plan_to_plan(folder: Path, monkeypatch: pytest
         for left in (2, 1):
             assert session.left == left
             with finding(recorded_plan()[-left:]):
-                session = live.plan(session, seed=0, watch=lambda _: True)
+                session = live.plan(session, seed=0, on_progress=lambda _: True)
             plan = session.session.steps[-1].plan
             assert plan is not None
             assert plan.means.shape == (2, left, 32, 32, 3)
@@ -321,7 +323,7 @@ def test_a_live_session_goes_from_plan_to_plan(folder: Path, monkeypatch: pytest
     assert end is not None
     assert end < 0.1 * before
     with pytest.raises(InputError, match="is over"):
-        live.plan(session, seed=0, watch=lambda _: True)
+        live.plan(session, seed=0, on_progress=lambda _: True)
 
 
 def recorded_plan() -> np.ndarray:
@@ -333,7 +335,7 @@ def test_a_null_manipulation_changes_nothing(folder: Path, monkeypatch: pytest.M
     short = recorded_plan().copy()
     short[0, 4:] = 0.1
     with finding(short):
-        planned = live.plan(under_way(folder, monkeypatch), seed=0, watch=lambda _: True)
+        planned = live.plan(under_way(folder, monkeypatch), seed=0, on_progress=lambda _: True)
     done = live.perform(planned)
     np.testing.assert_array_equal(done.session.states[1], done.session.states[0])
     assert (done.memory.traces[0] == 0).all()
@@ -343,8 +345,8 @@ def test_a_null_manipulation_changes_nothing(folder: Path, monkeypatch: pytest.M
 def test_tasks_are_those_of_the_test_split(folder: Path, tmp_path: Path) -> None:
     found = tasks_in(folder / "meshes.zarr")
     assert len(found) == 12
-    ask = found["sequence 1, state 1 to 3"]
-    assert (ask.state, ask.goal, ask.steps) == (f"{folder}/meshes.zarr:1/1", f"{folder}/meshes.zarr:1/3", 2)
+    files = found["sequence 1, state 1 to 3"]
+    assert (files.state, files.goal, files.steps) == (f"{folder}/meshes.zarr:1/1", f"{folder}/meshes.zarr:1/3", 2)
     assert tasks_in(tmp_path / "meshes.zarr") == {}
     (tmp_path / "meshes.zarr").mkdir()
     with pytest.raises(InputError, match="can't be read as a zarr store"):

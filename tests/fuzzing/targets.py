@@ -16,7 +16,7 @@ from clothkit.app import simulate as simulate_command
 from clothkit.app import view as view_command
 from clothkit.app.cli import cli
 from clothkit.app.plan_file import read_plan
-from clothkit.app.planner import Planned, predicted
+from clothkit.app.planner import Planned, predict_plan
 from clothkit.app.viewer import recorded
 from clothkit.app.viewer.tasks import test_tasks as tasks_in
 from clothkit.dataset import raw, store, tables
@@ -123,7 +123,7 @@ def serving() -> Iterator[None]:
 def _decided(planner: Planner, observation: Observation, memory: Memory, *, seed: int) -> tuple[Planned, Memory]:
     """A plan that nobody searched for, from the state that the planner perceives."""
     state, plan = agent.perceive(planner, observation, memory)[0][0], np.stack([BOTH, ONE])[: int(memory.left[0])]
-    found = predicted(planner, state, plan, common=0, traces=take(memory.traces, 0))
+    found = predict_plan(planner, state, plan, common=0, traces=take(memory.traces, 0))
     return found._replace(loss=0.0), memory
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pydantic
 from annotated_types import Ge, Gt, Le, Len
 
-from clothkit.app.given import Kind, Taken
+from clothkit.app.inputs import Kind, Usage
 from clothkit.app.output import unfinished
 from clothkit.app.plan_checks import check_axes, check_hand, check_plan, check_step
 from clothkit.cloth.grid import SIDE
@@ -72,7 +72,7 @@ class Source(Part):
     file: str
     kind: Kind
     """mesh: [32, 32, 3]; voxels: [32, 32, 16]; points: a cloud, or a surface seen from above."""
-    taken: Taken | None = None
+    taken: Usage | None = None
     """Whether the plan starts from (or leads to) what the file holds, or an estimate of it; null: an older version."""
     agreement: Agreement | None = None
     """Of the estimate with what the file shows; null: nothing was estimated, or the file is of an older version."""

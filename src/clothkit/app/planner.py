@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from clothkit.app.given import Seen, Settings, Taken
+from clothkit.app.inputs import Input, Settings, Usage
 from clothkit.cloth.equivalents import compose, inverse, relabel, relabel_manipulation
 from clothkit.cloth.mesh import distance
 from clothkit.errors import InputError
@@ -112,13 +112,13 @@ def _check_height(path: Path, vtm: Net, settings: Settings) -> None:
         raise InputError(f"app.cloud.height: is {height}, but {path} knows voxels up to {vtm.config.height}")
 
 
-def estimated(vtm: Net, seen: Seen, settings: Settings, *, expected: State | None = None) -> Estimate:
+def estimate_mesh(vtm: Net, source: Input, settings: Settings, *, expected: State | None = None) -> Estimate:
     """Estimate the mesh of one cloth, as a batch of one; labels and refinement follow `expected`, if that is given."""
     predicted = None if expected is None else expected[None].astype(np.float32)
-    return estimate(vtm, seen.observation.voxels[None], settings.plan.refine, predicted=predicted)
+    return estimate(vtm, source.observation.voxels[None], settings.plan.refine, predicted=predicted)
 
 
-def observation_of(planner: Planner, seen: Seen, data: Path, settings: Settings) -> Observation:
+def observation_of(planner: Planner, source: Input, data: Path, settings: Settings) -> Observation:
     """What a planner observes of a file's content, as a batch of one.
 
     Raises InputError when its system needs a mesh and the file holds none, and when its net in `data` that estimates
@@ -128,33 +128,33 @@ def observation_of(planner: Planner, seen: Seen, data: Path, settings: Settings)
     if isinstance(perception, Estimation):
         _check_height(artifacts(system, data)["vtm"], perception.vtm, settings)
     if not system.true_meshes:
-        return Observation(voxels=seen.observation.voxels[None])
-    mesh = mesh_of(seen)
+        return Observation(voxels=source.observation.voxels[None])
+    mesh = mesh_of(source)
     if mesh is None:
         raise InputError(
-            f"{seen.file}: holds {seen.kind}, but system {system.name} plans from a mesh [32, 32, 3]; "
+            f"{source.file}: holds {source.kind}, but system {system.name} plans from a mesh [32, 32, 3]; "
             "system main estimates it"
         )
     return Observation(meshes=mesh[None].astype(np.float32))
 
 
-def goal_of(system: System, seen: Seen, data: Path, settings: Settings) -> State:
+def goal_of(system: System, source: Input, data: Path, settings: Settings) -> State:
     """Return a goal in the system's representation: voxels, the file's mesh, or an estimate if there is no mesh."""
     if system.voxels:
-        return seen.observation.voxels
-    mesh = mesh_of(seen)
-    return np.asarray(estimated(load_vtm(data, settings), seen, settings).mesh[0]) if mesh is None else mesh
+        return source.observation.voxels
+    mesh = mesh_of(source)
+    return np.asarray(estimate_mesh(load_vtm(data, settings), source, settings).mesh[0]) if mesh is None else mesh
 
 
-def taken(system: System, seen: Seen, *, goal: bool = False) -> Taken:
+def usage_of(system: System, source: Input, *, goal: bool = False) -> Usage:
     """Return whether a system plans from (or for) a file's content as it is, or an estimate of it."""
-    as_it_is = system.voxels or (mesh_of(seen) is not None and (goal or system.true_meshes))
+    as_it_is = system.voxels or (mesh_of(source) is not None and (goal or system.true_meshes))
     return "as it is" if as_it_is else "estimated"
 
 
-def mesh_of(seen: Seen) -> Float[np.ndarray, "u v 3"] | None:
+def mesh_of(source: Input) -> Float[np.ndarray, "u v 3"] | None:
     """The mesh that a file holds [normalised, centred], None if it holds anything else."""
-    return getattr(seen.state, "mesh", None)
+    return getattr(source.state, "mesh", None)
 
 
 def begin(planner: Planner, goal: State, length: int) -> Memory:
@@ -192,7 +192,7 @@ def planned_of(planner: Planner, plan: Plan, memory: Memory) -> Planned:
     )
 
 
-def predicted(
+def predict_plan(
     planner: Planner, state: State, plan: Float[np.ndarray, "n 6"], *, common: int, traces: Traces
 ) -> Planned:
     """Predict the states after each manipulation of a plan, whatever its goal: `relative` is 0, losses are NaN."""
@@ -251,7 +251,7 @@ def turned_plan(planner: Planner, planned: Planned, goal: State, matrix: Float[n
     k = int(jnp.argmin(jnp.stack([distance(turned, relabel(planned.state, k)) for k in range(8)])))
     plan = relabel_manipulation(turn_manipulation(jnp.asarray(planned.plan), turns), inverse(k))
     common = compose(k, planned.common)
-    found = predicted(planner, planned.state, np.asarray(plan), common=common, traces=planned.traces)
+    found = predict_plan(planner, planned.state, np.asarray(plan), common=common, traces=planned.traces)
     relative, representation = compose(planned.relative, inverse(k)), planner.representation
     labelled = representation.relabel(turned_goal(goal, matrix)[None], np.array([relative]))
     expected, no_action = (

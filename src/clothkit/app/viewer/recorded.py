@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from clothkit.app.viewer.session import Look, Session, ShownPlan, Step, is_mesh, matched
+from clothkit.app.viewer.session import Session, ShownPlan, StateEstimate, Step, is_mesh, matched
 from clothkit.cloth.equivalents import relabel
 from clothkit.cloth.mesh import distance_aligned
 from clothkit.dataset import tables
@@ -97,7 +97,7 @@ def _step(one: dict[str, np.ndarray], i: int, length: int) -> Step:
         expected_no_action=no_action,
         note=_note(one, i),
     )
-    return Step(Look(one["estimate"][i], None, points[np.isfinite(points).all(-1)]), plan)
+    return Step(StateEstimate(one["estimate"][i], None, points[np.isfinite(points).all(-1)]), plan)
 
 
 def _expected(one: dict[str, np.ndarray], i: int) -> tuple[float | None, float | None]:

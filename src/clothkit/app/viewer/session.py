@@ -21,10 +21,10 @@ State = Shaped[np.ndarray, "*state"]
 """A mesh [u v 3], or voxels [x y z] for a system that plans in voxels."""
 
 
-class Look(NamedTuple):
+class StateEstimate(NamedTuple):
     """A system's estimate of the cloth, and its candidate grasp points."""
 
-    estimate: State
+    state: State
     sigma: Mesh | None
     """Standard deviations of the estimate; None: not known."""
     candidates: Float[np.ndarray, "points 2"]
@@ -58,7 +58,7 @@ class ShownPlan(NamedTuple):
 class Step(NamedTuple):
     """One state of a session: the system's estimate of it, and the plan from it, if there is one yet."""
 
-    look: Look
+    estimate: StateEstimate
     plan: ShownPlan | None = None
 
 
@@ -86,21 +86,22 @@ def is_mesh(state: np.ndarray) -> bool:
 
 def matched(step: Step, truth: Mesh) -> Step:
     """Relabel a step so that its estimate is nearest to the true state. Voxels have no labels and stay as they are."""
-    look, plan = step
-    if not is_mesh(look.estimate):
+    estimate, plan = step
+    if not is_mesh(estimate.state):
         return step
-    k = int(labels_of_truth(look.estimate[None].astype(np.float32), truth[None])[0])
+    k = int(labels_of_truth(estimate.state[None].astype(np.float32), truth[None])[0])
     # Candidates are grasp points, and are relabelled as those of a manipulation.
-    points = np.concatenate([np.tile(look.candidates, 2), np.zeros_like(look.candidates)], axis=1)
+    points = np.concatenate([np.tile(estimate.candidates, 2), np.zeros_like(estimate.candidates)], axis=1)
     candidates = np.asarray(relabel_manipulation(points, k))[:, :2]
-    look = Look(_relabelled(look.estimate, k), None if look.sigma is None else _relabelled(look.sigma, k), candidates)
+    sigma = None if estimate.sigma is None else _relabelled(estimate.sigma, k)
+    estimate = StateEstimate(_relabelled(estimate.state, k), sigma, candidates)
     if plan is not None:
         plan = plan._replace(
             manipulations=np.asarray(relabel_manipulation(plan.manipulations, k)),
             means=_relabelled(plan.means, k),
             sigmas=None if plan.sigmas is None else _relabelled(plan.sigmas, k),
         )
-    return Step(look, plan)
+    return Step(estimate, plan)
 
 
 def _relabelled(mesh: np.ndarray, k: int) -> np.ndarray:

@@ -22,7 +22,7 @@ def manipulations(plan: Plan) -> Float[np.ndarray, "n 6"]:
     return np.array([step.manipulation for step in plan.steps], np.float32)
 
 
-def recalled_state(plan: Plan, placed: Placed) -> State:
+def placed_state(plan: Plan, placed: Placed) -> State:
     """Return a state of a plan: a mesh, or voxels (boolean if each is 0 or 1, else probabilities)."""
     if not isinstance(placed.state, MeshState):
         occupancy = np.array(placed.state.occupancy, np.float32)
@@ -76,11 +76,11 @@ def memory_of(plan: Plan, planner: Planner, blank: Memory, traces: Traces) -> Me
     `blank` is the memory before a first decision, with the goal, and `traces` are those before the plan. A null
     manipulation is not executed, so the expected state and the traces are those before it.
     """
-    start, steps = recalled_state(plan, plan.start), manipulations(plan)
+    start, steps = placed_state(plan, plan.start), manipulations(plan)
     first, expected = plan.steps[0], start
     if not first.null:
         placed = Placed(state=first.predictions[plan.memory.better].state, centre_m=first.centre_m)
-        expected = recalled_state(plan, placed)
+        expected = placed_state(plan, placed)
         traces = traces_after(planner, start, steps, common=plan.memory.common, traces=traces)
     rest = np.full_like(blank.rest, np.nan)
     rest[0, : len(steps) - 1] = steps[1:]
