@@ -112,10 +112,9 @@ def _check_height(path: Path, vtm: Net, settings: Settings) -> None:
         raise InputError(f"app.cloud.height: is {height}, but {path} knows voxels up to {vtm.config.height}")
 
 
-def estimate_mesh(vtm: Net, source: Input, settings: Settings, *, expected: State | None = None) -> Estimate:
-    """Estimate the mesh of one cloth, as a batch of one; labels and refinement follow `expected`, if that is given."""
-    predicted = None if expected is None else expected[None].astype(np.float32)
-    return estimate(vtm, source.observation.voxels[None], settings.plan.refine, predicted=predicted)
+def estimate_mesh(vtm: Net, source: Input, settings: Settings) -> Estimate:
+    """Estimate the mesh of one cloth of which nothing is expected yet, as a batch of one."""
+    return estimate(vtm, source.observation.voxels[None], settings.plan.refine)
 
 
 def observation_of(planner: Planner, source: Input, data: Path, settings: Settings) -> Observation:
