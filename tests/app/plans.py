@@ -3,7 +3,9 @@
 import json
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -13,12 +15,33 @@ from clothkit.cloth.silhouette import centred
 from clothkit.cloth.voxels import RESOLUTION
 from clothkit.observation.pose import Pose
 from clothkit.observation.waypoints import hand_paths, paths_from
+from clothkit.planning.planner import Planner
 from clothkit.planning.systems import system
+from clothkit.planning.types import Found, Problem
 from tests.planning import toy
 from tests.tiny import AT
 
 BOTH = np.array([1.0, -1.0, 1.0, 1.0, -1.3, 0.0], np.float32)
 ONE = np.array([-1.0, -1.0, -1.0, -1.0, 0.6, 0.5], np.float32)
+
+
+def finding(plan: np.ndarray, *, common: int = 0, relative: int = 0) -> Any:
+    """In place of searches: as if they found the first steps of a plan, whatever they are asked."""
+
+    def search(planner: Planner, problems: Problem, keys: jax.Array, *, length: int) -> Found:
+        tasks = len(problems.state)
+        size = (tasks, planner.settings.search.iterations(length), planner.settings.search.strains)
+        return Found(
+            plan=jnp.broadcast_to(plan[:length], (tasks, length, 6)),
+            loss=jnp.zeros(tasks),
+            terms={"accuracy": jnp.zeros((tasks, len(planner.nets)))},
+            common=jnp.full(tasks, common, jnp.int32),
+            relative=jnp.full(tasks, relative, jnp.int32),
+            losses=jnp.zeros(size),
+            restarts=jnp.zeros(size, bool),
+        )
+
+    return mock.patch.object(Planner, "search", search)
 
 
 def content(

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from clothkit.app import export as app_export
-from clothkit.app.given import keep_compiled_programs
+from clothkit.app.inputs import keep_compiled_programs
 from clothkit.app.output import write_mesh
 from clothkit.cloth.grid import flat
 from clothkit.models import store

@@ -16,7 +16,7 @@ from clothkit.app import simulate as simulate_command
 from clothkit.app import view as view_command
 from clothkit.app.cli import cli
 from clothkit.app.plan_file import read_plan
-from clothkit.app.planner import Past, Planned, first_traces, predicted
+from clothkit.app.planner import Planned, predict_plan
 from clothkit.app.viewer import recorded
 from clothkit.app.viewer.tasks import test_tasks as tasks_in
 from clothkit.dataset import raw, store, tables
@@ -27,8 +27,10 @@ from clothkit.observation.files import read
 from clothkit.observation.observe import observe
 from clothkit.observation.states import PointCloud
 from clothkit.params import load_params
-from clothkit.planning import normalisation
+from clothkit.planning import agent, normalisation
+from clothkit.planning.batches import take
 from clothkit.planning.planner import Planner
+from clothkit.planning.types import Memory, Observation
 from clothkit.report import made_with
 from clothkit.report.timings import table_8
 from clothkit.simulation import arcsim_obj, arcsim_runs, arcsim_scene, generation
@@ -77,7 +79,7 @@ def command(*words: str, reads: tuple[Input, ...], writes: tuple[str, ...], sear
 
     def call(changed: Mapping[str, str]) -> Any:
         given = [changed.get(before, word) for before, word in zip(("", *words), words, strict=False)]
-        with contextlib.nullcontext() if searches else mock.patch.object(plan_command, "find_plan", _planned):
+        with contextlib.nullcontext() if searches else mock.patch.object(plan_command, "decide", _decided):
             ended = CliRunner().invoke(cli, given)
         if ended.exit_code == 0:
             moved = dict(zip(words, given, strict=True))
@@ -104,7 +106,7 @@ def _beside(line: str) -> bool:
 def quick() -> Iterator[None]:
     """Without search and simulation, which take long to compile: all around them is run."""
     with (
-        mock.patch.object(plan_command, "find_plan", _planned),
+        mock.patch.object(plan_command, "decide", _decided),
         mock.patch.object(simulate_command, "execute", _executed),
         serving(),
     ):
@@ -118,11 +120,11 @@ def serving() -> Iterator[None]:
         yield
 
 
-def _planned(
-    planner: Planner, state: np.ndarray, goal: np.ndarray, length: int, *, seed: int, past: Past | None = None
-) -> Planned:
-    traces = past.traces if past else first_traces(planner)
-    return predicted(planner, state, np.stack([BOTH, ONE])[:length], common=0, traces=traces)._replace(loss=0.0)
+def _decided(planner: Planner, observation: Observation, memory: Memory, *, seed: int) -> tuple[Planned, Memory]:
+    """A plan that nobody searched for, from the state that the planner perceives."""
+    state, plan = agent.perceive(planner, observation, memory)[0][0], np.stack([BOTH, ONE])[: int(memory.left[0])]
+    found = predict_plan(planner, state, plan, common=0, traces=take(memory.traces, 0))
+    return found._replace(loss=0.0), memory
 
 
 def _executed(

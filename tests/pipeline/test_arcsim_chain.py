@@ -1,13 +1,11 @@
 """From ARCSim's runs to the report, in one process and with nets that learn nothing: short sequences break no stage."""
 
+from functools import partial
 from pathlib import Path
 
 import jax
 import numpy as np
 import pandas as pd
-from clothkit.planning.forward import MESH
-from clothkit.planning.loss import Weights
-from clothkit.planning.sight import MeshSight
 
 from clothkit.dataset import store
 from clothkit.dataset.augment import AugmentConfig, augment
@@ -28,6 +26,7 @@ from clothkit.evaluation import (
 )
 from clothkit.evaluation.camera_settings import Condition, EvaluateCameraConfig
 from clothkit.evaluation.comparisons import of_predictions
+from clothkit.evaluation.diagnosis import diagnosed
 from clothkit.evaluation.session_rows import rows
 from clothkit.evaluation.settings import EvaluateEstimationConfig, EvaluatePredictionConfig
 from clothkit.manipulation.candidates import CandidateConfig
@@ -35,7 +34,10 @@ from clothkit.models.ensemble import Ensemble
 from clothkit.models.net import Net
 from clothkit.models.settings import EMDVoxelConfig, PEMDConfig, VtMConfig
 from clothkit.observation.picture import PictureConfig
+from clothkit.planning.mesh_representation import MESH
 from clothkit.planning.normalisation import normalise
+from clothkit.planning.objective import Weights
+from clothkit.planning.perception import Estimation
 from clothkit.planning.planner import Planner
 from clothkit.planning.search import SearchConfig
 from clothkit.planning.settings import NormaliseConfig, PlanConfig
@@ -127,11 +129,22 @@ def test_the_chain_runs_on_from_arcsims_runs(tmp_path: Path) -> None:
     settings = EvaluatePredictionConfig(batch=4, stored=3)
     given = prediction.starts(dataset, estimates)
     arrays.save(tmp_path / "predictions.zarr", prediction.stored(dataset, given, nets[0], settings), {})
-    normalisation = normalise(MESH, both, validation, NormaliseConfig(draws=1))
-    weights, candidates = Weights(1.0, 5.0, 1.25), CandidateConfig()
-    sight = MeshSight(vtm, PLAN.refine)
-    planner = Planner(system("main"), sight, both, 0, normalisation, weights, PLAN, candidates)
-    pieces, _ = evaluate(dataset, planner, toy.execute, work=tmp_path / "plan")
+    both = (nets[0], nets["b"])
+    planner = Planner(
+        system("main"),
+        representation=MESH,
+        model=model,
+        members=(0, 1),
+        nets=weights,
+        best=0,
+        perception=Estimation(vtm, PLAN.refine),
+        normalisation=normalise(model, MESH, weights, validation, NormaliseConfig(draws=1)),
+        weights=Weights(1.0, 5.0, 1.25),
+        settings=PLAN,
+        grasping=CandidateConfig(),
+    )
+    annotate = partial(diagnosed, planner=planner)
+    pieces, _ = evaluate(dataset, planner, toy.execute, work=tmp_path / "plan", annotate=annotate)
     sessions = pieces.whole()
 
     seen = camera.estimation(dataset, vtm, CAMERA, REFINE)

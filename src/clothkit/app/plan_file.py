@@ -12,7 +12,7 @@ import numpy as np
 import pydantic
 from annotated_types import Ge, Gt, Le, Len
 
-from clothkit.app.given import Kind, Taken
+from clothkit.app.inputs import Kind, Usage
 from clothkit.app.output import unfinished
 from clothkit.app.plan_checks import check_axes, check_hand, check_plan, check_step
 from clothkit.cloth.grid import SIDE
@@ -72,7 +72,7 @@ class Source(Part):
     file: str
     kind: Kind
     """mesh: [32, 32, 3]; voxels: [32, 32, 16]; points: a cloud, or a surface seen from above."""
-    taken: Taken | None = None
+    taken: Usage | None = None
     """Whether the plan starts from (or leads to) what the file holds, or an estimate of it; null: an older version."""
     agreement: Agreement | None = None
     """Of the estimate with what the file shows; null: nothing was estimated, or the file is of an older version."""
@@ -177,8 +177,8 @@ class Expectation(Part):
     """What the plan is expected to come to, by the mean of the nets' predictions."""
 
     error_cloth_lengths: NotNegative | None
-    """Mean distance of the outcome's vertices to the goal's, moved to fit, as a share of the cloth's side; null where
-    the system plans in voxels."""
+    """Mean distance of the outcome's vertices to the goal's in the labels that the search found, moved to fit, as a
+    share of the cloth's side; null where the system plans in voxels."""
     error_m: NotNegative | None
     error_no_action_cloth_lengths: NotNegative | None
     """The same of the state as it is."""
@@ -194,7 +194,8 @@ class Expectation(Part):
     loss: float
     """The planning loss, eq. (13)."""
     improves: bool
-    """Whether the outcome is expected to be nearer to the goal than the state is."""
+    """Whether the plan does anything, and its outcome is not expected to be farther from the goal than the state is; of
+    a turned plan, whether that was so before."""
 
 
 class Memory(Part):

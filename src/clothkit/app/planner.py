@@ -9,12 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from clothkit.app.given import Seen, Settings, Taken
+from clothkit.app.inputs import Input, Settings, Usage
 from clothkit.cloth.equivalents import compose, inverse, relabel, relabel_manipulation
 from clothkit.cloth.mesh import distance
 from clothkit.errors import InputError
 from clothkit.estimation.estimate import Estimate, estimate
 from clothkit.manipulation.turns import turn_manipulation, turn_mesh
+from clothkit.manipulation.vector import is_null
 from clothkit.models import store
 from clothkit.models.net import Net
 from clothkit.planning import agent
@@ -23,11 +24,14 @@ from clothkit.planning.perception import Estimation, KnownMeshes
 from clothkit.planning.planner import Planner, artifacts, assemble
 from clothkit.planning.predict import Prediction, differences, predict
 from clothkit.planning.systems import System
-from clothkit.planning.types import Memory, Observation, Plan, Traces
+from clothkit.planning.types import Memory, Observation, Plan
 from clothkit.planning.uncertainty import uncertainty
 
 State = Shaped[np.ndarray, "*state"]
 """A state as a system represents it: a mesh [u v 3], normalised and centred, or voxels [x y z]."""
+
+Traces = tuple[Float[np.ndarray, "labels latent"], ...]
+"""For each net, the memory traces of one cloth for all common equivalents of its state."""
 
 
 class Planned(NamedTuple):
@@ -48,15 +52,26 @@ class Planned(NamedTuple):
     differences: Float[np.ndarray, " n"] | None
     """diff of eq. (15) after each manipulation; None if there is only one net."""
     traces: Traces
-    """Each net's memory traces before the plan [labels latent]."""
+    """Each net's memory traces before the plan."""
     loss: float = np.nan
+    expected: float = np.nan
+    """Distance of the nets' mean predicted outcome from the goal, in the labelling that was found and the measure of
+    the null check: aligned [cloth length], or the mean difference of voxels."""
+    expected_no_action: float = np.nan
+    """The same of the state."""
+    useless: bool = False
+    """Whether the agent found that the plan is not expected to bring the state nearer to its goal."""
+
+    @property
+    def improves(self) -> bool:
+        """Whether the plan is expected to improve the state: it is not useless, and does something."""
+        return not self.useless and not bool(np.all(is_null(self.plan)))
 
 
 def load_planner(system: System, data: Path, settings: Settings) -> Planner:
     """Load the planner of a system, for one cloth whose labels are not those of its goal.
 
-    Raises InputError that names a missing or broken artifact, and if the net that estimates meshes takes voxels of
-    another height than `app.cloud.height`.
+    Raises InputError that names a missing or broken artifact.
     """
     found = artifacts(system, data)
     for name, path in found.items():
@@ -64,15 +79,18 @@ def load_planner(system: System, data: Path, settings: Settings) -> Planner:
             raise InputError(f"{path}: not found, system {system.name} plans with it; dvc repro makes it")
         if name != "reference":
             store.description(path)
-    planner = assemble(system, data, settings.weights, settings.plan, settings.grasping)
+    return for_one_cloth(assemble(system, data, settings.weights, settings.plan, settings.grasping))
+
+
+def for_one_cloth(planner: Planner) -> Planner:
+    """The planner for one cloth at a time, whose labels are not those of its goal."""
     perception = planner.perception
     if isinstance(perception, Estimation):
-        _check_height(found["vtm"], perception.vtm, settings)
         perception = dataclasses.replace(perception, batch=1)
     elif isinstance(perception, KnownMeshes):
         perception = KnownMeshes(labelled=False)
     one = dataclasses.replace(planner.settings, batch=1)
-    return dataclasses.replace(planner, perception=perception, settings=one, labelled=system.voxels)
+    return dataclasses.replace(planner, perception=perception, settings=one, labelled=planner.system.voxels)
 
 
 def load_vtm(data: Path, settings: Settings) -> Net:
@@ -94,66 +112,60 @@ def _check_height(path: Path, vtm: Net, settings: Settings) -> None:
         raise InputError(f"app.cloud.height: is {height}, but {path} knows voxels up to {vtm.config.height}")
 
 
-def estimated(vtm: Net, seen: Seen, settings: Settings, *, expected: State | None = None) -> Estimate:
-    """Estimate the mesh of one cloth, as a batch of one; labels and refinement follow `expected`, if that is given."""
-    predicted = None if expected is None else expected[None].astype(np.float32)
-    return estimate(vtm, seen.observation.voxels[None], settings.plan.refine, predicted=predicted)
+def estimate_mesh(vtm: Net, source: Input, settings: Settings) -> Estimate:
+    """Estimate the mesh of one cloth of which nothing is expected yet, as a batch of one."""
+    return estimate(vtm, source.observation.voxels[None], settings.plan.refine)
 
 
-def observation_of(system: System, seen: Seen) -> Observation:
-    """What a system observes of a file's content, as a batch of one.
+def observation_of(planner: Planner, source: Input, data: Path, settings: Settings) -> Observation:
+    """What a planner observes of a file's content, as a batch of one.
 
-    Raises InputError when the system needs a mesh and the file holds none.
+    Raises InputError when its system needs a mesh and the file holds none, and when its net in `data` that estimates
+    meshes takes voxels of another height than `app.cloud.height`.
     """
+    system, perception = planner.system, planner.perception
+    if isinstance(perception, Estimation):
+        _check_height(artifacts(system, data)["vtm"], perception.vtm, settings)
     if not system.true_meshes:
-        return Observation(voxels=seen.observation.voxels[None])
-    mesh = mesh_of(seen)
+        return Observation(voxels=source.observation.voxels[None])
+    mesh = mesh_of(source)
     if mesh is None:
         raise InputError(
-            f"{seen.file}: holds {seen.kind}, but system {system.name} plans from a mesh [32, 32, 3]; "
+            f"{source.file}: holds {source.kind}, but system {system.name} plans from a mesh [32, 32, 3]; "
             "system main estimates it"
         )
     return Observation(meshes=mesh[None].astype(np.float32))
 
 
-def state_of(planner: Planner, seen: Seen, memory: Memory) -> State:
-    """The state that the planner's perception makes of a file's content: voxels, the file's mesh, or an estimate.
-
-    A mesh has the labels of the expected one, if the memory has one. Raises InputError as `observation_of` does.
-    """
-    return agent.perceive(planner, observation_of(planner.system, seen), memory)[0][0]
-
-
-def goal_of(system: System, seen: Seen, data: Path, settings: Settings) -> State:
+def goal_of(system: System, source: Input, data: Path, settings: Settings) -> State:
     """Return a goal in the system's representation: voxels, the file's mesh, or an estimate if there is no mesh."""
     if system.voxels:
-        return seen.observation.voxels
-    mesh = mesh_of(seen)
-    return np.asarray(estimated(load_vtm(data, settings), seen, settings).mesh[0]) if mesh is None else mesh
+        return source.observation.voxels
+    mesh = mesh_of(source)
+    return np.asarray(estimate_mesh(load_vtm(data, settings), source, settings).mesh[0]) if mesh is None else mesh
 
 
-def taken(system: System, seen: Seen, *, goal: bool = False) -> Taken:
+def usage_of(system: System, source: Input, *, goal: bool = False) -> Usage:
     """Return whether a system plans from (or for) a file's content as it is, or an estimate of it."""
-    as_it_is = system.voxels or (mesh_of(seen) is not None and (goal or system.true_meshes))
+    as_it_is = system.voxels or (mesh_of(source) is not None and (goal or system.true_meshes))
     return "as it is" if as_it_is else "estimated"
 
 
-def mesh_of(seen: Seen) -> Float[np.ndarray, "u v 3"] | None:
+def mesh_of(source: Input) -> Float[np.ndarray, "u v 3"] | None:
     """The mesh that a file holds [normalised, centred], None if it holds anything else."""
-    return getattr(seen.state, "mesh", None)
+    return getattr(source.state, "mesh", None)
 
 
 def begin(planner: Planner, goal: State, length: int) -> Memory:
-    """The memory before the first decision, a batch of one. For every system a goal is reached in any of its labels.
-
-    Raises InputError when the nets have no reference values for plans of that length.
-    """
-    planner.normalisation.reference(length)
+    """The memory before the first decision, a batch of one. For every system a goal is reached in any of its labels."""
     return agent.begin(planner, goal[None], np.array([length]))
 
 
 def decide(planner: Planner, observation: Observation, memory: Memory, *, seed: int) -> tuple[Planned, Memory]:
-    """The agent's decision for one cloth: the plan, and the memory after its first manipulation."""
+    """The agent's decision for one cloth: the plan, and the memory after its first manipulation.
+
+    Raises InputError when the nets have no reference values for plans of that length.
+    """
     plan, later = agent.decide(planner, observation, memory, key=jax.random.key(seed).reshape(1))
     return planned_of(planner, plan, memory), later
 
@@ -161,6 +173,7 @@ def decide(planner: Planner, observation: Observation, memory: Memory, *, seed: 
 def planned_of(planner: Planner, plan: Plan, memory: Memory) -> Planned:
     """The only plan of a batch; `memory` is that before the plan."""
     one, n = take(plan, 0), int(plan.length[0])
+    goal = planner.representation.relabel(memory.goal, plan.relative)
     return Planned(
         state=one.state,
         plan=one.manipulations[:n],
@@ -172,13 +185,16 @@ def planned_of(planner: Planner, plan: Plan, memory: Memory) -> Planned:
         differences=None if one.differences is None else one.differences[:n],
         traces=take(memory.traces, 0),
         loss=float(one.loss),
+        expected=float(one.expected),
+        expected_no_action=float(planner.representation.distance(plan.state, goal)[0]),
+        useless=bool(one.useless),
     )
 
 
-def predicted(
+def predict_plan(
     planner: Planner, state: State, plan: Float[np.ndarray, "n 6"], *, common: int, traces: Traces
 ) -> Planned:
-    """Predict the states after each manipulation of a plan; the result's `relative` is 0 and its `loss` NaN."""
+    """Predict the states after each manipulation of a plan, whatever its goal: `relative` is 0, losses are NaN."""
     found = _predictions(planner, state, plan, common, traces)
     representation = planner.representation
     stds = [std for of_net in found if (std := representation.std(of_net.states)) is not None]
@@ -196,9 +212,11 @@ def predicted(
     )
 
 
-def traces_after(planner: Planner, planned: Planned) -> Traces:
+def traces_after(
+    planner: Planner, state: State, plan: Float[np.ndarray, "n 6"], *, common: int, traces: Traces
+) -> Traces:
     """Return each net's memory traces after the first manipulation of a plan."""
-    found = _predictions(planner, planned.state, planned.plan, planned.common, planned.traces)
+    found = _predictions(planner, state, plan, common, traces)
     return tuple(np.asarray(of_net.traces[0]) for of_net in found)
 
 
@@ -219,11 +237,12 @@ def epistemic_uncertainty(planner: Planner, planned: Planned) -> float | None:
     return float(uncertainty(apart, spread, beta=planner.weights.beta, gamma=planner.weights.gamma))
 
 
-def turned_plan(planner: Planner, planned: Planned, matrix: Float[np.ndarray, "2 2"]) -> Planned:
-    """Return the plan turned or mirrored by `matrix`, a symmetry of the state; its goal is `turned_goal`.
+def turned_plan(planner: Planner, planned: Planned, goal: State, matrix: Float[np.ndarray, "2 2"]) -> Planned:
+    """Return the plan turned or mirrored by `matrix`, a symmetry of the state; its goal is the turned one.
 
-    The state keeps its place and its labels, and only the manipulations turn. The nets' predictions are computed again
-    for the turned plan; the loss is that of the original.
+    The state keeps its place and its labels, and only the manipulations turn. The nets' predictions and what is
+    expected of them are computed again for the turned plan; the loss is that of the original, and so is the decision
+    whether it is useless.
     """
     turn = jnp.asarray(matrix, jnp.float32)
     turns = jnp.broadcast_to(turn, (len(planned.plan), 2, 2))
@@ -231,8 +250,15 @@ def turned_plan(planner: Planner, planned: Planned, matrix: Float[np.ndarray, "2
     k = int(jnp.argmin(jnp.stack([distance(turned, relabel(planned.state, k)) for k in range(8)])))
     plan = relabel_manipulation(turn_manipulation(jnp.asarray(planned.plan), turns), inverse(k))
     common = compose(k, planned.common)
-    found = predicted(planner, planned.state, np.asarray(plan), common=common, traces=planned.traces)
-    return found._replace(relative=compose(planned.relative, inverse(k)), loss=planned.loss)
+    found = predict_plan(planner, planned.state, np.asarray(plan), common=common, traces=planned.traces)
+    relative, representation = compose(planned.relative, inverse(k)), planner.representation
+    labelled = representation.relabel(turned_goal(goal, matrix)[None], np.array([relative]))
+    expected, no_action = (
+        float(representation.distance(state[None], labelled)[0]) for state in (found.means[:, -1].mean(0), found.state)
+    )
+    return found._replace(
+        relative=relative, loss=planned.loss, expected=expected, expected_no_action=no_action, useless=planned.useless
+    )
 
 
 def turned_goal(goal: State, matrix: Float[np.ndarray, "2 2"]) -> State:

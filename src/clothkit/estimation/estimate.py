@@ -34,11 +34,19 @@ def estimate(
     meshes, the estimates are relabelled to minimise the predictions' negative log likelihood, and refinement starts
     from the predictions.
     """
+    probabilistic = estimate_probabilistic(net, voxels, predicted)
+    start = probabilistic.mean if predicted is None else predicted
+    return Estimate(probabilistic, refine(probabilistic, start, settings))
+
+
+def estimate_probabilistic(
+    net: Net,
+    voxels: Shaped[Array | np.ndarray, "batch x y z"],
+    predicted: Float[Array | np.ndarray, "batch u v 3"] | None = None,
+) -> ProbabilisticMesh:
+    """VtM's probabilistic meshes, in the same labels as the result of `estimate`."""
     probabilistic = _vtm(net, jnp.asarray(voxels))
-    if predicted is None:
-        return Estimate(probabilistic, refine(probabilistic, probabilistic.mean, settings))
-    labelled = labelled_like(probabilistic, predicted)
-    return Estimate(labelled, refine(labelled, predicted, settings))
+    return probabilistic if predicted is None else labelled_like(probabilistic, predicted)
 
 
 def estimate_unrefined(
@@ -47,8 +55,7 @@ def estimate_unrefined(
     predicted: Float[Array | np.ndarray, "batch u v 3"] | None = None,
 ) -> Float[Array, "batch u v 3"]:
     """VtM's means without refinement, in the same labels as the result of `estimate`."""
-    probabilistic = _vtm(net, jnp.asarray(voxels))
-    return jnp.asarray((probabilistic if predicted is None else labelled_like(probabilistic, predicted)).mean)
+    return jnp.asarray(estimate_probabilistic(net, voxels, predicted).mean)
 
 
 def labelled_like(

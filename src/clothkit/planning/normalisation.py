@@ -13,11 +13,10 @@ from jaxtyping import Array
 from clothkit.dataset.store import STEPS, Dataset
 from clothkit.errors import InputError
 from clothkit.json_file import read_json
-from clothkit.models.ensemble import pairs
 from clothkit.models.forward import ForwardModel, rollout
 from clothkit.planning.batches import in_batches
 from clothkit.planning.initial import random_manipulations
-from clothkit.planning.objective import Range, Reference
+from clothkit.planning.objective import Range, Reference, mean_difference
 from clothkit.planning.representation import Representation
 from clothkit.planning.settings import NormaliseConfig
 from clothkit.planning.uncertainty import Spread
@@ -152,9 +151,8 @@ def _scores(
     """The accuracy term of each net's predicted outcome, without span, and the difference of the outcomes."""
     outcomes = [_outcomes(model, net, start, plan) for net in nets]
     wanted = representation.target(goal)
-    apart = [representation.difference(a, b) for a, b in pairs(outcomes)]
     scores = tuple(representation.accuracy(wanted, outcome) for outcome in outcomes)
-    return scores, sum(apart) / len(apart) if apart else None
+    return scores, mean_difference(representation, outcomes)
 
 
 def _outcomes(model: ForwardModel, net: Any, start: Array, plan: Array) -> Any:

@@ -46,7 +46,7 @@ def budgets(made_with: MadeWith, timings: pd.DataFrame | None, systems: list[str
             (made_with.emd_voxel, made_with.voxel_search) if system.voxels else (made_with.pemd, made_with.search)
         )
         minutes = _minutes(timings, "train_emd_voxel" if system.voxels else "train_pemd", members)
-        nets = len(members) if system.nets > 1 else 1
+        nets = 1 if system.single else len(members)
         rows.append(_row("clothkit", name, nets, learned, search, minutes))
     rows.append(_row("clothkit", VTM, 1, made_with.vtm, None, _minutes(timings, "train_vtm")))
     for name, net in PAPER.items():

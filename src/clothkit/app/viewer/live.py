@@ -13,19 +13,21 @@ import numpy as np
 from jaxtyping import Float
 
 from clothkit.app import planner as plans
-from clothkit.app.given import Seen, Settings
-from clothkit.app.planner import State, epistemic_uncertainty, estimated, goal_of, load_vtm, mesh_of, observation_of
-from clothkit.app.viewer.session import Look, Mesh, Session, ShownPlan, Step, error_of, matched
-from clothkit.app.viewer.watched import Progress, Watch, search_watched
+from clothkit.app.inputs import Input, Settings
+from clothkit.app.planner import epistemic_uncertainty, estimate_mesh, goal_of, load_vtm, mesh_of, observation_of
+from clothkit.app.viewer.search_progress import OnProgress, Progress, search_in_batches
+from clothkit.app.viewer.session import Mesh, Session, ShownPlan, StateEstimate, Step, error_of, matched
 from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.cloth.silhouette import centred
 from clothkit.errors import InputError
+from clothkit.estimation.estimate import estimate_probabilistic
 from clothkit.manipulation.vector import is_null, is_single
 from clothkit.observation.observe import observe
 from clothkit.observation.states import MeshState
 from clothkit.planning import agent
+from clothkit.planning.perception import Estimation
 from clothkit.planning.planner import Planner
-from clothkit.planning.types import Memory, Plan
+from clothkit.planning.types import Memory, Observation, Plan
 from clothkit.simulation.executor import execute
 
 
@@ -39,7 +41,7 @@ class Live:
     settings: Settings
     centre: Float[np.ndarray, "2"]
     """Position of the cloth's centre on the table [normalised]."""
-    look: Look
+    estimate: StateEstimate
     """The system's estimate of the current state, in the estimate's own labels."""
     memory: Memory
     """The agent's memory before the next plan, as a batch of one."""
@@ -58,40 +60,38 @@ class Live:
 
 
 def begin(
-    planner: Planner, start: Seen, goal: Seen, length: int, *, title: str, data: Path, settings: Settings
+    planner: Planner, start: Input, goal: Input, length: int, *, title: str, data: Path, settings: Settings
 ) -> Live:
     """Start a session of `length` manipulations; it has no plan yet.
 
     The mesh in the file of `start` is simulated or, if there is none, the estimate. Raises InputError when the system
     cannot plan from these files.
     """
-    system = planner.system
-    wanted = goal_of(system, goal, data, settings)
-    memory = plans.begin(planner, wanted, length)
-    look = look_at(planner, start, memory, data, settings)
-    truth = mesh_of(start)
+    system, observation = planner.system, observation_of(planner, start, data, settings)
+    truth, mesh = mesh_of(start), mesh_of(goal)
+    if truth is None and system.voxels:
+        truth = np.asarray(estimate_mesh(load_vtm(data, settings), start, settings).mesh[0])
+    target = goal_of(system, goal, data, settings)
+    memory = plans.begin(planner, target, length)
+    estimate = estimate_state(planner, observation, memory)
     if truth is None:
-        truth = look.estimate
-        if system.voxels:
-            truth = np.asarray(estimated(load_vtm(data, settings), start, settings).mesh[0])
-    mesh = mesh_of(goal)
-    shown = Session(title, length, wanted if mesh is None else mesh, (truth,), (matched(Step(look), truth),))
+        truth = estimate.state
+    shown = Session(title, length, target if mesh is None else mesh, (truth,), (matched(Step(estimate), truth),))
     centre = np.asarray(start.pose.centre / start.pose.scale, np.float32)
-    return Live(shown, planner, data, settings, centre, look, memory)
+    return Live(shown, planner, data, settings, centre, estimate, memory)
 
 
-def look_at(planner: Planner, seen: Seen, memory: Memory, data: Path, settings: Settings) -> Look:
-    """Return the system's estimate of a cloth, with standard deviations if it is a refined one. Raises InputError."""
-    states, points = agent.perceive(planner, observation_of(planner.system, seen), memory)
-    sigma = None
-    if planner.system.estimates and planner.system.refine:
-        expected: State | None = memory.expected[0] if memory.planned[0] else None
-        found = estimated(load_vtm(data, settings), seen, settings, expected=expected)
-        sigma = np.asarray(found.probabilistic.std[0])
-    return Look(states[0], sigma, points[0][np.isfinite(points[0]).all(-1)])
+def estimate_state(planner: Planner, observation: Observation, memory: Memory) -> StateEstimate:
+    """Return the system's estimate of a cloth, with standard deviations if it is a refined one."""
+    states, points = agent.perceive(planner, observation, memory)
+    sigma, perception = None, planner.perception
+    if isinstance(perception, Estimation) and perception.refine and observation.voxels is not None:
+        expected = memory.expected if memory.planned[0] else None
+        sigma = np.asarray(estimate_probabilistic(perception.vtm, observation.voxels, expected).std[0])
+    return StateEstimate(states[0], sigma, points[0][np.isfinite(points[0]).all(-1)])
 
 
-def plan(live: Live, *, seed: int, watch: Watch) -> Live:
+def plan(live: Live, *, seed: int, on_progress: OnProgress) -> Live:
     """Search for a plan for the manipulations that are left, and return the session with it.
 
     Raises InputError when no manipulation is left.
@@ -99,8 +99,10 @@ def plan(live: Live, *, seed: int, watch: Watch) -> Live:
     if not live.left:
         raise InputError("session: is over, expected manipulations that are left to plan")
     candidates = np.full((live.planner.grasping.most, 2), np.nan, np.float32)
-    candidates[: len(live.look.candidates)] = live.look.candidates
-    progress = search_watched(live.planner, live.look.estimate, candidates, live.memory, seed=seed, watch=watch)
+    candidates[: len(live.estimate.candidates)] = live.estimate.candidates
+    progress = search_in_batches(
+        live.planner, live.estimate.state, candidates, live.memory, seed=seed, on_progress=on_progress
+    )
     return with_progress(live, progress)
 
 
@@ -108,7 +110,7 @@ def with_progress(live: Live, progress: Progress) -> Live:
     """Return the session with the best plan of a search so far."""
     best = progress.best
     if best is None:
-        return dataclasses.replace(live, plan=None, session=_with_step(live.session, Step(live.look)))
+        return dataclasses.replace(live, plan=None, session=_with_step(live.session, Step(live.estimate)))
     planned = plans.planned_of(live.planner, best, live.memory)
     shown = ShownPlan(
         manipulations=planned.plan,
@@ -118,8 +120,11 @@ def with_progress(live: Live, progress: Progress) -> Live:
         loss=planned.loss,
         progress=progress.lowest,
         tried=progress.tried,
+        improves=planned.improves,
+        expected=None if live.planner.system.voxels else planned.expected,
+        expected_no_action=None if live.planner.system.voxels else planned.expected_no_action,
     )
-    return dataclasses.replace(live, plan=best, session=_with_step(live.session, Step(live.look, shown)))
+    return dataclasses.replace(live, plan=best, session=_with_step(live.session, Step(live.estimate, shown)))
 
 
 def _with_step(session: Session, step: Step) -> Session:
@@ -138,13 +143,15 @@ def perform(live: Live) -> Live:
     null = bool(is_null(first))
     truth, centre = (live.session.states[-1], live.centre) if null else _simulated(live, first)
     memory = agent.remember(live.planner, live.memory, live.plan, executed=np.array([not null]))
-    look = live.look
+    estimate = live.estimate
     session = live.session._replace(states=(*live.session.states, truth), steps=_noted(live, null, truth))
     if not session.over:
         if not null:
-            look = look_at(live.planner, _seen(truth, centre, live.settings), memory, live.data, live.settings)
-        session = session._replace(steps=(*session.steps, matched(Step(look), truth)))
-    return dataclasses.replace(live, session=session, centre=centre, look=look, memory=memory, plan=None)
+            source = _observe(truth, centre, live.settings)
+            observation = observation_of(live.planner, source, live.data, live.settings)
+            estimate = estimate_state(live.planner, observation, memory)
+        session = session._replace(steps=(*session.steps, matched(Step(estimate), truth)))
+    return dataclasses.replace(live, session=session, centre=centre, estimate=estimate, memory=memory, plan=None)
 
 
 def _noted(live: Live, null: bool, outcome: Mesh) -> tuple[Step, ...]:
@@ -158,7 +165,7 @@ def _noted(live: Live, null: bool, outcome: Mesh) -> tuple[Step, ...]:
 
 def _simulated(live: Live, manipulation: Float[np.ndarray, "6"]) -> tuple[Mesh, Float[np.ndarray, "2"]]:
     mesh = live.session.states[-1] + np.append(live.centre, 0).astype(np.float32)
-    places = live.planner.representation.positions(live.look.estimate[None], manipulation[None, :4].reshape(1, 2, 2))
+    places = live.planner.representation.positions(live.estimate.state[None], manipulation[None, :4].reshape(1, 2, 2))
     run = partial(execute, settings=live.settings.simulation, workers=1)
     outcome = run(
         mesh[None],
@@ -171,7 +178,7 @@ def _simulated(live: Live, manipulation: Float[np.ndarray, "6"]) -> tuple[Mesh, 
     return centred(outcome)
 
 
-def _seen(truth: Mesh, centre: Float[np.ndarray, "2"], settings: Settings) -> Seen:
+def _observe(truth: Mesh, centre: Float[np.ndarray, "2"], settings: Settings) -> Input:
     """Observe the simulated cloth as a camera would."""
     state = MeshState(truth, centre, settings.app.side / CLOTH_SIDE)
-    return Seen("simulation", state, observe(state, cloth_side=settings.app.side, settings=settings.app.cloud))
+    return Input("simulation", state, observe(state, cloth_side=settings.app.side, settings=settings.app.cloud))

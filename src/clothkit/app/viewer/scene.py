@@ -106,14 +106,14 @@ def to_show(session: Session, at: int) -> list[Shown]:
     state = session.states[at]
     if at >= len(session.steps):
         return [Shown("outcome" if session.over and at == session.length else "state", state)]
-    look, plan = session.steps[at]
+    estimate, plan = session.steps[at]
     if plan is None:
-        known = Shown("state", state, candidates=look.candidates)
-        return [known, known._replace(name="estimate", state=look.estimate, sigma=look.sigma, column=1)]
+        known = Shown("state", state, candidates=estimate.candidates)
+        return [known, known._replace(name="estimate", state=estimate.state, sigma=estimate.sigma, column=1)]
     apart = disagreement(plan)
     end = None if apart is None else apart[-1]
-    first = Shown("state", state, None, end, look.candidates, plan.manipulations[0])
-    found = [first, first._replace(name="estimate", state=look.estimate, sigma=look.sigma, column=1)]
+    first = Shown("state", state, None, end, estimate.candidates, plan.manipulations[0])
+    found = [first, first._replace(name="estimate", state=estimate.state, sigma=estimate.sigma, column=1)]
     for net, means in enumerate(plan.means):
         for i, mean in enumerate(means):
             name = f"net {'ab'[net]}, after {i + 1}" if len(plan.means) > 1 else f"predicted after {i + 1}"

@@ -17,7 +17,7 @@ from clothkit.planning.agent import conclude, pose
 from clothkit.planning.planner import Planner
 from clothkit.planning.types import Memory, Plan
 
-AT_ONCE = 16
+STRAINS_PER_BATCH = 16
 """Strains in a batch. A multiple of eight, as a search's number of strains must be."""
 
 
@@ -36,40 +36,40 @@ class Progress(NamedTuple):
     """Number of plans that an iteration evaluates."""
 
 
-Watch = Callable[[Progress], bool]
+OnProgress = Callable[[Progress], bool]
 """Called with the progress of a search; returns whether to continue."""
 
 
-def search_watched(
+def search_in_batches(
     planner: Planner,
     state: Shaped[np.ndarray, "*state"],
     candidates: Float[np.ndarray, "candidate 2"],
     memory: Memory,
     *,
     seed: int,
-    watch: Watch,
+    on_progress: OnProgress,
 ) -> Progress:
-    """Run the search of a decision for one cloth, with `watch` called before each batch and at the end.
+    """Run the search of a decision for one cloth, with `on_progress` called before each batch and at the end.
 
-    `state` and `candidates` are what the agent perceives. Returns the final progress. Stops early when `watch` returns
-    False. Raises InputError when the nets have no reference values for plans of that length.
+    `state` and `candidates` are what the agent perceives. Stops early when `on_progress` returns False. Returns
+    the final progress. Raises InputError when the nets have no reference values for plans of that length.
     """
     strains, length = planner.settings.search.strains, int(memory.left[0])
-    lot = min(AT_ONCE, strains)
-    settings = dataclasses.replace(planner.settings.search, strains=lot)
-    in_lots = dataclasses.replace(planner, settings=dataclasses.replace(planner.settings, search=settings))
+    count = min(STRAINS_PER_BATCH, strains)
+    settings = dataclasses.replace(planner.settings.search, strains=count)
+    batched = dataclasses.replace(planner, settings=dataclasses.replace(planner.settings, search=settings))
     problems = pose(planner, state[None].astype(np.float32), candidates[None], memory, length)
-    progress = Progress(0, strains, None, np.zeros(0, np.float32), lot)
-    for key in jax.random.split(jax.random.key(seed), -(-strains // lot)):
-        if not watch(progress):
+    progress = Progress(0, strains, None, np.zeros(0, np.float32), count)
+    for key in jax.random.split(jax.random.key(seed), -(-strains // count)):
+        if not on_progress(progress):
             break
-        found = jax.tree.map(np.asarray, in_lots.search(problems, key.reshape(1), length=length))
+        found = jax.tree.map(np.asarray, batched.search(problems, key.reshape(1), length=length))
         lowest = np.minimum.accumulate(np.append(progress.lowest, found.losses[0].min(-1)))
         best = progress.best
         if best is None or found.loss[0] < best.loss[0]:
-            best = conclude(in_lots, problems, found, candidates[None])
-        progress = Progress(min(progress.done + lot, strains), strains, best, lowest, lot)
+            best = conclude(batched, problems, found, candidates[None])
+        progress = Progress(min(progress.done + count, strains), strains, best, lowest, count)
         # The carried plan is an initial value in the first batch only; in later ones it would give the same result.
         problems = problems._replace(later=np.zeros(1, bool))
-    watch(progress)
+    on_progress(progress)
     return progress

@@ -35,7 +35,7 @@ COMPILED_BYTES = 2**30
 _WEIGHTS = Weights(alpha=0.01, beta=5.0, gamma=1.25)
 
 Kind = Literal["mesh", "voxels", "points"]
-Taken = Literal["as it is", "estimated"]
+Usage = Literal["as it is", "estimated"]
 
 
 class Settings(NamedTuple):
@@ -48,7 +48,7 @@ class Settings(NamedTuple):
     simulation: SimulationConfig
 
 
-def settings() -> Settings:
+def load_settings() -> Settings:
     """Read params.yaml in the current directory, at its selected scale; without such a file return the defaults.
 
     Raises InputError if the file is invalid.
@@ -71,7 +71,7 @@ def keep_compiled_programs() -> None:
     ensure_jax_cache()
 
 
-class Seeing(NamedTuple):
+class ObservationOptions(NamedTuple):
     """How files are read and observed."""
 
     side: float
@@ -87,7 +87,7 @@ class Seeing(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True)
-class Seen:
+class Input:
     """A state or a goal: the file's name, its content, and the observation of it."""
 
     file: str
@@ -112,26 +112,26 @@ class Seen:
         return self.observation.pose
 
 
-def look(file: str, seeing: Seeing, *, mask: str | None = None) -> Seen:
+def read_input(file: str, options: ObservationOptions, *, mask: str | None = None) -> Input:
     """Read a file and observe its cloth. Prints the notices on stderr.
 
     `mask` names an NPY file [points] that marks the points of the cloth in a cloud. Raises InputError.
     """
-    state = read(file, cloth_side=seeing.side, y_up=seeing.y_up, as_points=seeing.as_points)
+    state = read(file, cloth_side=options.side, y_up=options.y_up, as_points=options.as_points)
     for notice in state.notices:
         click.echo(f"notice: {notice}", err=True)
     if mask is not None:
         if not isinstance(state, PointCloud):
             raise InputError(f"{mask}: is a mask for points, but {file} holds none")
         state = dataclasses.replace(state, cloth=_read_mask(Path(mask), len(state.points)))
-    cloud, table, stated = seeing.cloud, seeing.table, seeing.stated
+    cloud, table, stated = options.cloud, options.table, options.stated
     if isinstance(state, PointCloud) and state.table is not None:
         # The options describe a camera's cloud; these points are of a surface whose table is known.
         cloud, table, stated = dataclasses.replace(cloud, box=None, table_colour=None), None, Stated()
-    seen = observe(state, cloth_side=seeing.side, settings=cloud, table=table, stated=stated, name=file)
-    for notice in seen.notices:
+    observation = observe(state, cloth_side=options.side, settings=cloud, table=table, stated=stated, name=file)
+    for notice in observation.notices:
         click.echo(f"notice: {notice}", err=True)
-    return Seen(file, state, seen)
+    return Input(file, state, observation)
 
 
 def _read_mask(path: Path, count: int) -> Bool[np.ndarray, " points"]:
@@ -149,8 +149,8 @@ def _read_mask(path: Path, count: int) -> Bool[np.ndarray, " points"]:
     return mask.astype(bool)
 
 
-def looking(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Decorator that adds the options for reading and observing files; `seeing` converts their values to a `Seeing`."""
+def with_observation_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Decorator that adds the options for reading and observing files; `observation_options` converts their values."""
     for option in reversed(
         (
             click.option(
@@ -218,7 +218,7 @@ def looking(command: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
-def seeing(
+def observation_options(
     app: AppConfig,
     *,
     side: float | None,
@@ -229,8 +229,8 @@ def seeing(
     viewpoint: Triple | None = None,
     y_up: bool | None = None,
     as_points: bool = False,
-) -> Seeing:
-    """Build a `Seeing` from option values; settings are the defaults. Raises InputError for invalid values."""
+) -> ObservationOptions:
+    """How files are read and observed, by option values and else by settings. Raises InputError for invalid values."""
     cloud = app.cloud
     if table_colour:
         r, g, b, most_r, most_g, most_b = table_colour
@@ -240,21 +240,21 @@ def seeing(
     if box:
         corners = _corners("--box", box)
         cloud = dataclasses.replace(cloud, box=corners)
-    plane, seen_from, turned = table or app.table, viewpoint or app.viewpoint, app.y_up if y_up is None else y_up
+    plane, camera, turned = table or app.table, viewpoint or app.viewpoint, app.y_up if y_up is None else y_up
     # The normal of a table from an option points up, so `app.up` must not override it.
     up = up or (None if table else app.up)
-    if turned and up is None and plane is None and seen_from is None:
+    if turned and up is None and plane is None and camera is None:
         up = (0.0, 1.0, 0.0)
-    for name, values in (("up", up), ("viewpoint", seen_from)):
+    for name, values in (("up", up), ("viewpoint", camera)):
         if values is not None and not np.isfinite(values).all():
             raise InputError(f"--{name}: expected three finite numbers, found {' '.join(f'{v:g}' for v in values)}")
     if up is not None and not any(up):
         raise InputError("--up: expected a direction, found 0 0 0")
-    return Seeing(
+    return ObservationOptions(
         app.side if side is None else side,
         cloud,
         plane_of(plane) if plane else None,
-        Stated(up, seen_from),
+        Stated(up, camera),
         turned,
         as_points,
     )

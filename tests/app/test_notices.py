@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from clothkit.app import estimate as estimate_command
-from clothkit.app.describe import Given, notices
-from clothkit.app.explained import Explained, explained
-from clothkit.app.given import look, seeing, settings
+from clothkit.app.agreement import EstimateAgreement, compare_estimate
+from clothkit.app.describe import PlanRequest, notices
+from clothkit.app.inputs import load_settings, observation_options, read_input
 from clothkit.app.output import write_mesh
 from clothkit.app.settings import AppConfig
 from clothkit.cloth import voxels
@@ -59,18 +59,18 @@ def test_every_command_refuses_what_is_upside_down_and_takes_what_is_said_of_up(
 
 def test_what_is_known_of_up_comes_from_params_unless_options_say_otherwise() -> None:
     app = AppConfig(up=(0.0, 0.0, 1.0), viewpoint=(0.0, 0.0, 2.0), y_up=True)
-    assert seeing(app, side=None, table=None).stated == Stated((0.0, 0.0, 1.0), (0.0, 0.0, 2.0))
-    other = seeing(app, side=None, table=None, up=(1.0, 0.0, 0.0), viewpoint=(3.0, 0.0, 0.0))
+    assert observation_options(app, side=None, table=None).stated == Stated((0.0, 0.0, 1.0), (0.0, 0.0, 2.0))
+    other = observation_options(app, side=None, table=None, up=(1.0, 0.0, 0.0), viewpoint=(3.0, 0.0, 0.0))
     assert other.stated == Stated((1.0, 0.0, 0.0), (3.0, 0.0, 0.0))
     assert other.y_up
     # A table that is given has a normal of its own.
-    assert seeing(app, side=None, table=(0.0, 0.0, 1.0, 0.0)).stated.up is None
-    assert seeing(APP, side=None, table=None, y_up=True).stated.up == (0.0, 1.0, 0.0)
-    assert seeing(APP, side=None, table=(0.0, 0.0, 1.0, 0.0), y_up=True).stated.up is None
+    assert observation_options(app, side=None, table=(0.0, 0.0, 1.0, 0.0)).stated.up is None
+    assert observation_options(APP, side=None, table=None, y_up=True).stated.up == (0.0, 1.0, 0.0)
+    assert observation_options(APP, side=None, table=(0.0, 0.0, 1.0, 0.0), y_up=True).stated.up is None
     with pytest.raises(InputError, match="--up: expected a direction, found 0 0 0"):
-        seeing(APP, side=None, table=None, up=(0.0, 0.0, 0.0))
+        observation_options(APP, side=None, table=None, up=(0.0, 0.0, 0.0))
     with pytest.raises(InputError, match="--viewpoint: expected three finite numbers, found nan 0 1"):
-        seeing(APP, side=None, table=None, viewpoint=(np.nan, 0.0, 1.0))
+        observation_options(APP, side=None, table=None, viewpoint=(np.nan, 0.0, 1.0))
 
 
 def test_a_mesh_with_y_up_is_refused_and_turned_when_told(here: Path) -> None:
@@ -87,10 +87,10 @@ def test_a_mesh_with_y_up_is_refused_and_turned_when_told(here: Path) -> None:
         assert wrong.exit_code == 1
         assert "stands upright" in wrong.stderr
         assert "--y-up" in wrong.stderr
-    told = look(str(here / "y_up.obj"), seeing(APP, side=None, table=None, y_up=True))
-    plain = look(str(here / "z_up.obj"), seeing(APP, side=None, table=None))
+    told = read_input(str(here / "y_up.obj"), observation_options(APP, side=None, table=None, y_up=True))
+    plain = read_input(str(here / "z_up.obj"), observation_options(APP, side=None, table=None))
     np.testing.assert_array_equal(told.observation.voxels, plain.observation.voxels)
-    surface = look(str(here / "y_up_surface.obj"), seeing(APP, side=None, table=None, y_up=True))
+    surface = read_input(str(here / "y_up_surface.obj"), observation_options(APP, side=None, table=None, y_up=True))
     assert (surface.observation.voxels != plain.observation.voxels).sum() < 0.05 * plain.observation.voxels.sum()
 
 
@@ -102,11 +102,11 @@ def test_what_is_clamped_is_said_and_stands_in_the_plan(here: Path) -> None:
     (notice,) = (line for line in said.stderr.splitlines() if line.startswith("notice: "))
     assert "thick.obj: " in notice
     assert "% of the cloth lies higher than nets see, whose viewport ends 36 mm above the table" in notice
-    seen = look("thick.obj", seeing(APP, side=None, table=None))
-    unknown = Explained(0.2, 0.1, False, "thick.obj: the estimate does not explain what was seen")
-    given = Given(seen, seen, flat(), None, 0.4, 0, "table", ("a",), (unknown, None))
+    seen = read_input("thick.obj", observation_options(APP, side=None, table=None))
+    unknown = EstimateAgreement(0.2, 0.1, False, "thick.obj: the estimate does not explain what was seen")
+    request = PlanRequest(seen, seen, flat(), None, 0.4, 0, "table", ("a",), (unknown, None))
     # Once, although state and goal are one file.
-    assert notices(given) == [notice.removeprefix("notice: "), unknown.words]
+    assert notices(request) == [notice.removeprefix("notice: "), unknown.sentence]
 
 
 def test_estimate_tells_what_it_covers_and_whether_it_explains(here: Path, files: Path) -> None:
@@ -118,7 +118,7 @@ def test_estimate_tells_what_it_covers_and_whether_it_explains(here: Path, files
 
     np.save(here / "half.npy", np.asarray(voxels.observe(half)))
     write_mesh(here / "across.obj", turned(half, np.pi / 2).astype(float) * SCALE)
-    with mock.patch.object(estimate_command, "estimated", perfect):
+    with mock.patch.object(estimate_command, "estimate_mesh", perfect):
         first, second = succeed("estimate", "half.npy", "--out", "mesh.obj").splitlines()
         wrong = succeed("estimate", "across.obj", "--out", "mesh.obj").splitlines()
     # Half of 40 x 40 cm, and a little for the bend and for pixels at the border; voxels are counted whole.
@@ -134,12 +134,12 @@ def test_estimate_tells_what_it_covers_and_whether_it_explains(here: Path, files
 def test_the_least_agreement_is_a_setting(here: Path) -> None:
     np.save(here / "flat.npy", flat())
     assert np.abs(centre(flat())).max() < 0.01
-    given = settings()
-    seen = look("flat.npy", seeing(given.app, side=None, table=None))
+    settings = load_settings()
+    seen = read_input("flat.npy", observation_options(settings.app, side=None, table=None))
     lower = flat() * np.float32([0.9, 1, 1])
-    found = explained(seen, lower, given)
+    found = compare_estimate(seen, lower, settings)
     assert found.silhouette_iou == pytest.approx(found.height_iou)
     assert 0.85 < found.silhouette_iou < 0.95
     assert found.explains
     strict = AppConfig(agreement=AgreementConfig(silhouette=0.97, heights=0.1))
-    assert not explained(seen, lower, given._replace(app=strict)).explains
+    assert not compare_estimate(seen, lower, settings._replace(app=strict)).explains

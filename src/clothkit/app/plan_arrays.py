@@ -6,12 +6,12 @@ import numpy as np
 from jaxtyping import Float
 
 from clothkit.app.plan_file import MeshState, Placed, Plan
-from clothkit.app.planner import Planned, State, traces_after
+from clothkit.app.planner import State, Traces, traces_after
 from clothkit.errors import InputError
 from clothkit.planning.agent import no_traces
 from clothkit.planning.planner import Planner, artifacts
 from clothkit.planning.systems import better_net
-from clothkit.planning.types import Memory, Traces
+from clothkit.planning.types import Memory
 
 _SAME = 1e-6
 """Relative difference up to which two sides count as equal."""
@@ -22,7 +22,7 @@ def manipulations(plan: Plan) -> Float[np.ndarray, "n 6"]:
     return np.array([step.manipulation for step in plan.steps], np.float32)
 
 
-def recalled_state(plan: Plan, placed: Placed) -> State:
+def placed_state(plan: Plan, placed: Placed) -> State:
     """Return a state of a plan: a mesh, or voxels (boolean if each is 0 or 1, else probabilities)."""
     if not isinstance(placed.state, MeshState):
         occupancy = np.array(placed.state.occupancy, np.float32)
@@ -64,23 +64,24 @@ def traces_before(plan: Plan, planner: Planner, name: Path) -> Traces:
     return found
 
 
-def memory_of(plan: Plan, planner: Planner, blank: Memory, name: Path) -> Memory:
-    """Return what the next decision needs after a plan's first step (section 5.1), as a batch of one.
-
-    `blank` is the memory before a first decision, with the goal. A null manipulation is not executed, so the expected
-    state and the traces are those before it. Raises InputError if the first step was the plan's last.
-    """
+def check_steps_left(plan: Plan, name: Path) -> None:
+    """Check that something is left of a plan after its first step. Raises InputError."""
     if len(plan.steps) < 2:
         raise InputError(f"{name}: has one step, so nothing is left to plan after it; plan afresh, without --after")
-    start, traces, steps = recalled_state(plan, plan.start), traces_before(plan, planner, name), manipulations(plan)
+
+
+def memory_of(plan: Plan, planner: Planner, blank: Memory, traces: Traces) -> Memory:
+    """Return what the next decision needs after a plan's first step (section 5.1), as a batch of one.
+
+    `blank` is the memory before a first decision, with the goal, and `traces` are those before the plan. A null
+    manipulation is not executed, so the expected state and the traces are those before it.
+    """
+    start, steps = placed_state(plan, plan.start), manipulations(plan)
     first, expected = plan.steps[0], start
     if not first.null:
         placed = Placed(state=first.predictions[plan.memory.better].state, centre_m=first.centre_m)
-        expected = recalled_state(plan, placed)
-        done = Planned(
-            start, steps, plan.memory.common, plan.memory.relative, np.zeros(0), None, np.zeros((0, 2)), None, traces
-        )
-        traces = traces_after(planner, done)
+        expected = placed_state(plan, placed)
+        traces = traces_after(planner, start, steps, common=plan.memory.common, traces=traces)
     rest = np.full_like(blank.rest, np.nan)
     rest[0, : len(steps) - 1] = steps[1:]
     return blank._replace(
