@@ -1,8 +1,8 @@
 """Plans whose loss is their distance from one that is known, so that every optimiser's answer is known too.
 
-Every manipulation is compared with the target's: the grasp points in the better order of the hands, then the displacement. A
-common equivalent goes with each plan as its label; the objective settles labels by adding 100, and its terms tell both
-parts of the loss.
+Every manipulation is compared with the target's: the grasp points in the better order of the hands, then the
+displacement. A common equivalent goes with each plan as its label; the objective settles labels by adding 100, and its
+terms tell both parts of the loss.
 """
 
 from collections.abc import Callable
@@ -26,7 +26,7 @@ TARGET = np.array(
 """Both hands on candidates, then one hand, then both hands again."""
 
 
-def distance(plan: Array, target: np.ndarray, steps: Array | None = None) -> tuple[Array, Array]:
+def distance(plan: Array, target: Array | np.ndarray, steps: Array | None = None) -> tuple[Array, Array]:
     """The squared distances of grasp points and of displacements, summed over the first `steps` manipulations."""
     counted = 1 if steps is None else (jnp.arange(plan.shape[-2]) < steps).astype(float)
     either = [jnp.sum((each - target)[..., :4] ** 2, axis=-1) for each in (plan, swap_grasps(plan))]

@@ -1,4 +1,4 @@
-"""Distributions of plans as plain NumPy loops over plans and manipulations, for transcriptions of published algorithms."""
+"""Distributions of plans as plain NumPy loops, for transcriptions of published algorithms."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

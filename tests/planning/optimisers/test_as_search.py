@@ -55,7 +55,10 @@ def searched(size: today.SearchConfig, one: today.Problem, key: Array) -> Result
         first = plans.plan[:, 0]
         grasps = forward.points(one.state, first[:, :4].reshape(-1, 2, 2))
         fine = jnp.asarray(release_points(grasps, first[:, 4:]).same_side) | is_null(first)
-        return fine & folds(one.covered, grasps, first) if size.fold else fine
+        if size.fold:
+            assert one.covered is not None
+            fine &= folds(one.covered, grasps, first)
+        return fine
 
     def evaluate(plans: Plans, *, steps: Array | None = None, exact: bool = False) -> Evaluation:
         common, relative = plans.labels

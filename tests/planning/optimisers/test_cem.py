@@ -18,7 +18,7 @@ SIZE = CEMConfig(plans=60, iterations=6, elites=12, smoothing=0.2, chunk=20, fin
 def published(settings: CEMConfig, length: int, key: Array, forbidden: float = np.inf) -> np.ndarray:
     """The losses of all populations. Plans whose first dx is greater than `forbidden` are never elites."""
     key_first, key_rest = jax.random.split(key)
-    plans = list(np.float64(bowl.space(length).sample(settings.plans, key=key_first).plan))
+    plans = list(np.asarray(bowl.space(length).sample(settings.plans, key=key_first).plan, np.float64))
     old = moments(plans, [1.0] * len(plans))
     record = []
     for key in jax.random.split(key_rest, settings.iterations):

@@ -53,7 +53,7 @@ def published(settings: GradientConfig, key: Array) -> tuple[np.ndarray, np.ndar
     lowest, best, stale, restart = [np.inf] * count, [np.inf] * count, [0] * count, [True] * count
     losses, restarts = [], []
     for key in keys:
-        drawn = np.float64(space.sample(count, key=jax.random.split(key)[0]).plan)
+        drawn = np.asarray(space.sample(count, key=jax.random.split(key)[0]).plan, np.float64)
         record = []
         for s in range(count):
             if restart[s]:

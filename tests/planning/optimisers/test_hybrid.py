@@ -7,13 +7,13 @@ from jaxtyping import Array
 from clothkit.planning.optimisers.gradient import GradientConfig
 from clothkit.planning.optimisers.hybrid import HybridConfig, in_turn
 from clothkit.planning.optimisers.random_shooting import RandomShootingConfig
-from clothkit.planning.optimisers.space import Outcome
+from clothkit.planning.optimisers.space import Outcome, Settings
 from tests.planning.optimisers import bowl
 
 SHOOTING = RandomShootingConfig(plans=60, chunk=20, finalists=12)
 
 
-def run(*phases: object) -> Outcome:
+def run(*phases: Settings) -> Outcome:
     def search(key: Array) -> Outcome:
         return in_turn(bowl.objective(2), bowl.space(2), HybridConfig(phases=phases), key=key)
 
@@ -29,7 +29,7 @@ def test_a_phase_begins_with_the_finalists_of_the_one_before() -> None:
         finalists = np.sort(found.losses[:3].ravel())[:12]
         given = min(strains, 12)
         np.testing.assert_allclose(found.losses[3, :given], finalists[:given], rtol=1e-6)
-        assert (found.losses[3, given:strains] > finalists.max()).mean() > 0.5 or strains == 8
+        assert (found.losses[3, given:strains] > finalists[0]).all()
         assert np.isinf(found.losses[3:, strains:]).all()
         assert not found.restarts[3:, strains:].any()
         assert found.best.loss.shape == (strains,)

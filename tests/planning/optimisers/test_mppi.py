@@ -17,7 +17,7 @@ def published(settings: MPPIConfig, length: int, key: Array) -> np.ndarray:
     """The losses of all populations."""
     space = bowl.space(length)
     key_first, key_rest = jax.random.split(key)
-    plans = list(np.float64(space.sample(settings.plans, key=key_first).plan))
+    plans = list(np.asarray(space.sample(settings.plans, key=key_first).plan, np.float64))
     nominal = moments(plans, [1.0] * len(plans))
     record = []
     for key in jax.random.split(key_rest, settings.iterations):
@@ -34,7 +34,8 @@ def published(settings: MPPIConfig, length: int, key: Array) -> np.ndarray:
             pair = pair_at(nominal.pairs, draws.pair[row])
             single = [pair[0] == pair[1], *(draws.hands[row, 1:] < nominal.single[1:])]
             if explores[row]:
-                pair = tuple(sorted(bowl.index_of(grasp) for grasp in random[row, 0, :4].reshape(2, 2)))
+                one, other = sorted(bowl.index_of(grasp) for grasp in random[row, 0, :4].reshape(2, 2))
+                pair = one, other
                 single = [hands(manipulation) == 1 for manipulation in random[row]]
             std = np.full((length, 2, 6), settings.std)
             plans.append(plan_of(nominal, pair, single, draws.noise[row], std))

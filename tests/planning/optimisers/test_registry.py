@@ -11,6 +11,7 @@ from jaxtyping import Array
 
 from clothkit.config import config
 from clothkit.errors import InputError
+from clothkit.planning.irprop import IRpropConfig
 from clothkit.planning.optimisers import OPTIMISERS, AnySettings, evaluations, optimise, optimiser, register
 from clothkit.planning.optimisers.cem import CEMConfig
 from clothkit.planning.optimisers.gradient import GradientConfig
@@ -79,7 +80,7 @@ def test_settings_name_their_optimiser() -> None:
     hybrid = read(f'{{"search": {{"optimiser": "hybrid", "phases": {phases}}}}}')
     assert isinstance(hybrid.search, HybridConfig)
     assert hybrid.search.phases[0] == CEMConfig(iterations=2)
-    assert hybrid.search.phases[1].irprop.initial == 0.01
+    assert hybrid.search.phases[1] == GradientConfig(strains=8, irprop=IRpropConfig(initial=0.01))
     # What is written is read as the same.
     written = ADAPTER.dump_python(hybrid, mode="json")
     assert written["search"]["phases"][1]["optimiser"] == "gradient"

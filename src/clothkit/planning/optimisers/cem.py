@@ -1,15 +1,15 @@
 """The cross-entropy method (CEM): plans are drawn from a distribution, which is fitted to the best of them, and so on.
 
-De Boer et al., A Tutorial on the Cross-Entropy Method (Annals of Operations Research, 2005), with smoothed
-updating, for frequencies and for normal distributions. Its sizes are those with which VisuoSpatial Foresight folds
-cloth (Hoque et al., RSS 2020, and its code): 2,000 plans, 10 iterations, 400 elites, a share of 0.1 of the old parameters (of
+De Boer et al., A Tutorial on the Cross-Entropy Method (Annals of Operations Research, 2005), with smoothed updating,
+for frequencies and for normal distributions. Its sizes are those with which VisuoSpatial Foresight folds cloth (Hoque
+et al., RSS 2020, and its code): 2,000 plans, 10 iterations, 400 elites, a share of 0.1 of the old parameters (of
 variances, not of standard deviations), and normal distributions that are truncated at two standard deviations.
 
-Differences: The first grasp points and the numbers of hands are categorical variables (distribution.py); VSF has one hand,
-which it lets grasp anywhere. The first distribution is that of random plans, with the moments of the first population.
-The first plan of each later population is the most probable one, and the result is the best plan that was evaluated;
-VSF executes the last mean, which is never evaluated. Each new plan draws its common equivalent afresh, so that the
-distribution does not depend on it.
+Differences: The first grasp points and the numbers of hands are categorical variables (distribution.py); VSF has one
+hand, which it lets grasp anywhere. The first distribution is that of random plans, with the moments of the first
+population. The first plan of each later population is the most probable one, and the result is the best plan that was
+evaluated; VSF executes the last mean, which is never evaluated. Each new plan draws its common equivalent afresh, so
+that the distribution does not depend on it.
 """
 
 from typing import Annotated

@@ -1,14 +1,14 @@
 """Distributions of plans, which CEM and MPPI fit to good plans and draw new plans from.
 
-A plan has discrete and continuous parts, and the mean of two plans is a plan only if their discrete parts are equal. The
-discrete parts are the pair of candidates that the first manipulation grasps, which includes its number of hands, and
-the number of hands of each later manipulation. They are categorical variables, whose probabilities are fitted by (weighted)
-frequencies (De Boer et al., 2005, section 3, for the cross-entropy method). The continuous parts of each manipulation are
-normal, with moments of their own for one hand and for two. All parts are independent of each other, as in the usual family
-of the cross-entropy method.
+A plan has discrete and continuous parts, and the mean of two plans is a plan only if their discrete parts are equal.
+The discrete parts are the pair of candidates that the first manipulation grasps, which includes its number of hands,
+and the number of hands of each later manipulation. They are categorical variables, whose probabilities are fitted by
+(weighted) frequencies, as in the cross-entropy method (De Boer et al., 2005). The continuous parts of each manipulation
+are normal, with moments of their own for one hand and for two. All parts are independent of each other, as is usual
+there.
 
-The two hands are interchangeable, so a mean over plans whose hands come in any order would lie between both hands. Before
-moments are taken, each plan's hands are brought to the order in which they are nearer to those of the best plan.
+The two hands are interchangeable, so a mean over plans whose hands come in any order would lie between both hands.
+Before moments are taken, each plan's hands are brought to the order in which they are nearer to those of the best plan.
 """
 
 from typing import NamedTuple

@@ -1,7 +1,7 @@
-"""The paper's search: gradient descent by iRprop- with many strains in parallel, which restart when stuck (section 5.1).
+"""The paper's search: gradient descent by iRprop- with many strains, which restart when stuck (section 5.1).
 
-Each strain has a plan of its own. A strain that has not improved for some iterations restarts at a random plan; the best
-plan of each strain over all of its starts is kept.
+Each strain has a plan of its own. A strain that has not improved for some iterations restarts at a random plan; the
+best plan of each strain over all of its starts is kept.
 """
 
 from typing import Annotated, NamedTuple
@@ -50,8 +50,8 @@ class GradientConfig:
     near: Annotated[float, Ge(0), Le(1)] = 0.0
     """Share of the restarts that begin near the best plan so far, instead of at a random plan."""
     halvings: Annotated[int, Ge(0)] = 0
-    """How often only the better half of the strains is kept, at equal intervals of iterations (successive halving: Jamieson
-    and Talwalkar, AISTATS 2016)."""
+    """How often only the better half of the strains is kept, at equal intervals of iterations; compare successive
+    halving (Jamieson and Talwalkar, AISTATS 2016)."""
     irprop: IRpropConfig = IRpropConfig()
 
     def __post_init__(self) -> None:

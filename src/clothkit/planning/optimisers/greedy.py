@@ -1,8 +1,8 @@
-"""Greedy search: the manipulation after which the cloth is nearest to the goal, then the best one after that, and so on.
+"""Greedy search: the manipulation that brings the cloth nearest to the goal, then the next one that does, and so on.
 
-Yan et al., Learning Predictive Representations for Deformable Objects Using Contrastive Estimation (CoRL 2020), draw single
-manipulations at random and execute the one whose predicted outcome is nearest to the goal. Here the nets predict the
-outcome from which the next manipulation is chosen, so that a whole plan results. A goal that can only be reached by
+Yan et al., Learning Predictive Representations for Deformable Objects Using Contrastive Estimation (CoRL 2020), draw
+single manipulations at random and execute the one whose predicted outcome is nearest to the goal. Here the nets predict
+the outcome from which the next manipulation is chosen, so that a whole plan results. A goal that can only be reached by
 moving away from it first is not found (section 2.2).
 """
 

@@ -1,15 +1,15 @@
 """Model predictive path integral control (MPPI): the mean of noisy plans, weighted by how low their losses are.
 
-Williams et al., Information Theoretic MPC for Model-Based Reinforcement Learning (ICRA 2017), algorithm 2: noise is added to
-a nominal plan, and the next nominal plan is the mean of the noisy ones with weights exp(-(loss - least loss) /
+Williams et al., Information Theoretic MPC for Model-Based Reinforcement Learning (ICRA 2017), algorithm 2: noise is
+added to a nominal plan, and the next nominal plan is the mean of the noisy ones with weights exp(-(loss - least loss) /
 temperature). Its cost of control, which draws plans towards zero, is left out: this is the case alpha = 1 of Williams
-et al., Information-Theoretic Model Predictive Control (T-RO 2018). UniClothDiff plans with MPPI through its model of cloth
-(Tian et al., 2025).
+et al., Information-Theoretic Model Predictive Control (T-RO 2018). UniClothDiff plans with MPPI through its model of
+cloth (Tian et al., 2025).
 
-Differences: A plan is improved by several iterations before it is executed, where Williams et al. improve it by one between
-two of many short time steps. The nominal plan has categorical parts (distribution.py), whose probabilities are the sums of
-the weights; as noise does for the continuous parts, a share of the plans explores random ones. There is no nominal plan at
-first, but a population of random plans.
+Differences: A plan is improved by several iterations before it is executed, where Williams et al. improve it by one
+between two of many short time steps. The nominal plan has categorical parts (distribution.py), whose probabilities are
+the sums of the weights; as noise does for the continuous parts, a share of the plans explores random ones. There is no
+nominal plan at first, but a population of random plans.
 """
 
 from typing import Annotated

@@ -1,7 +1,7 @@
 """Random shooting: the best of many random plans.
 
-VCD smooths cloth by the best of 500 random pick-and-place actions (Lin et al., Learning Visible Connectivity Dynamics for
-Cloth Smoothing, CoRL 2021); as a planner for learned models of any kind see Nagabandi et al. (ICRA 2018).
+VCD smooths cloth by the best of 500 random pick-and-place actions (Lin et al., Learning Visible Connectivity Dynamics
+for Cloth Smoothing, CoRL 2021); as a planner for learned models of any kind see Nagabandi et al. (ICRA 2018).
 """
 
 from typing import Annotated

@@ -87,5 +87,7 @@ AnySettings = Annotated[
     pydantic.PlainValidator(_validated),
     pydantic.PlainSerializer(_serialised, return_type=dict[str, Any]),
 ]
-"""A field of settings that holds the settings of any registered optimiser. In params.yaml they are keys of a mapping, beside
-`optimiser`, which is the optimiser's name and `gradient` if left out."""
+"""The type of a field that holds the settings of any registered optimiser.
+
+In params.yaml they are the keys of a mapping, beside `optimiser`, the name, which is `gradient` if left out.
+"""

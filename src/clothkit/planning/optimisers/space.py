@@ -1,12 +1,12 @@
 """What an optimiser is told of a search, and what it returns: the space of plans, the objective, and the best plans.
 
-An optimiser is a pure function `(evaluate, space, settings, *, initial, key) -> Outcome` of fixed shapes, for one search;
-`jax.vmap` makes it one for a batch of searches. Plans are in the labels of the initial state throughout. What else the
-objective needs to know of a plan (the common equivalent in which it is evaluated, the relative labelling of the goal)
-goes with it as its `labels`, which optimisers pass on without reading them.
+An optimiser is a pure function `(evaluate, space, settings, *, initial, key) -> Outcome` of fixed shapes, for one
+search; `jax.vmap` makes it one for a batch of searches. Plans are in the labels of the initial state throughout. What
+else the objective needs to know of a plan (the common equivalent in which it is evaluated, the relative labelling of
+the goal) goes with it as its `labels`, which optimisers pass on without reading them.
 
-The first grasp points of a plan are a pair of candidates (twice the same one for one hand), so optimisers exchange
-them and never move them. All else is continuous: later grasp points within -1..1, and displacements.
+The first grasp points of a plan are a pair of candidates (twice the same one for one hand), so optimisers exchange them
+and never move them. All else is continuous: later grasp points within -1..1, and displacements.
 """
 
 from collections.abc import Callable
@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int
 
 
 class Plans(NamedTuple):
@@ -43,8 +43,9 @@ class Space(NamedTuple):
     """Grasp points for the first manipulation; the rows from `present` on are padding."""
     present: Int[Array | np.ndarray, ""] | int
     sample: Callable[..., Plans]
-    """count, *, draws, key -> count * draws random plans; each `draws` (default 1) consecutive ones have equal labels if
-    labels are assigned in turn"""
+    """count, *, draws, key -> count * draws random plans
+
+    Where labels are assigned in turn, each `draws` (default 1) consecutive plans have the same."""
     valid: Callable[[Plans], Bool[Array, " plans"]]
     """Whether the plans meet all restrictions; one that doesn't is never chosen."""
 
