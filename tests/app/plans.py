@@ -56,6 +56,7 @@ def content(
     In the table's frame, or in that of a camera, in which the table has these axes and this origin.
     """
     chosen = system(name)
+    nets = 1 if chosen.single else 2
     axes, origin = camera or (np.eye(3), np.zeros(3))
     poses, mesh, steps = [Pose(axes, origin, np.array(AT), side / 1.4)], flat(), []
     start = {"state": _state(mesh, chosen.voxels, poses[0]), "centre_m": _centre(poses[0])}
@@ -74,7 +75,7 @@ def content(
             }
             for points in poses[0].table_to_camera(paths.points).round(6).tolist()
         ]
-        states = {net: _state(mesh, chosen.voxels, poses[-1]) for net in "ab"[: chosen.nets]}
+        states = {net: _state(mesh, chosen.voxels, poses[-1]) for net in range(nets)}
         steps.append(
             {
                 "manipulation": vector.astype(float).tolist(),
@@ -82,13 +83,13 @@ def content(
                 "hands": hands,
                 "predictions": [{"net": net, "state": state} for net, state in states.items()],
                 "centre_m": _centre(poses[-1]),
-                "disagreement_m": 0.0 if chosen.nets == 2 and not chosen.voxels else None,
+                "disagreement_m": 0.0 if nets == 2 and not chosen.voxels else None,
             }
         )
     of_mesh, of_voxels = (None, 0.1) if chosen.voxels else (0.1, None)
     return {
         "format": "clothkit plan",
-        "version": 1,
+        "version": 2,
         "system": name,
         "seed": 0,
         "frame": "camera" if camera else "table",
@@ -110,12 +111,12 @@ def content(
             "voxel_error_no_action": of_voxels and 2 * of_voxels,
             "silhouette_iou": 0.9,
             "silhouette_iou_no_action": 0.5,
-            "epistemic_uncertainty": 0.1 if chosen.nets == 2 else None,
+            "epistemic_uncertainty": 0.1 if nets == 2 else None,
             "loss": 0.3,
             "improves": True,
         },
         "warning": None,
-        "memory": {"common": 0, "relative": 0, "better": 0, "traces_before": None},
+        "memory": {"common": 0, "relative": 0, "best": 0, "traces_before": None},
     }
 
 

@@ -15,6 +15,7 @@ from clothkit.cloth.mesh import distance
 from clothkit.cloth.silhouette import centred, iou, silhouette
 from clothkit.cloth.voxels import HEIGHT, RESOLUTION
 from clothkit.manipulation.vector import grasp_points, is_null
+from clothkit.models.ensemble import pairs
 from clothkit.observation.pose import Pose
 from clothkit.observation.waypoints import HandPaths, MotionConfig, hand_paths, paths_from
 from clothkit.planning.planner import Planner
@@ -38,8 +39,6 @@ class PlanRequest(NamedTuple):
     """Side of the flat cloth [m]."""
     seed: int
     frame: Frame
-    nets: tuple[str, ...]
-    """Names of the planner's nets: a, b."""
     agreements: tuple[EstimateAgreement | None, EstimateAgreement | None] = (None, None)
     """Agreement of the estimates of state and goal with their observations; None: not estimated."""
 
@@ -52,9 +51,9 @@ def frame_of(source: Input, wanted: Frame) -> Frame:
 def paths_of(planner: Planner, planned: Planned, pose: Pose, motion: MotionConfig) -> list[HandPaths]:
     """Return the timed paths of the hands in each step, in the table's frame.
 
-    In the first step the hands grasp the state, in later steps the better net's prediction of it.
+    In the first step the hands grasp the state, in later steps the best net's prediction of it.
     """
-    means = planned.means[planner.better]
+    means = planned.means[planner.best]
     places = poses_of(planned, pose)
     states = [planned.state, *means[:-1]]
     if not planner.system.voxels:
@@ -98,7 +97,7 @@ def describe(planner: Planner, planned: Planned, paths: list[HandPaths], request
     expectation = expected(planner, planned, request)
     content = {
         "format": "clothkit plan",
-        "version": 1,
+        "version": 2,
         "system": planner.system.name,
         "seed": request.seed,
         "frame": request.frame,
@@ -109,14 +108,14 @@ def describe(planner: Planner, planned: Planned, paths: list[HandPaths], request
         "metres_per_normalised": pose.scale,
         "table": {"axes": pose.rotation.tolist(), "origin_m": pose.origin.tolist()},
         "start": {"state": _state(planned.state, None, pose), "centre_m": _centre(pose)},
-        "steps": [_step(planner, planned, request.nets, i, path, poses[i + 1]) for i, path in enumerate(paths)],
+        "steps": [_step(planner, planned, i, path, poses[i + 1]) for i, path in enumerate(paths)],
         "expected": expectation,
         "warning": None if expectation["improves"] else plan_file.UNLIKELY,
         "notices": notices(request),
         "memory": {
             "common": planned.common,
             "relative": planned.relative,
-            "better": planner.better,
+            "best": planner.best,
             "traces_before": [[rounded(label, 7) for label in trace] for trace in planned.traces]
             if any(trace.any() for trace in planned.traces)
             else None,
@@ -179,14 +178,12 @@ def _source(planner: Planner, source: Input, found: EstimateAgreement | None, *,
     return {"file": source.file, "kind": source.kind, "taken": usage, "agreement": agreement}
 
 
-def _step(
-    planner: Planner, planned: Planned, nets: tuple[str, ...], i: int, path: HandPaths, after: Pose
-) -> dict[str, Any]:
+def _step(planner: Planner, planned: Planned, i: int, path: HandPaths, after: Pose) -> dict[str, Any]:
     means = planned.means[:, i]
     stds = [None] * len(means) if planned.stds is None else planned.stds[:, i]
     apart = None
     if len(means) > 1 and not planner.system.voxels:
-        apart = float(distance(means[0], means[1])) * CLOTH_SIDE * after.scale
+        apart = float(np.mean([float(distance(a, b)) for a, b in pairs(list(means))])) * CLOTH_SIDE * after.scale
     points = after.table_to_camera(path.points)
     hands = [
         {
@@ -204,7 +201,8 @@ def _step(
         "null": bool(is_null(planned.plan[i])),
         "hands": hands,
         "predictions": [
-            {"net": net, "state": _state(mean, std, after)} for net, mean, std in zip(nets, means, stds, strict=True)
+            {"net": net, "state": _state(mean, std, after)}
+            for net, mean, std in zip(planner.members, means, stds, strict=True)
         ],
         "centre_m": _centre(after),
         "disagreement_m": apart,

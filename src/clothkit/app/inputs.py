@@ -46,6 +46,8 @@ class Settings(NamedTuple):
     weights: Weights
     grasping: CandidateConfig
     simulation: SimulationConfig
+    members: tuple[int, ...]
+    """The members of the ensemble of forward models."""
 
 
 def load_settings() -> Settings:
@@ -55,11 +57,13 @@ def load_settings() -> Settings:
     """
     # lexists, because a broken or circular link must be reported and not replaced by the defaults.
     if not os.path.lexists(PARAMS):
-        return Settings(AppConfig(), PlanConfig(), _WEIGHTS, CandidateConfig(), SimulationConfig())
+        return Settings(AppConfig(), PlanConfig(), _WEIGHTS, CandidateConfig(), SimulationConfig(), (0, 1))
     params = load_params(PARAMS)
     simulate = params.stages.simulate
     weights = Weights(params.alpha, params.beta, params.gamma)
-    return Settings(params.app, params.stages.plan, weights, simulate.candidates, simulate.simulation)
+    return Settings(
+        params.app, params.stages.plan, weights, simulate.candidates, simulate.simulation, params.ensemble.members
+    )
 
 
 def keep_compiled_programs() -> None:

@@ -34,8 +34,8 @@ from clothkit.app.planner import (
 )
 from clothkit.errors import InputError
 from clothkit.observation.waypoints import HandPaths, MotionConfig, ReachConfig, beyond, symmetries
-from clothkit.planning.planner import Planner, artifacts
-from clothkit.planning.systems import SYSTEMS, System, better_net, system
+from clothkit.planning.planner import Planner
+from clothkit.planning.systems import SYSTEMS, System, system
 
 
 @click.command(short_help="A plan that brings a cloth into a given shape.")
@@ -53,8 +53,8 @@ from clothkit.planning.systems import SYSTEMS, System, better_net, system
     "--system",
     "name",
     type=click.Choice(list(SYSTEMS)),
-    help="What plans: main estimates a mesh from what a camera sees; b1 takes a mesh as it is; b2 plans with one net; "
-    "b3 does not mind uncertainty; b4, b5 plan in voxels, with two nets and one; unrefined takes estimates as they "
+    help="What plans: main estimates a mesh from what a camera sees; b1 takes a mesh as it is; b2 plans with the best net alone; "
+    "b3 does not mind uncertainty; b4, b5 plan in voxels, with all nets and one; unrefined takes estimates as they "
     "come. [default: b1 for a mesh [32, 32, 3], main for all else]",
 )
 @click.option(
@@ -105,7 +105,7 @@ def command(
     its cloth from the table: a mask, the table's colour, or its plane if nothing but the cloth is there.
 
     The plan is JSON (docs/plan.schema.json): for each step grasp and release points and timed waypoints of each hand,
-    the predicted states of both nets, the expected error and how unsure the nets are. If nothing is expected to come
+    the predicted states of each net, the expected error and how unsure the nets are. If nothing is expected to come
     of it, it says so.
 
     A plan is made once, from one observation. Cloths do not do quite what nets predict: execute the first step,
@@ -151,10 +151,9 @@ def command(
         planned, paths, turn = reached(planner, planned, target, start, settings.app.motion, box)
         if turn is not None:
             target, matrix = turned_goal(target, turn), turn if matrix is None else turn @ matrix
-    nets = ("a", "b") if chosen.nets == 2 else (better_net({n: artifacts(chosen, data)[n] for n in ("a", "b")}),)
     for estimate in found:
         warn(estimate)
-    request = PlanRequest(start, goal_input, target, matrix, options.side, seed, frame_of(start, frame), nets, found)
+    request = PlanRequest(start, goal_input, target, matrix, options.side, seed, frame_of(start, frame), found)
     plan = describe(planner, planned, paths, request)
     write_plan(out, plan)
     click.echo(summary(plan, out))

@@ -9,8 +9,7 @@ from clothkit.app.plan_file import MeshState, Placed, Plan
 from clothkit.app.planner import State, Traces, traces_after
 from clothkit.errors import InputError
 from clothkit.planning.agent import no_traces
-from clothkit.planning.planner import Planner, artifacts
-from clothkit.planning.systems import better_net
+from clothkit.planning.planner import Planner
 from clothkit.planning.types import Memory
 
 _SAME = 1e-6
@@ -39,14 +38,16 @@ def side_of(plan: Plan, side: float | None, name: Path) -> float:
 
 
 def check_nets(plan: Plan, planner: Planner, data: Path, name: Path) -> None:
-    """Check that the better net of a plan is the better one of those in `data`. Raises InputError."""
-    folders = artifacts(planner.system, data)
-    better = better_net({net: folders[net] for net in ("a", "b")})
-    found = plan.steps[0].predictions[plan.memory.better].net
-    if found != better:
+    """Check that a plan's nets are those of a planner, whose nets come from `data`. Raises InputError."""
+    nets = tuple(prediction.net for prediction in plan.steps[0].predictions)
+    if nets != planner.members and not planner.system.single:
+        expected, found = (", ".join(map(str, names)) for names in (planner.members, nets))
+        raise InputError(f"{name}: was planned with nets {found}, expected {expected}, the ensemble's members")
+    best = planner.members[planner.best]
+    if nets[plan.memory.best] != best:
         raise InputError(
-            f"{name}: memory.better: is net {found}, but of the nets in {data} net {better} is better; was it planned "
-            "with other nets?"
+            f"{name}: memory.best: is net {nets[plan.memory.best]}, but of the nets in {data} net {best} is the best; "
+            "was it planned with other nets?"
         )
 
 
@@ -79,7 +80,7 @@ def memory_of(plan: Plan, planner: Planner, blank: Memory, traces: Traces) -> Me
     start, steps = placed_state(plan, plan.start), manipulations(plan)
     first, expected = plan.steps[0], start
     if not first.null:
-        placed = Placed(state=first.predictions[plan.memory.better].state, centre_m=first.centre_m)
+        placed = Placed(state=first.predictions[plan.memory.best].state, centre_m=first.centre_m)
         expected = placed_state(plan, placed)
         traces = traces_after(planner, start, steps, common=plan.memory.common, traces=traces)
     rest = np.full_like(blank.rest, np.nan)

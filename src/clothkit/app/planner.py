@@ -34,6 +34,10 @@ Traces = tuple[Float[np.ndarray, "labels latent"], ...]
 """For each net, the memory traces of one cloth for all common equivalents of its state."""
 
 
+VTM = Path("nets/vtm")
+"""Place of the net that estimates meshes, under the folder of all artifacts."""
+
+
 class Planned(NamedTuple):
     """A plan for one cloth and the nets' predictions for it, in the labels of the state."""
 
@@ -48,7 +52,7 @@ class Planned(NamedTuple):
     stds: Float[np.ndarray, "net n *state"] | None
     """The standard deviations of the predictions; None for voxels."""
     shifts: Float[np.ndarray, "n 2"]
-    """Shift of the cloth's centre by each manipulation, as the better net predicts it [normalised]."""
+    """Shift of the cloth's centre by each manipulation, as the best net predicts it [normalised]."""
     differences: Float[np.ndarray, " n"] | None
     """diff of eq. (15) after each manipulation; None if there is only one net."""
     traces: Traces
@@ -73,13 +77,13 @@ def load_planner(system: System, data: Path, settings: Settings) -> Planner:
 
     Raises InputError that names a missing or broken artifact.
     """
-    found = artifacts(system, data)
+    found = artifacts(system, data, settings.members)
     for name, path in found.items():
         if not path.exists():
             raise InputError(f"{path}: not found, system {system.name} plans with it; dvc repro makes it")
         if name != "reference":
             store.description(path)
-    return for_one_cloth(assemble(system, data, settings.weights, settings.plan, settings.grasping))
+    return for_one_cloth(assemble(system, data, settings.weights, settings.plan, settings.grasping, settings.members))
 
 
 def for_one_cloth(planner: Planner) -> Planner:
@@ -98,7 +102,7 @@ def load_vtm(data: Path, settings: Settings) -> Net:
 
     Raises InputError if it is missing or broken, or if its voxels have another height than `app.cloud.height`.
     """
-    path = data / "nets/vtm"
+    path = data / VTM
     if not path.exists():
         raise InputError(f"{path}: not found, it sees meshes in voxels; dvc repro makes it")
     vtm = store.load(path, "vtm")
@@ -125,7 +129,7 @@ def observation_of(planner: Planner, source: Input, data: Path, settings: Settin
     """
     system, perception = planner.system, planner.perception
     if isinstance(perception, Estimation):
-        _check_height(artifacts(system, data)["vtm"], perception.vtm, settings)
+        _check_height(data / VTM, perception.vtm, settings)
     if not system.true_meshes:
         return Observation(voxels=source.observation.voxels[None])
     mesh = mesh_of(source)
@@ -181,7 +185,7 @@ def planned_of(planner: Planner, plan: Plan, memory: Memory) -> Planned:
         relative=int(one.relative),
         means=np.swapaxes(one.means[:n], 0, 1),
         stds=None if one.stds is None else np.swapaxes(one.stds[:n], 0, 1),
-        shifts=one.shifts[:n, planner.better],
+        shifts=one.shifts[:n, planner.best],
         differences=None if one.differences is None else one.differences[:n],
         traces=take(memory.traces, 0),
         loss=float(one.loss),
@@ -206,7 +210,7 @@ def predict_plan(
         0,
         means=np.concatenate([representation.mean(of_net.states) for of_net in found]),
         stds=np.concatenate(stds) if stds else None,
-        shifts=np.asarray(found[planner.better].shifts[0]),
+        shifts=np.asarray(found[planner.best].shifts[0]),
         differences=None if apart is None else np.asarray(apart[0]),
         traces=traces,
     )

@@ -88,7 +88,7 @@ def command(
     own = SessionFiles(state, goal, steps, mask) if state and goal else None
     if not data.is_dir():
         raise InputError(f"{data}: not found, expected the folder that dvc repro fills")
-    _check_there_is_something(data, name, own)
+    _check_there_is_something(data, name, settings.members, own)
     _check_address(host, port)
     # Fails here, not first on the page, if JAX was asked for a device that is not there.
     jax.devices()
@@ -115,9 +115,9 @@ def command(
         server.stop()
 
 
-def _check_there_is_something(data: Path, name: str, own: SessionFiles | None) -> None:
+def _check_there_is_something(data: Path, name: str, members: tuple[int, ...], own: SessionFiles | None) -> None:
     """Check that there are recorded sessions to play, or nets to run a new one. Raises InputError."""
-    missing = [path for path in artifacts(SYSTEMS[name], data).values() if not path.exists()]
+    missing = [path for path in artifacts(SYSTEMS[name], data, members).values() if not path.exists()]
     if missing and own is not None:
         raise InputError(f"{missing[0]}: not found, system {name} plans with it; dvc repro makes it")
     if missing and not systems_in(data):

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from clothkit.planning.draw import EXTENT, RASTER, folds, random_plans, snap
 from jaxtyping import Array
 
 from clothkit.cloth.equivalents import COUNT, relabel_manipulation_batch
@@ -18,7 +19,6 @@ from clothkit.cloth.silhouette import pixel_centres
 from clothkit.manipulation.geometry import release_points
 from clothkit.manipulation.vector import is_null
 from clothkit.planning import search as today
-from clothkit.planning.draw import EXTENT, RASTER, folds, random_plans, snap
 from clothkit.planning.optimisers.gradient import GradientConfig
 from clothkit.planning.optimisers.registry import optimise
 from clothkit.planning.optimisers.space import Evaluation, Initial, Plans, Result, Space
