@@ -169,7 +169,7 @@ class Step(Part):
     centre_m: Point
     """Where the cloth's centre is expected afterwards, on the table, in `frame`."""
     disagreement_m: NotNegative | None
-    """Distance between the vertices that two nets predict, in the mean over vertices and pairs of nets; null: there is one
+    """Distance between the vertices that two nets predict, the mean over vertices and pairs of nets; null: there is one
     net, or it predicts voxels."""
 
     @pydantic.model_validator(mode="after")

@@ -81,7 +81,7 @@ def command(*, state: str, source: Path, out: Path, data: Path, mask: str | None
                 write_mesh(unfinished / f"{name}.obj", placed)
                 arrays = {"mean": placed.astype(np.float32), "sigma": sigma.astype(np.float32)}
                 write_arrays(unfinished / f"{name}.npz", arrays)
-    click.echo(f"{out}: {len(plan.steps)} step{'s' if len(plan.steps) > 1 else ''}, nets {', '.join(nets)}")
+    click.echo(f"{out}: {len(plan.steps)} step{'s' if len(plan.steps) > 1 else ''}, nets {', '.join(map(str, nets))}")
     if not chosen.voxels:
         apart = float(distance_aligned(cloth, start))
         click.echo(f"the state differs by {apart:.3f} cloth lengths from the one that was planned for")
