@@ -7,9 +7,10 @@ import pytest
 
 from clothkit.cloth import voxels
 from clothkit.cloth.symmetry import relabel
-from clothkit.cloth.topology import SQUARE
+from clothkit.cloth.topology import SQUARE, Topology, rectangle
 from clothkit.report import panels
 from clothkit.report.draw import EXTENT, Texture, draw, draw_heights, draw_silhouette
+from clothkit.report.figures.equivalents import equivalents
 
 PIXELS = 84
 
@@ -62,6 +63,28 @@ def test_spread_is_lilac_around_the_cloth() -> None:
     assert spread[beside][2] > spread[beside][1]
     inside = pixel(0, 0)
     assert spread[inside][0] > plain[inside][0]
+
+
+def test_the_spread_does_not_depend_on_how_a_rectangle_is_divided_into_quads() -> None:
+    fine, coarse = rectangle(1.75), rectangle(1.75, shape=(32, 16))
+    one, other = (draw(t.flat(), std=np.full_like(t.flat(), 0.1), pixels=PIXELS, topology=t) for t in (fine, coarse))
+    beside = pixel(0.8, 0)
+    np.testing.assert_allclose(one[beside].astype(int), other[beside].astype(int), atol=6)
+    # A vertex of a square represents more cloth.
+    denser = draw(fine.flat(), std=np.full_like(fine.flat(), 0.1), pixels=PIXELS)
+    assert denser[beside][1] < one[beside][1] - 10
+
+
+@pytest.mark.parametrize(("topology", "panels_drawn"), [(SQUARE, (2, 4)), (rectangle(1.5), (2, 2))])
+def test_a_sheet_has_a_panel_for_each_equivalent(
+    topology: Topology, panels_drawn: tuple[int, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sheets = []
+    monkeypatch.setattr(panels, "save", lambda figure, path: sheets.append(figure))
+    equivalents(topology.flat(), tmp_path / "equivalents.png", topology)
+    rows, columns = panels_drawn
+    assert len(sheets[0].axes) == rows * columns
+    assert len([axis for axis in sheets[0].axes if axis.images]) == topology.count
 
 
 def test_the_table_may_be_coloured() -> None:
