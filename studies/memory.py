@@ -24,7 +24,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Array, Float, PyTree
 
-from clothkit.cloth.grid import CLOTH_SIDE
+from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.dataset import store
 from clothkit.dataset.store import Dataset
 from clothkit.dataset.tasks import tasks_of
@@ -92,7 +92,7 @@ def rows(dataset: Dataset, ensemble: Ensemble, sequences: list[int]) -> pd.DataF
                 of_way = partial(predicted, ensemble.model, params, start=start, way=way)
                 means = jax.jit(of_way)(states, manipulations)
                 apart = jnp.linalg.norm(means - jnp.moveaxis(states[:, start + 1 :], 1, 0), axis=-1)
-                errors = np.asarray(apart.mean((-2, -1))) / CLOTH_SIDE
+                errors = np.asarray(apart.mean((-2, -1))) / CLOTH_LENGTH
                 for place, sequence in enumerate(chosen):
                     for task in tasks_of(sequence, int(dataset.length[sequence])):
                         if task.start == start:

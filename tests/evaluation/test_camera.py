@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from clothkit.cloth import voxels
-from clothkit.cloth.grid import flat
+from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.store import SPLITS, Dataset
 from clothkit.episodes.evaluate import evaluate
 from clothkit.episodes.record import Sessions
@@ -49,7 +49,7 @@ def net() -> Net:
 @pytest.fixture(scope="module")
 def dataset() -> Dataset:
     """Two test sequences of folded cloths, the second of two manipulations, and one that is not for evaluation."""
-    states = np.stack([flat(), folded(along=0.4), folded(along=0.2, angle=0.5), folded(along=0.0)])
+    states = np.stack([SQUARE.flat(), folded(along=0.4), folded(along=0.2, angle=0.5), folded(along=0.0)])
     return Dataset(
         np.stack([states] * 3),
         np.zeros((3, 4, 2), np.float32),

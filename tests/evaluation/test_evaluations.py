@@ -6,9 +6,10 @@ import jax
 import numpy as np
 import pytest
 
-from clothkit.cloth import grid, voxels
-from clothkit.cloth.equivalents import relabel
+from clothkit.cloth import voxels
 from clothkit.cloth.mesh import ProbabilisticMesh
+from clothkit.cloth.symmetry import relabel
+from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.store import Dataset
 from clothkit.dataset.tasks import TASKS
 from clothkit.errors import InputError
@@ -30,7 +31,7 @@ def dataset() -> Dataset:
     """Four evaluated sequences, the last of them, 3, with two manipulations only."""
     rng = np.random.default_rng(0)
     shape = (SEQUENCES, 4, 32, 32, 3)
-    vertices = np.broadcast_to(grid.flat(), shape) * np.array([0.9, 0.7, 1]) + 0.01 * rng.normal(size=shape)
+    vertices = np.broadcast_to(SQUARE.flat(), shape) * np.array([0.9, 0.7, 1]) + 0.01 * rng.normal(size=shape)
     centre, manipulation = rng.normal(size=(SEQUENCES, 4, 2)), rng.uniform(-1, 1, (SEQUENCES, 3, 6))
     vertices[3, 3] = centre[3, 3] = manipulation[3, 2] = np.nan
     return Dataset(

@@ -4,8 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from clothkit.cloth.grid import flat
 from clothkit.cloth.silhouette import centred
+from clothkit.cloth.topology import SQUARE
 from clothkit.errors import InputError
 from clothkit.manipulation.turns import turn_mesh
 from clothkit.observation.pose import Pose
@@ -28,7 +28,7 @@ EVERYWHERE = ReachConfig(low=(-9.0, -9.0, -9.0), high=(9.0, 9.0, 9.0))
 
 
 def test_a_half_fold_in_metres_and_seconds() -> None:
-    paths = hand_paths(HALF, flat(), POSE, MotionConfig(waypoints=41))
+    paths = hand_paths(HALF, SQUARE.flat(), POSE, MotionConfig(waypoints=41))
     assert paths.points.shape == (2, 41, 3)
     # From the corners x = +0.2 m to the corners x = -0.2 m, which are 0.2 normalised higher.
     np.testing.assert_allclose(paths.points[0, 0], [0.7, -0.1, 0.0], atol=1e-6)
@@ -49,13 +49,13 @@ def test_a_half_fold_in_metres_and_seconds() -> None:
 
 def test_one_hand_none_and_short_moves() -> None:
     single = np.array([1, 1, 1, 1, -0.6, 0.0], np.float32)
-    paths = hand_paths(single, flat(), POSE)
+    paths = hand_paths(single, SQUARE.flat(), POSE)
     assert paths.points.shape == (1, 21, 3)
     assert paths.points[0, -1, 2] == pytest.approx(0.2 * SCALE, abs=1e-6)
-    assert hand_paths(single, flat(), POSE, MotionConfig(hand_speed=9.0)).times[-1] == pytest.approx(0.4)
+    assert hand_paths(single, SQUARE.flat(), POSE, MotionConfig(hand_speed=9.0)).times[-1] == pytest.approx(0.4)
     null = np.array([1, 1, 1, 1, -0.3, 0.3], np.float32)
-    assert hand_paths(null, flat(), POSE).points.shape == (0, 21, 3)
-    lifted = hand_paths(single, flat() + np.float32([0, 0, 0.1]), POSE)
+    assert hand_paths(null, SQUARE.flat(), POSE).points.shape == (0, 21, 3)
+    lifted = hand_paths(single, SQUARE.flat() + np.float32([0, 0, 0.1]), POSE)
     np.testing.assert_allclose(
         lifted.points - paths.points, np.broadcast_to([0, 0, 0.1 * SCALE], (1, 21, 3)), atol=1e-6
     )
@@ -63,7 +63,7 @@ def test_one_hand_none_and_short_moves() -> None:
 
 @pytest.mark.parametrize("angle", [0.0, 0.3, -1.0])
 def test_a_flat_cloth_has_eight_symmetries_however_it_lies(angle: float) -> None:
-    mesh = turned_mesh(flat(), angle)
+    mesh = turned_mesh(SQUARE.flat(), angle)
     found = symmetries(mesh)
     assert len(found) == 8
     np.testing.assert_array_equal(found[0], np.eye(2))
@@ -81,14 +81,14 @@ def test_a_folded_cloth_has_its_mirror_alone() -> None:
 
 
 def test_crumpled_cloth_is_not_turned() -> None:
-    bent = flat().copy()
+    bent = SQUARE.flat().copy()
     bent[20:, 12:, :2] -= [0.4, 0.1]
     assert len(symmetries(centred(bent)[0])) == 1
 
 
 def test_a_turned_plan_does_to_the_turned_cloth_what_the_plan_does_to_the_cloth() -> None:
     mesh = folded()
-    matrix = symmetries(flat())[3]
+    matrix = symmetries(SQUARE.flat())[3]
     moved = np.asarray(turn_mesh(jnp.asarray(mesh), jnp.asarray(matrix, jnp.float32)))
     manipulation = np.array([-1, 0.5, -0.5, -1, 0.6, 0.5], np.float32)
     rotated = np.append(manipulation[:4], manipulation[4:] @ matrix.T).astype(np.float32)
@@ -99,19 +99,19 @@ def test_a_turned_plan_does_to_the_turned_cloth_what_the_plan_does_to_the_cloth(
 
 
 def test_a_plan_is_turned_into_reach_and_says_how() -> None:
-    paths = [hand_paths(HALF, flat(), POSE)]
-    untouched = within_reach(paths, EVERYWHERE, flat(), POSE)
+    paths = [hand_paths(HALF, SQUARE.flat(), POSE)]
+    untouched = within_reach(paths, EVERYWHERE, SQUARE.flat(), POSE)
     np.testing.assert_array_equal(untouched.matrix, np.eye(2))
     np.testing.assert_array_equal(untouched.paths[0].points, paths[0].points)
     # The single hand takes a corner on the left alone: the box has no more than that half.
     single = np.array([1, 1, 1, 1, 0.0, -0.6], np.float32)
     left = ReachConfig(low=(0.2, -1.0, -0.01), high=(0.5, 1.0, 0.3))
-    fitted = within_reach([hand_paths(single, flat(), POSE)], left, flat(), POSE)
+    fitted = within_reach([hand_paths(single, SQUARE.flat(), POSE)], left, SQUARE.flat(), POSE)
     assert beyond(fitted.paths, left) == 0
     corner = np.array([0.2, 0.2]) @ fitted.matrix.T + POSE.centre
     np.testing.assert_allclose(fitted.paths[0].points[0, 0, :2], corner, atol=1e-6)
     with pytest.raises(InputError, match=r"plan: out of reach, .* at least 0\.1 m outside the box"):
-        within_reach(paths, ReachConfig(low=(0.4, -1.0, -1.0), high=(1.0, 1.0, 1.0)), flat(), POSE)
+        within_reach(paths, ReachConfig(low=(0.4, -1.0, -1.0), high=(1.0, 1.0, 1.0)), SQUARE.flat(), POSE)
 
 
 def test_beyond_by_hand() -> None:

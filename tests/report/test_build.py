@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
-from clothkit.cloth import grid
+from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.store import Dataset
 from clothkit.dataset.tasks import TASKS, Task
 from clothkit.episodes.record import Sessions, Sizes, blank, tasks_of_dataset
@@ -38,7 +38,7 @@ def dataset() -> Dataset:
     shrink = np.array([1, 0.9, 0.8, 0.7], np.float32)[:, None, None, None]
     manipulation = np.array([-1, -1, 1, -1, 0.1, 0.8], np.float32)
     return Dataset(
-        np.stack([grid.flat() * shrink] * 2),
+        np.stack([SQUARE.flat() * shrink] * 2),
         np.zeros((2, 4, 2), np.float32),
         np.broadcast_to(manipulation, (2, 3, 6)).copy(),
         np.full((2, 3), 2, np.int8),

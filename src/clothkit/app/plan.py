@@ -53,9 +53,9 @@ from clothkit.planning.systems import SYSTEMS, System, system
     "--system",
     "name",
     type=click.Choice(list(SYSTEMS)),
-    help="What plans: main estimates a mesh from what a camera sees; b1 takes a mesh as it is; b2 plans with the best net "
-    "alone; b3 does not mind uncertainty; b4, b5 plan in voxels, with all nets and one; unrefined takes estimates as they "
-    "come. [default: b1 for a mesh [32, 32, 3], main for all else]",
+    help="What plans: main estimates a mesh from what a camera sees; b1 takes a mesh as it is; b2 plans with the best "
+    "net alone; b3 does not mind uncertainty; b4, b5 plan in voxels, with all nets and one; unrefined takes estimates "
+    "as they come. [default: b1 for a mesh [32, 32, 3], main for all else]",
 )
 @click.option(
     "--data",

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from tqdm import tqdm
 
 from clothkit.cloth import voxels
-from clothkit.cloth.grid import CLOTH_SIDE
+from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.dataset.store import STATES, Dataset
 from clothkit.episodes.sensors import with_height
 from clothkit.errors import InputError
@@ -76,7 +76,7 @@ def look(meshes: Float[np.ndarray, "states u v 3"], settings: PictureConfig, *, 
         except InputError:
             continue
         seen[number] = picture.observation.voxels
-        off[number] = np.linalg.norm(picture.shift) / CLOTH_SIDE
+        off[number] = np.linalg.norm(picture.shift) / CLOTH_LENGTH
         overlap[number] = goal_iou(mesh, picture.observation.points)
         if number in kept:
             kept[number] = picture

@@ -10,8 +10,8 @@ from jaxtyping import Bool, Float, Int
 from tqdm import tqdm
 
 from clothkit.cloth import voxels
-from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.cloth.mesh import ProbabilisticMesh
+from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.cloth.voxels import HEIGHT
 from clothkit.dataset.store import SPLITS, STATES, STEPS, Dataset
 from clothkit.dataset.tasks import TASKS
@@ -93,8 +93,8 @@ def rows(dataset: Dataset, given: Starts, ensemble: Ensemble, settings: Evaluate
                 "length": length,
                 "error": np.asarray(errors(final.mean, truth)),
                 "error_no_action": np.asarray(errors(first, truth, aligned=True)),
-                "position_error": np.linalg.norm(shift.sum(0) - moved, axis=-1) / CLOTH_SIDE,
-                "position_no_action": np.linalg.norm(moved, axis=-1) / CLOTH_SIDE,
+                "position_error": np.linalg.norm(shift.sum(0) - moved, axis=-1) / CLOTH_LENGTH,
+                "position_no_action": np.linalg.norm(moved, axis=-1) / CLOTH_LENGTH,
                 "sigma_ratio": np.asarray(sigma_ratio(final, truth)),
                 **_in_voxels(final, first, truth, settings.batch),
             }

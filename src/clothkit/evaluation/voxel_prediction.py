@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 from tqdm import tqdm
 
 from clothkit.cloth import voxels
-from clothkit.cloth.grid import CLOTH_SIDE
+from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.dataset.store import SPLITS, Dataset
 from clothkit.dataset.tasks import TASKS
 from clothkit.evaluation.errors import errors
@@ -59,8 +59,8 @@ def rows(
                     "length": length,
                     "error": np.float32(np.nan),
                     "error_no_action": np.asarray(errors(states[:, 0], states[:, -1], aligned=True)),
-                    "position_error": np.linalg.norm(shift.sum(0) - moved, axis=-1) / CLOTH_SIDE,
-                    "position_no_action": np.linalg.norm(moved, axis=-1) / CLOTH_SIDE,
+                    "position_error": np.linalg.norm(shift.sum(0) - moved, axis=-1) / CLOTH_LENGTH,
+                    "position_no_action": np.linalg.norm(moved, axis=-1) / CLOTH_LENGTH,
                     "sigma_ratio": np.float32(np.nan),
                     **measured,
                 }

@@ -109,4 +109,8 @@ class MeshRepresentation:
 
 MESH = MeshRepresentation()
 
-_to_cartesian, _relabel_batch, _distance_aligned = map(jax.jit, (to_cartesian, relabel_batch, distance_aligned))
+_to_cartesian, _relabel_batch, _distance_aligned = (
+    jax.jit(to_cartesian),
+    jax.jit(relabel_batch),
+    jax.jit(distance_aligned),
+)

@@ -50,10 +50,11 @@ class Estimation:
     def __call__(self, observation: Observation, expected: Meshes | None) -> Meshes:
         assert observation.voxels is not None, "an observation to estimate from has voxels"
 
-        def meshes(voxels: np.ndarray, *predicted: np.ndarray) -> jax.Array:
+        def meshes(voxels: np.ndarray, *expected: np.ndarray) -> jax.Array:
+            predicted = expected[0] if expected else None
             if not self.refine:
-                return estimate_unrefined(self.vtm, voxels, *predicted)
-            return estimate(self.vtm, voxels, self.refinement, predicted=predicted[0] if predicted else None).mesh
+                return estimate_unrefined(self.vtm, voxels, predicted)
+            return estimate(self.vtm, voxels, self.refinement, predicted=predicted).mesh
 
         with timed("estimates", len(observation.voxels)):
             return in_batches(meshes, self.batch, observation.voxels, *(() if expected is None else (expected,)))

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from tqdm import tqdm
 
+from clothkit.cloth.topology import Topology
 from clothkit.errors import InputError, damaged_piece
 from clothkit.simulation.attempts import Attempts, attempt_sequences
 from clothkit.simulation.processes import cores, make_pool
@@ -41,13 +42,22 @@ class Summary(NamedTuple):
         )
 
 
-def generate(folder: Path, settings: SimulateConfig, *, work: Path, attributes: dict[str, Any]) -> Summary:
+def generate(
+    folder: Path,
+    settings: SimulateConfig,
+    *,
+    work: Path,
+    attributes: dict[str, Any],
+    topology: Topology | None = None,
+) -> Summary:
     """Record `settings.sequences` accepted sequences under `folder`, as raw parquet, and return the statistics.
 
     Accepted sequences are taken in the order of their attempts' numbers, so `workers` and `block` change nothing.
     Finished blocks are stored in `work`, and an interrupted run resumes from them. Raises InputError if too many
-    attempts in a row are rejected (see HOPELESS).
+    attempts in a row are rejected (see HOPELESS). Without a topology, the cloth is the square of `settings.simulation`;
+    `work` holds the blocks of one topology alone.
     """
+    topology = topology or settings.simulation.topology
     paths: list[Path] = []
     # Without the states, which would fill the memory: they are read again, block by block, when they are written.
     blocks: list[Attempts] = []
@@ -61,7 +71,7 @@ def generate(folder: Path, settings: SimulateConfig, *, work: Path, attributes: 
         return math.ceil((settings.sequences - accepted) / (settings.block * (accepted + 1) / (tried + 2)))
 
     with tqdm(total=settings.sequences, desc="simulate", unit="sequence", mininterval=1, smoothing=0.05) as bar:
-        for path in _finished_blocks(settings, work, wanted):
+        for path in _finished_blocks(settings, work, wanted, topology):
             block = read_block(path)
             paths.append(path)
             blocks.append(block._replace(states=block.states[:, :0].copy()))
@@ -76,7 +86,7 @@ def generate(folder: Path, settings: SimulateConfig, *, work: Path, attributes: 
     last = np.flatnonzero(np.cumsum(attempts.accepted) == settings.sequences)[0] + 1
     attempts = Attempts(*(array[:last] for array in attempts))
     states = (block.states[block.accepted] for block in map(read_block, paths))
-    write_raw(folder, attempts, states, settings.simulation, seed=settings.seed, attributes=attributes)
+    write_raw(folder, attempts, states, settings.simulation, topology, seed=settings.seed, attributes=attributes)
     return summarise(attempts)
 
 
@@ -104,11 +114,12 @@ def _check_hope(blocks: list[Attempts]) -> None:
     )
 
 
-def make_block(number: int, settings: SimulateConfig, work: Path) -> Path:
+def make_block(number: int, settings: SimulateConfig, work: Path, topology: Topology) -> Path:
     """Run a block of attempts unless its file exists, and return the path; the file appears only when complete."""
     path = work / f"block_{settings.block}_{number:06d}.npz"
     if not path.exists():
-        attempts = attempt_sequences(range(number * settings.block, (number + 1) * settings.block), settings)
+        numbers = range(number * settings.block, (number + 1) * settings.block)
+        attempts = attempt_sequences(numbers, settings, topology)
         unfinished = path.with_suffix(".part")
         with unfinished.open("wb") as file:
             np.savez(file, **attempts._asdict())  # type: ignore[arg-type]
@@ -125,7 +136,9 @@ def read_block(path: Path) -> Attempts:
         raise damaged_piece(error, path) from error
 
 
-def _finished_blocks(settings: SimulateConfig, work: Path, wanted: Callable[[], int]) -> Iterator[Path]:
+def _finished_blocks(
+    settings: SimulateConfig, work: Path, wanted: Callable[[], int], topology: Topology
+) -> Iterator[Path]:
     """Yield the blocks' files in order; the blocks are made in parallel by all workers.
 
     On CUDA they are made in this process, since one block fills the device. No more blocks are started in advance than
@@ -135,7 +148,7 @@ def _finished_blocks(settings: SimulateConfig, work: Path, wanted: Callable[[], 
     number = 0
     if workers == 1 or settings.simulation.device != "cpu":
         while True:
-            yield make_block(number, settings, work)
+            yield make_block(number, settings, work, topology)
             number += 1
     pool = make_pool(workers)
     try:
@@ -143,7 +156,7 @@ def _finished_blocks(settings: SimulateConfig, work: Path, wanted: Callable[[], 
         while True:
             for ahead in range(number, number + min(AHEAD * workers, wanted())):
                 if ahead not in jobs:
-                    jobs[ahead] = pool.submit(make_block, ahead, settings, work)
+                    jobs[ahead] = pool.submit(make_block, ahead, settings, work, topology)
             wait([jobs[number]], return_when=FIRST_COMPLETED)
             yield jobs.pop(number).result()
             number += 1
