@@ -87,8 +87,8 @@ def compiled(name: str) -> Any:
 
 
 def run(name: str, case: Case, seed: int = 0) -> Result:
-    arrays = Case(*(np.asarray(each, None if isinstance(each, bool) else np.float32) for each in case))
-    return bowl.as_arrays(compiled(name)(arrays, jax.random.key(seed)))
+    arrays: Any = [np.asarray(each, None if isinstance(each, bool) else np.float32) for each in case]
+    return bowl.as_arrays(compiled(name)(Case(*arrays), jax.random.key(seed)))
 
 
 def test_all_are_registered() -> None:
