@@ -9,7 +9,7 @@ the search's time. Counted are, for every weight matrix in the loss, the forward
 its input, since weights need no gradient. The encoder, which runs once, is not counted. For `main`, the script also
 prints the seconds per estimate of a mesh, without and with refinement, beside those of section 6.1.
 
-`--scale NAME` selects the sizes of a scale (default: that of params.yaml); `--strains`, `--batch` and `--every` change
+`--scale NAME` selects the sizes of a scale (default: that of params.yaml); `--strains`, `--batch` and `--stride` change
 its settings; `--rounds N` (default: 3) is the number of repetitions, of which the shortest time counts. The nets are
 untrained, since the values of the weights do not affect the time.
 """
@@ -119,20 +119,22 @@ def measure(system: System, stages: Any, settings: SearchConfig, batch: int, rou
     explicit = system.alpha is None and not system.single
     found = []
     for length in LENGTHS:
+        iterations, strains = settings.optimiser.shape(length)
         asked = problems(*kind, nets, length, batch)
         keys = jax.random.split(jax.random.key(0), batch)
-        reference = Reference((Range(0.0, 1.0),) * 2, Spread(np.ones(length, np.float32), np.ones(length, np.float32)))
+        ones = np.ones(length, np.float32)
+        reference = Reference((Range(0 * ones, ones),) * 2, Spread(ones, ones))
         objective = objective_of(len(nets), reference, Weights(float(explicit), 5.0, 1.25))
         inputs = (nets, asked, objective)
         # Compiled ahead of time, without a first run: at table 1's sizes one search takes minutes on a CPU.
         program = search.lower(*kind, *inputs, length=length, settings=settings, keys=keys).compile()
         seconds = least(partial(program, *inputs, keys=keys), rounds, compiled=True)
-        row: dict[str, Any] = {"system": system.name, "strains": settings.strains, "length": length}
+        row: dict[str, Any] = {"system": system.name, "strains": strains, "length": length}
         row |= {"s a plan": round(seconds / batch, 3), "paper's": published(system.name, length)}
         if not system.voxels:
-            rows = settings.strains * batch
-            alone, flops = products_alone(nets[0], rows, length, explicit, settings.every, rounds)
-            evaluations = settings.iterations(length) * count
+            rows = strains * batch
+            alone, flops = products_alone(nets[0], rows, length, explicit, settings.stride, rounds)
+            evaluations = iterations * count
             row |= {
                 "GF a plan": round(flops * evaluations / batch / 1e9),
                 "products s": round(alone * evaluations / batch, 3),
@@ -174,7 +176,7 @@ def main() -> None:
     parser.add_argument("systems", nargs="*", metavar="SYSTEM")
     parser.add_argument("--scale")
     parser.add_argument("--strains", type=int)
-    parser.add_argument("--every", type=int, choices=[e for e in range(1, SIDE + 1) if SIDE % e == 0])
+    parser.add_argument("--stride", type=int, choices=[e for e in range(1, SIDE + 1) if SIDE % e == 0])
     parser.add_argument("--batch", type=int)
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--csv", type=Path, metavar="FOLDER", help="write the tables there, too")
@@ -184,8 +186,13 @@ def main() -> None:
     rows, names = [], asked.systems or ("main", "b2", "b3")
     for name in names:
         plan = stages.plan.of(SYSTEMS[name])
-        changed = {k: getattr(asked, k) for k in ("strains", "every") if getattr(asked, k) is not None}
-        settings = dataclasses.replace(plan.search, **changed)
+        settings = plan.search
+        if asked.stride is not None:
+            settings = dataclasses.replace(settings, stride=asked.stride)
+        if asked.strains is not None:
+            optimiser: Any = settings.optimiser
+            fewer = dataclasses.replace(optimiser, strains=asked.strains)
+            settings = dataclasses.replace(settings, optimiser=fewer)
         rows += measure(SYSTEMS[name], stages, settings, asked.batch or plan.batch, asked.rounds)
     show(f"planning: {asked.scale or params.scale}", rows, csv=asked.csv)
     if "main" in names:

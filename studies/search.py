@@ -42,18 +42,33 @@ from clothkit.publish import unfinished
 from clothkit.report.figures.studies import search as draw
 from clothkit.simulation.executor import execute
 
-KEYS = ["strains", "base_iterations", "iterations_per_step", "every", "near", "fold"]
+OWN = ("strains", "base_iterations", "iterations_per_step", "near")
+"""Settings of the gradient optimiser; the others are of the search."""
+KEYS = ["strains", "base_iterations", "iterations_per_step", "stride", "near", "fold"]
+
+
+def value_of(search: SearchConfig, name: str) -> Any:
+    """Return the value of one of the KEYS."""
+    return getattr(search.optimiser if name in OWN else search, name)
+
+
+def changed(search: SearchConfig, **values: Any) -> SearchConfig:
+    """Return the search with other values of some KEYS."""
+    own = {name: value for name, value in values.items() if name in OWN}
+    rest = {name: value for name, value in values.items() if name not in OWN}
+    optimiser: Any = search.optimiser
+    return dataclasses.replace(search, optimiser=dataclasses.replace(optimiser, **own), **rest)
 
 
 def searches(usual: SearchConfig, asked: argparse.Namespace) -> list[SearchConfig]:
     """Return the searches to compare, the one of params.yaml first."""
-    found = [usual, *(dataclasses.replace(usual, strains=count) for count in asked.strains)]
+    found = [usual, *(changed(usual, strains=count) for count in asked.strains)]
     for factor in asked.iterations:
-        base, more = round(factor * usual.base_iterations), round(factor * usual.iterations_per_step)
-        found.append(dataclasses.replace(usual, base_iterations=base, iterations_per_step=more))
-    found += [dataclasses.replace(usual, every=every) for every in asked.every]
-    found += [dataclasses.replace(usual, near=share) for share in asked.near]
-    return [*found, dataclasses.replace(usual, fold=not usual.fold)]
+        base, more = (round(factor * value_of(usual, name)) for name in ("base_iterations", "iterations_per_step"))
+        found.append(changed(usual, base_iterations=base, iterations_per_step=more))
+    found += [changed(usual, stride=stride) for stride in asked.stride]
+    found += [changed(usual, near=share) for share in asked.near]
+    return [*found, changed(usual, fold=not usual.fold)]
 
 
 def by_restart(sessions: Sessions) -> pd.DataFrame:
@@ -97,13 +112,13 @@ def main() -> None:
     parser.add_argument("sequences", type=int, nargs="?", default=5)
     parser.add_argument("--strains", type=int, nargs="*", default=[16, 32, 64, 128, 256, 512])
     parser.add_argument("--iterations", type=float, nargs="*", default=[0.5, 2])
-    parser.add_argument("--every", type=int, nargs="*", default=[1, 4])
+    parser.add_argument("--stride", type=int, nargs="*", default=[1, 4])
     parser.add_argument("--near", type=float, nargs="*", default=[0, 0.8])
     parser.add_argument("--draw", action="store_true", help="only draw the rows that are there; needs no nets")
     asked = parser.parse_args()
     params = load_params(Path("params.yaml"))
     simulate, plan = params.stages.simulate, params.stages.plan
-    usual = {name: getattr(plan.search, name) for name in KEYS}
+    usual = {name: value_of(plan.search, name) for name in KEYS}
     folder = Path("reports") / params.scale / "studies"
     path, of_restarts = folder / "search.csv", folder / "search_restarts.csv"
     if asked.draw:
@@ -115,13 +130,14 @@ def main() -> None:
     dataset = store.load(meshes)
     sequences = dataset.indices("validation")[: asked.sequences].tolist()
     folder.mkdir(parents=True, exist_ok=True)
-    others = {name: value for name, value in dataclasses.asdict(plan.search).items() if name not in KEYS}
+    optimiser: Any = plan.search.optimiser
+    others = {name: value for name, value in dataclasses.asdict(optimiser).items() if name not in KEYS}
     inputs = [meshes, *artifacts(SYSTEMS["main"], data, members).values()]
     made = made_with(inputs, others, plan.refine, weights, simulate.candidates, simulate.simulation)
     table = read(path, [*KEYS, "sequence"], made)
     restarts = read(of_restarts, [*KEYS, "length", "restart", "best", "least"], made)
     for size in searches(plan.search, asked):
-        of_search = {name: getattr(size, name) for name in KEYS}
+        of_search = {name: value_of(size, name) for name in KEYS}
         done = set(table.loc[_same(table, of_search), "sequence"])
         # All sequences of a search are planned at once, since the results of restarts are means over all of them.
         known = done.issuperset(sequences) and _same(restarts, of_search).any()

@@ -30,7 +30,7 @@ def finding(plan: np.ndarray, *, common: int = 0, relative: int = 0) -> Any:
 
     def search(planner: Planner, problems: Problem, keys: jax.Array, *, length: int) -> Found:
         tasks = len(problems.state)
-        size = (tasks, planner.settings.search.iterations(length), planner.settings.search.strains)
+        size = (tasks, *planner.settings.search.optimiser.shape(length))
         return Found(
             plan=jnp.broadcast_to(plan[:length], (tasks, length, 6)),
             loss=jnp.zeros(tasks),

@@ -25,7 +25,6 @@ from clothkit.episodes.sensors import Sensed
 from clothkit.episodes.sessions import run_sessions
 from clothkit.errors import InputError
 from clothkit.evaluation.session_rows import rows
-from clothkit.planning.search import Found, Problem
 from tests.planning import toy
 
 MANIPULATIONS = np.array([[-1, -1, -1, -1, 0.6, 0.5], [1, 1, 1, 1, -0.7, -0.3], [-1, 1, -1, 1, 0.5, -0.6]], np.float32)
@@ -63,7 +62,7 @@ def finding(plan: np.ndarray) -> Any:
 
     def search(planner: Planner, problems: Problem, keys: Any, *, length: int) -> Found:
         tasks = len(problems.state)
-        size = (tasks, planner.settings.search.iterations(length), planner.settings.search.strains)
+        size = (tasks, *planner.settings.search.optimiser.shape(length))
         return Found(
             plan=jnp.broadcast_to(plan[-length:], (tasks, length, 6)),
             loss=jnp.zeros(tasks),

@@ -37,6 +37,7 @@ from clothkit.observation.picture import PictureConfig
 from clothkit.planning.mesh_representation import MESH
 from clothkit.planning.normalisation import normalise
 from clothkit.planning.objective import Weights
+from clothkit.planning.optimisers.gradient import GradientConfig
 from clothkit.planning.perception import Estimation
 from clothkit.planning.planner import Planner
 from clothkit.planning.search import SearchConfig
@@ -66,7 +67,7 @@ REFINE = RefineConfig(iterations=3)
 PLAN = PlanConfig(
     test=3,
     train=1,
-    search=SearchConfig(strains=8, base_iterations=2, iterations_per_step=1),
+    search=SearchConfig(optimiser=GradientConfig(strains=8, base_iterations=2, iterations_per_step=1)),
     refine=REFINE,
     together=1,
     batch=1,

@@ -115,7 +115,7 @@ def test_files(tmp_path: Path) -> None:
 def test_a_single_net_differs_from_none(tmp_path: Path) -> None:
     data = dataset()
     data.length[:] = 1
-    alone = normalise(toy.FORWARD, toy.NETS[1:], data, NormaliseConfig(draws=1))
+    alone = normalise(toy.MODEL, MESH, toy.NETS[1:], data, NormaliseConfig(draws=1))
     both = normalise(toy.FORWARD, toy.NETS, data, NormaliseConfig(draws=1))
     assert (alone.mu, alone.sigma) == ((), ())
     np.testing.assert_allclose([alone.low[0], alone.high[0]], [both.low[1], both.high[1]], rtol=1e-5)

@@ -47,7 +47,7 @@ def test_accuracy_term() -> None:
     nll = -norm.logpdf(goal_white, mean, std).mean()
     loss = MESH.accuracy(whiten(goal), outcome)
     np.testing.assert_allclose(loss, nll, rtol=1e-4)
-    term = Accuracy((Range(0.0, 1.0), Range(-0.5, 2.5)))
+    term = Accuracy((Range(np.zeros(1), np.ones(1)), Range(np.float32([0, -0.5]), np.float32([9, 2.5]))))
     np.testing.assert_allclose(term.of_net(loss, 1), (nll + 0.5) / 3, rtol=1e-4)
     np.testing.assert_allclose(Accuracy(()).of_net(loss, 0), nll, rtol=1e-4)
 
@@ -120,7 +120,7 @@ def test_the_objective_of_any_number_of_nets_by_hand(count: int) -> None:
     mesh, plan = toy.bent(), np.array([[-1.0, 0.5, 1.0, 0.2, 0.3, 0.6], [0.1, 0.5, 0.1, 0.5, -0.6, 0.2]], np.float32)
     goal = toy.bent() * np.float32([0.9, 1.1, 1])
     nets = tuple(jnp.float32(strength) for strength in STRENGTHS[:count])
-    spans = tuple(Range(-1.0 - 0.1 * net, 1.0 + net) for net in range(count))
+    spans = tuple(Range(np.float32([9, -1 - 0.1 * net]), np.float32([10, 1 + net])) for net in range(count))
     spread = Spread(np.float32([0.01, 0.02]), np.float32([0.05, 0.04]))
     objective = objective_of(count, Reference(spans, spread), Weights(0.25, 5.0, 1.25))
     traces = tuple(np.zeros((8, 3072), np.float32) for _ in nets)
@@ -141,8 +141,7 @@ def test_the_objective_of_any_number_of_nets_by_hand(count: int) -> None:
         mean, std = whitened(np.asarray(of_net[1].mean, float), np.asarray(of_net[1].std, float))
         losses.append(-norm.logpdf(whitened(goal.astype(float), goal)[0], mean, std).mean())
         if count > 1:
-            low, high = spans[net]
-            losses[-1] = (losses[-1] - low) / (high - low)
+            losses[-1] = (losses[-1] + 1 + 0.1 * net) / (2 + 1.1 * net)
     np.testing.assert_allclose(found.terms["accuracy"][0], losses, rtol=1e-3)
     if count == 1:
         assert list(found.terms) == ["accuracy"]

@@ -16,7 +16,7 @@ from clothkit.manipulation.vector import is_null
 from clothkit.planning.initial import EXTENT, FOLD_POINT, RASTER
 from clothkit.planning.mesh_representation import MESH
 from clothkit.planning.objective import Accuracy, Fixed, Objective, Range, Weights, evaluate, objective_of
-from clothkit.planning.search import SearchConfig, _Best, _least, _move, _some_near, _start, _Strains, search
+from clothkit.planning.search import SearchConfig, search
 from clothkit.planning.types import UNKNOWN, Candidates, Found, Problem
 from clothkit.planning.uncertainty import uncertainty
 from tests.planning import toy
@@ -25,8 +25,8 @@ CORNERS = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]], np.float32)
 SURE = dataclasses.replace(toy.NORMALISATION, mu=(0.001,) * 3, sigma=(0.001,) * 3)
 """Nets that differ less than the toy's do, as a rule: u is about ten, where it is all but zero otherwise."""
 BEST = jnp.array([-1.0, -1.0, -1.0, -1.0, 0.7, 0.4])
-ONE_LOOK = dataclasses.replace(toy.SEARCH, every=1, base_iterations=1, iterations_per_step=0)
-"""A search that ends where it begins."""
+ONE_LOOK = {"stride": 1, "base_iterations": 1, "iterations_per_step": 0}
+"""Settings of a search that ends where it begins."""
 
 
 def padded(points: np.ndarray) -> Candidates:
@@ -102,7 +102,7 @@ def test_a_search_for_folds_keeps_the_first_q_on_the_cloth() -> None:
     beyond = place + FOLD_POINT * BEST[4:]
     axis = pixel_centres(RASTER, EXTENT)
     covered = np.broadcast_to((axis < beyond[0] - 0.2)[:, None], (RASTER, RASTER))
-    size = dataclasses.replace(toy.SEARCH, fold=True, screen=2)
+    size = toy.searching(fold=True, screen=2)
     found = first(find(problem(mesh, goal, relative=np.int32(0), candidates=corner, covered=covered), size=size))
     q = place + FOLD_POINT * found.plan[0, 4:]
     assert q[0] < beyond[0] - 0.2 + 2 * EXTENT / RASTER
@@ -111,41 +111,6 @@ def test_a_search_for_folds_keeps_the_first_q_on_the_cloth() -> None:
     # As near as it may come: the displacement along x is as long as is allowed, that along y is right.
     assert q[0] > beyond[0] - 0.35
     assert abs(found.plan[0, 5] - BEST[5]) < 0.15
-
-
-def test_restarts_near_the_best_plan() -> None:
-    """In the labels of the state: the best of all strains, moved a little; first grasp points its own or candidates."""
-    mesh, count = toy.bent(), 64
-    asked = jax.tree.map(jnp.asarray, problem(mesh, mesh, 2, candidates=padded(CORNERS)))
-    size = dataclasses.replace(toy.SEARCH, strains=count, near=0.75)
-    best_plan = jnp.array([[-1.0, -1.0, -1.0, -1.0, 0.7, 0.4], [0.9, 0.2, -0.3, 0.1, 0.5, -0.6]])
-    labels = jnp.arange(count) % COUNT
-    plans = jax.vmap(relabel_manipulation)(jnp.stack([best_plan] * count), labels)
-    # Only one strain's plan is any good, and it is not the first.
-    plans = jnp.where((jnp.arange(count) == 5)[:, None, None], plans, 9.0)
-    best = _Best(plans, labels, labels, jnp.where(jnp.arange(count) == 5, 0.1, 1.0))
-    drawn = _start(MESH, asked, 2, size, key=jax.random.key(0))
-    got = _some_near(MESH, best, drawn, asked, size, key=jax.random.key(1))
-    assert (got.common == drawn.common).all()
-    of_state = np.asarray(jax.vmap(relabel_manipulation)(got.plan, jnp.asarray(INVERSE)[got.common]))
-    as_drawn = np.abs(np.asarray(got.plan - drawn.plan)).max((1, 2)) == 0
-    near = np.abs(of_state - np.asarray(best_plan))[..., 4:].max((1, 2)) < 0.75
-    assert (as_drawn | near).all()
-    assert 0.5 < near.mean() < 0.95
-    first, candidates = of_state[near, 0, :4], np.concatenate([CORNERS, [[-1, -1]]])
-    assert (np.abs(first.reshape(-1, 2, 1, 2) - candidates).sum(-1).min(-1) < 1e-6).all()
-    own = (np.abs(first - np.asarray(best_plan[0, :4])).max(1) < 1e-6).mean()
-    assert 0.3 < own < 0.8
-    moved = of_state[near] - np.asarray(best_plan)
-    assert 0.1 < moved[..., 4:].std() < 0.2
-    assert np.abs(got.plan[..., :4]).max() <= 1
-    grasps = got.grasps[near]
-    wanted = to_cartesian(jnp.stack([jnp.asarray(mesh)] * len(first)), jnp.asarray(first[:, :2]))[:, :2]
-    np.testing.assert_allclose(grasps[:, 0], wanted, atol=1e-5)
-    # Nothing is near a best plan that there isn't.
-    none = best._replace(loss=jnp.full(count, jnp.inf))
-    same = _some_near(MESH, none, drawn, asked, size, key=jax.random.key(1))
-    jax.tree.map(np.testing.assert_array_equal, same, drawn)
 
 
 @settings(max_examples=4, deadline=None)
@@ -261,31 +226,22 @@ def test_one_hand_stays_one_hand_and_first_grasps_stay_candidates() -> None:
         assert apart == 0 or apart > 1e-3
 
 
-def test_one_strain_moves_as_one_hand() -> None:
-    single = jnp.array([[False, True], [True, False]])
-    plan = jnp.array([[[0.1, 0.2, 0.3, 0.4, 0, 0], [0.99, 0.5, 0.99, 0.5, 0, 0]]] * 2)
-    zero = jnp.zeros(2, jnp.int32)
-    grasps = jnp.zeros((len(plan), 2, 2))
-    strains = _Strains(plan, single, grasps, zero, zero, jnp.full(plan.shape, 0.05), 0 * plan, zero * 1.0, zero)
-    gradient = jnp.broadcast_to(jnp.array([-3.0, 2.0, 1.0, -3.0, 1.0, -1.0]), plan.shape)
-    moved = _move(strains, gradient, toy.SEARCH.irprop).plan
-    np.testing.assert_allclose(moved[:, 0, :4], plan[:, 0, :4])
-    # Both hands' slopes together: -2 along u, -1 along v; u ends at the cloth's edge.
-    np.testing.assert_allclose(moved[0, 1], [1, 0.55, 1, 0.55, -0.05, 0.05], rtol=1e-6)
-    np.testing.assert_allclose(moved[1, 1], [1, 0.45, 0.94, 0.55, -0.05, 0.05], rtol=1e-6)
-
-
 def test_screened_strains_start_where_the_loss_is_least() -> None:
     """First losses are the least of so many draws each, far lower than those of single draws; carried plans stay."""
     mesh = toy.bent()
     goal = np.asarray(toy.dragged(jnp.asarray(mesh), BEST))
     plain, screened = (
-        first(find(problem(mesh, goal, relative=np.int32(0)), size=dataclasses.replace(ONE_LOOK, screen=screen)))
+        first(
+            find(
+                problem(mesh, goal, relative=np.int32(0)),
+                size=toy.searching(**ONE_LOOK, screen=screen),
+            )
+        )
         for screen in (1, 8)
     )
     assert np.median(screened.losses[0]) < np.quantile(plain.losses[0], 0.25)
     carried = problem(mesh, goal, carried=np.asarray(BEST)[None], relative=np.int32(0), later=np.bool_(True))
-    unscreened, warm = (first(find(carried, size=dataclasses.replace(ONE_LOOK, screen=screen))) for screen in (1, 8))
+    unscreened, warm = (first(find(carried, size=toy.searching(**ONE_LOOK, screen=screen))) for screen in (1, 8))
     np.testing.assert_allclose(warm.losses[0, :8], unscreened.losses[0, :8], rtol=1e-4)
     assert np.median(warm.losses[0, 8:]) < np.median(unscreened.losses[0, 8:])
 
@@ -294,7 +250,7 @@ def test_the_best_plan_is_the_one_that_had_the_lowest_loss() -> None:
     """The plan as it was when its loss was taken, and not as the step after that left it."""
     mesh = toy.bent()
     goal = np.asarray(toy.dragged(jnp.asarray(mesh), BEST))
-    found = first(find(problem(mesh, goal, relative=np.int32(0)), size=ONE_LOOK))
+    found = first(find(problem(mesh, goal, relative=np.int32(0)), size=toy.searching(**ONE_LOOK)))
     np.testing.assert_allclose(found.loss, found.losses.min(), rtol=1e-4)
     after = [toy.dragged(jnp.asarray(mesh), found.plan[0], net) for net in toy.NETS]
     outcomes = [toy.decode(toy.NETS[0], mesh.reshape(-1), 1) for mesh in after]
@@ -303,17 +259,11 @@ def test_the_best_plan_is_the_one_that_had_the_lowest_loss() -> None:
     np.testing.assert_allclose(found.terms["accuracy"], by_hand, rtol=1e-3)
     # Eq. (13): alpha weighs u.
     wary = toy.WEIGHTS._replace(gamma=-1.5)
-    unsure = first(find(problem(mesh, goal, relative=np.int32(0)), size=ONE_LOOK, weights=wary))
+    unsure = first(find(problem(mesh, goal, relative=np.int32(0)), size=toy.searching(**ONE_LOOK), weights=wary))
     (a, b), u = unsure.terms["accuracy"], unsure.terms["uncertainty"]
     assert u > 10
     np.testing.assert_allclose(unsure.loss, a + b + 0.25 * u, rtol=1e-4)
     np.testing.assert_allclose(unsure.loss, unsure.losses.min(), rtol=1e-4)
-
-
-def test_the_least_of_each_group() -> None:
-    numbers = jnp.arange(6)
-    of = _Strains(*(numbers for _ in _Strains._fields))
-    assert _least(jnp.array([3.0, 1, 2, 5, 4, 0]), of, 3).common.tolist() == [1, 5]
 
 
 def test_the_same_key_gives_the_same_plan_beside_any_neighbour() -> None:

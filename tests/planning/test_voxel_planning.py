@@ -19,6 +19,7 @@ from clothkit.models.emd_voxel import EMDVoxelConfig, initial
 from clothkit.models.forward import forward_model
 from clothkit.planning.normalisation import normalise
 from clothkit.planning.objective import Accuracy, Range, Weights
+from clothkit.planning.optimisers.gradient import GradientConfig
 from clothkit.planning.perception import ObservedVoxels
 from clothkit.planning.planner import Planner
 from clothkit.planning.search import SearchConfig
@@ -47,7 +48,7 @@ def test_losses_by_hand() -> None:
     expected = -np.stack([(g * np.log(p) + (1 - g) * np.log(1 - p)).mean((1, 2, 3)) for g in goals], axis=-1)
     logits, goals = jnp.asarray(logits), jnp.asarray(goals)
     np.testing.assert_allclose(VOXEL.accuracy_of_each(goals, logits), expected, rtol=1e-5)
-    term = Accuracy((Range(0.2, 0.7),)).of_net(VOXEL.accuracy(goals[1], logits), 0)
+    term = Accuracy((Range(np.float32([0.2]), np.float32([0.7])),)).of_net(VOXEL.accuracy(goals[1], logits), 0)
     np.testing.assert_allclose(term, (expected[:, 1] - 0.2) / 0.5, rtol=1e-4)
     np.testing.assert_allclose(VOXEL.difference(logits, -logits), ((2 * p - 1) ** 2).mean((1, 2, 3)), rtol=1e-5)
 
@@ -67,7 +68,7 @@ def test_a_session_in_voxels(name: str) -> None:
     data = dataset()
     data.length[:] = 2
     reference = normalise(MODEL, VOXEL, both, data, NormaliseConfig(draws=1))
-    search = SearchConfig(strains=8, base_iterations=4, iterations_per_step=2)
+    search = SearchConfig(optimiser=GradientConfig(strains=8, base_iterations=4, iterations_per_step=2))
     settings = PlanConfig(test=2, train=0, search=SearchConfig(), voxel_search=search, together=1).of(chosen)
     planner = Planner(
         chosen,
@@ -121,6 +122,6 @@ def test_a_session_in_voxels(name: str) -> None:
 
 
 def test_settings_for_voxels_are_those_of_voxel_systems_alone() -> None:
-    settings = PlanConfig(voxel_search=SearchConfig(strains=8), voxel_batch=2)
+    settings = PlanConfig(voxel_search=SearchConfig(optimiser=GradientConfig(strains=8)), voxel_batch=2)
     assert settings.of(system("main")) is settings
-    assert (settings.of(system("b4")).search.strains, settings.of(system("b4")).batch) == (8, 2)
+    assert (settings.of(system("b4")).search.optimiser.strains, settings.of(system("b4")).batch) == (8, 2)

@@ -5,6 +5,7 @@ manipulations that were executed: the more there were, the farther it expects ve
 """
 
 from collections.abc import Callable
+from dataclasses import fields, replace
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -19,6 +20,7 @@ from clothkit.manipulation.geometry import to_geodesic
 from clothkit.planning.mesh_representation import MESH
 from clothkit.planning.normalisation import Normalisation
 from clothkit.planning.objective import Weights
+from clothkit.planning.optimisers.gradient import GradientConfig
 from clothkit.planning.perception import KnownMeshes
 from clothkit.planning.planner import Planner
 from clothkit.planning.search import SearchConfig
@@ -88,7 +90,8 @@ def execute(meshes: np.ndarray, grasps: np.ndarray, displacement: np.ndarray, si
 NORMALISATION = Normalisation(((-1.0,) * 3,) * 2, ((1.0,) * 3,) * 2, (0.01,) * 3, (0.01,) * 3)
 
 
-SEARCH = SearchConfig(strains=64, every=4, iterations_per_step=10)
+GRADIENT = GradientConfig(strains=64, iterations_per_step=10)
+SEARCH = SearchConfig(optimiser=GRADIENT, stride=4)
 BATCH, CANDIDATES = 2, CandidateConfig()
 """All tests share these sizes, so that the search is compiled once per plan length."""
 
@@ -111,3 +114,10 @@ def planner(name: str) -> Planner:
         grasping=CANDIDATES,
         labelled=True,
     )
+
+
+def searching(**changes: Any) -> SearchConfig:
+    """The usual search of the tests with other settings, of the search or of its optimiser."""
+    own = {name: value for name, value in changes.items() if name in {f.name for f in fields(GradientConfig)}}
+    rest = {name: value for name, value in changes.items() if name not in own}
+    return replace(SEARCH, optimiser=replace(GRADIENT, **own), **rest)

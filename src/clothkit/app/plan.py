@@ -34,6 +34,7 @@ from clothkit.app.planner import (
 )
 from clothkit.errors import InputError
 from clothkit.observation.waypoints import HandPaths, MotionConfig, ReachConfig, beyond, symmetries
+from clothkit.planning.optimisers import OPTIMISERS, optimiser_of
 from clothkit.planning.planner import Planner
 from clothkit.planning.systems import SYSTEMS, System, system
 
@@ -65,6 +66,11 @@ from clothkit.planning.systems import SYSTEMS, System, system
     metavar="FOLDER",
     help="Where nets/ and normalisation/ are, as dvc repro makes them.",
 )
+@click.option(
+    "--optimiser",
+    type=click.Choice(list(OPTIMISERS)),
+    help="What searches for the plan, with its usual settings. [default: that of params.yaml, with its settings]",
+)
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Same seed, same plan.")
 @click.option(
     "--frame",
@@ -92,6 +98,7 @@ def command(
     after: Path | None,
     name: str | None,
     data: Path,
+    optimiser: str | None,
     seed: int,
     frame: Frame,
     reach: tuple[float, ...] | None,
@@ -130,7 +137,7 @@ def command(
         start, goal_input = read_input(state, options, mask=mask), read_input(goal, options)
     chosen = _system(name, start, previous, after)
     with part("load nets"):
-        planner = load_planner(chosen, data, settings)
+        planner = load_planner(chosen, data, settings, optimiser=optimiser)
         if previous and after:
             check_nets(previous, planner, data, after)
             check_steps_left(previous, after)
@@ -145,7 +152,7 @@ def command(
         memory = begin(planner, target, length)
         if previous and after:
             memory = memory_of(previous, planner, memory, traces)
-    with part(f"search, {planner.settings.search.strains} strains"):
+    with part(f"search by {optimiser_of(planner.settings.search.optimiser).name}"):
         planned, _ = decide(planner, observation, memory, seed=seed)
         found = (compare_state(chosen, start, planned.state, settings), goal_agreement)
         planned, paths, turn = reached(planner, planned, target, start, settings.app.motion, box)

@@ -18,7 +18,7 @@ from clothkit.manipulation.turns import turn_manipulation, turn_mesh
 from clothkit.manipulation.vector import is_null
 from clothkit.models import store
 from clothkit.models.net import Net
-from clothkit.planning import agent
+from clothkit.planning import agent, optimisers
 from clothkit.planning.batches import take
 from clothkit.planning.perception import Estimation, KnownMeshes
 from clothkit.planning.planner import Planner, artifacts, assemble
@@ -72,8 +72,10 @@ class Planned(NamedTuple):
         return not self.useless and not bool(np.all(is_null(self.plan)))
 
 
-def load_planner(system: System, data: Path, settings: Settings) -> Planner:
+def load_planner(system: System, data: Path, settings: Settings, *, optimiser: str | None = None) -> Planner:
     """Load the planner of a system, for one cloth whose labels are not those of its goal.
+
+    It searches by the optimiser of that name with its usual settings, by default by that of the settings.
 
     Raises InputError that names a missing or broken artifact.
     """
@@ -83,7 +85,11 @@ def load_planner(system: System, data: Path, settings: Settings) -> Planner:
             raise InputError(f"{path}: not found, system {system.name} plans with it; dvc repro makes it")
         if name != "reference":
             store.description(path)
-    return for_one_cloth(assemble(system, data, settings.weights, settings.plan, settings.grasping, settings.members))
+    planner = assemble(system, data, settings.weights, settings.plan, settings.grasping, settings.members)
+    if optimiser is not None:
+        search = dataclasses.replace(planner.settings.search, optimiser=optimisers.optimiser(optimiser).settings())
+        planner = dataclasses.replace(planner, settings=dataclasses.replace(planner.settings, search=search))
+    return for_one_cloth(planner)
 
 
 def for_one_cloth(planner: Planner) -> Planner:

@@ -152,15 +152,16 @@ class Sizes(NamedTuple):
 
 def sizes_of(planner: Planner) -> Sizes:
     """The sizes of the arrays in a record of a planner's sessions."""
-    search, longest = planner.settings.search, planner.settings.search.iterations(STEPS)
+    optimiser = planner.settings.search.optimiser
+    iterations, plans = optimiser.shape(STEPS)
     return Sizes(
         state=planner.representation.shape,
         probabilistic=planner.representation.probabilistic,
         candidate=planner.grasping.most,
         net=len(planner.nets),
-        iteration=longest,
-        strain=search.strains,
-        restart=longest // search.patience + 1,
+        iteration=iterations,
+        strain=plans,
+        restart=optimiser.starts(STEPS),
     )
 
 

@@ -159,7 +159,7 @@ def conclude(
     expected = representation.distance(np.mean([mean[:, -1] for mean in means], axis=0), goal)
     useless = expected > representation.distance(state, goal)
     short = np.asarray(is_null(plan[:, 0]))
-    longest = settings.search.iterations(STEPS)
+    optimiser = settings.search.optimiser
     losses = np.asarray(found.losses)
     return Plan(
         state=state,
@@ -178,8 +178,8 @@ def conclude(
         expected=expected,
         useless=useless,
         null=useless | short,
-        progress=_padded(np.minimum.accumulate(losses.min(-1), axis=1), longest),
-        restarts=best_of_restarts(losses, np.asarray(found.restarts), longest // settings.search.patience + 1),
+        progress=_padded(np.minimum.accumulate(losses.min(-1), axis=1), optimiser.shape(STEPS)[0]),
+        restarts=best_of_restarts(losses, np.asarray(found.restarts), optimiser.starts(STEPS)),
     )
 
 

@@ -93,7 +93,7 @@ class Normalisation:
                 f"{self.longest}: no validation sequence is longer"
             )
         spans = tuple(
-            Range(np.float32(low[length - 1]), np.float32(high[length - 1]))
+            Range(np.array(low[:length], np.float32), np.array(high[:length], np.float32))
             for low, high in zip(self.low, self.high, strict=True)
         )
         return Reference(

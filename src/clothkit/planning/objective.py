@@ -18,7 +18,7 @@ from clothkit.models.ensemble import pairs
 from clothkit.models.forward import ForwardModel, rollout
 from clothkit.planning.representation import Representation
 from clothkit.planning.types import UNKNOWN, Problem, Scalar
-from clothkit.planning.uncertainty import Spread, uncertainty
+from clothkit.planning.uncertainty import Spread, uncertainty_of_steps
 
 COMPOSED = np.array([[compose(j, k) for k in range(COUNT)] for j in range(COUNT)], np.int32)
 """[j, k]: the index of the relabelling by j followed by that by k."""
@@ -33,14 +33,14 @@ class Weights(NamedTuple):
 
 
 class Range(NamedTuple):
-    """The reference values low and high of eq. (14), for one net and one plan length."""
+    """The reference values low and high of eq. (14) for one net, for plans of one to n manipulations."""
 
-    low: Scalar
-    high: Scalar
+    low: Float[Array | np.ndarray, " n"]
+    high: Float[Array | np.ndarray, " n"]
 
 
 class Reference(NamedTuple):
-    """Reference values of the loss for plans of one length: ranges of eq. (14) per net, moments of eq. (15)."""
+    """Reference values of the loss for plans of n manipulations: ranges of eq. (14) per net, moments of eq. (15)."""
 
     spans: tuple[Range, ...]
     spread: Spread
@@ -55,11 +55,24 @@ class Outlook:
     """The plans, in the labels of each one's common equivalent."""
     predictions: tuple[Any, ...]
     """Each net's predicted states [n strains ..]; [1 strains ..], the outcomes alone, if no term needs the others."""
+    steps: Int[Array, ""] | None = None
+    """Number of manipulations after which the plans end, if not after all n: then every state is predicted."""
+
+    @property
+    def last(self) -> int | Int[Array, ""]:
+        """Index of the plans' last state."""
+        return -1 if self.steps is None else self.steps - 1
 
     @property
     def outcomes(self) -> tuple[Any, ...]:
         """Each net's prediction of the state after the last manipulation, [strains ..]."""
-        return tuple(jax.tree.map(lambda part: part[-1], states) for states in self.predictions)
+        return tuple(jax.tree.map(lambda part: part[self.last], states) for states in self.predictions)
+
+    def mean(self, values: Float[Array, "n strains"]) -> Float[Array, " strains"]:
+        """The mean over the plans' manipulations."""
+        if self.steps is None:
+            return jnp.mean(values, axis=0)
+        return jnp.sum(values, axis=0, where=(jnp.arange(len(values)) < self.steps)[:, None]) / self.steps
 
 
 @runtime_checkable
@@ -90,12 +103,15 @@ class Accuracy:
 
     spans: tuple[Range, ...]
 
-    def of_net(self, loss: Float[Array, "..."], net: int) -> Float[Array, "..."]:
-        """A net's loss in its range: 0 for recorded manipulations, 1 for random ones, in the median."""
+    def of_net(self, loss: Float[Array, "..."], net: int, last: int | Int[Array, ""] = -1) -> Float[Array, "..."]:
+        """A net's loss in its range: 0 for recorded manipulations, 1 for random ones, in the median.
+
+        `last` is the index of the plans' last manipulation.
+        """
         if not self.spans:
             return loss
-        span = self.spans[net]
-        return (loss - span.low) / (span.high - span.low)
+        low, high = (jnp.asarray(values)[last] for values in self.spans[net])
+        return (loss - low) / (high - low)
 
     def total(self, of_nets: list[Float[Array, "..."]]) -> Float[Array, "..."]:
         """The term's value from those of all nets."""
@@ -123,7 +139,7 @@ class Uncertainty:
     def __call__(self, outlook: Outlook) -> Float[Array, " strains"]:
         apart = mean_difference(outlook.representation, outlook.predictions)
         assert apart is not None, "an ensemble of at least two nets"
-        return uncertainty(apart, self.spread, beta=self.beta, gamma=self.gamma)
+        return outlook.mean(uncertainty_of_steps(apart, self.spread, beta=self.beta, gamma=self.gamma))
 
 
 @jax.tree_util.register_dataclass
@@ -189,23 +205,25 @@ def evaluate(
     relative: Int[Array, " strains"],
     *,
     stride: int = 1,
+    steps: Int[Array, ""] | None = None,
 ) -> Evaluation:
     """Evaluate plans, each in the labels of its common equivalent.
 
     Where `relative` is `UNKNOWN`, the labelling of the goal that minimises the accuracy term is used, as in eq. (12).
-    Predictions and goals are compared at every `stride`-th vertex along u and v.
+    Predictions and goals are compared at every `stride`-th vertex along u and v. With `steps`, plans are evaluated as
+    if they ended after so many manipulations.
     """
-    every_step = any(term.every_step for term in objective.terms.values())
+    every_step = steps is not None or any(term.every_step for term in objective.terms.values())
     decoded = slice(None) if every_step else slice(-1, None)
     predictions = tuple(
         model.decode(net, rollout(model, net, latent[common], plan, trace[common]).latents[decoded], stride)
         for net, latent, trace in zip(nets, fixed.latents, fixed.traces, strict=True)
     )
-    outlook = Outlook(representation, plan, predictions)
+    outlook = Outlook(representation, plan, predictions, steps)
     # Goals are thinned before they are whitened, because predictions are whitened by the moments of their own vertices.
     goals = representation.target(representation.thinned(fixed.goals, stride))
     of_each = [
-        objective.accuracy.of_net(representation.accuracy_of_each(goals, outcome), net)
+        objective.accuracy.of_net(representation.accuracy_of_each(goals, outcome), net, outlook.last)
         for net, outcome in enumerate(outlook.outcomes)
     ]
     nearest = jnp.argmin(jax.lax.stop_gradient(sum(of_each)), axis=1)
@@ -213,7 +231,7 @@ def evaluate(
     relative = jnp.where(relative == UNKNOWN, found, relative)
     goal = goals[jnp.asarray(COMPOSED)[relative, common]]
     accuracies = [
-        objective.accuracy.of_net(representation.accuracy(goal, outcome), net)
+        objective.accuracy.of_net(representation.accuracy(goal, outcome), net, outlook.last)
         for net, outcome in enumerate(outlook.outcomes)
     ]
     loss = objective.accuracy.total(accuracies)

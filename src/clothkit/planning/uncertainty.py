@@ -23,9 +23,16 @@ def uncertainty(
     differences: Float[Array, "n *batch"], spread: Spread, *, beta: Scalar, gamma: Scalar
 ) -> Float[Array, "*batch"]:
     """u of eq. (15), from the nets' difference after each of n steps."""
+    return jnp.mean(uncertainty_of_steps(differences, spread, beta=beta, gamma=gamma), axis=0)
+
+
+def uncertainty_of_steps(
+    differences: Float[Array, "n *batch"], spread: Spread, *, beta: Scalar, gamma: Scalar
+) -> Float[Array, "n *batch"]:
+    """The terms of the mean in eq. (15), one for each step."""
     shape = (-1,) + (1,) * (differences.ndim - 1)
     u_i = (differences - spread.mean.reshape(shape)) / spread.std.reshape(shape)
-    return jnp.mean(bounded_exp(beta * (u_i - gamma)), axis=0)
+    return bounded_exp(beta * (u_i - gamma))
 
 
 def bounded_exp(x: Float[Array, "*batch"]) -> Float[Array, "*batch"]:

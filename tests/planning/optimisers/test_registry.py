@@ -74,16 +74,16 @@ def test_all_have_defaults() -> None:
 def test_settings_name_their_optimiser() -> None:
     assert read("{}").search == GradientConfig()
     assert read('{"search": {"strains": 64}}').search == GradientConfig(strains=64)
-    got = read('{"search": {"optimiser": "cem", "iterations": 3}}').search
+    got = read('{"search": {"name": "cem", "iterations": 3}}').search
     assert got == CEMConfig(iterations=3)
-    phases = '[{"optimiser": "cem", "iterations": 2}, {"strains": 8, "irprop": {"initial": 0.01}}]'
-    hybrid = read(f'{{"search": {{"optimiser": "hybrid", "phases": {phases}}}}}')
+    phases = '[{"name": "cem", "iterations": 2}, {"strains": 8, "irprop": {"initial": 0.01}}]'
+    hybrid = read(f'{{"search": {{"name": "hybrid", "phases": {phases}}}}}')
     assert isinstance(hybrid.search, HybridConfig)
     assert hybrid.search.phases[0] == CEMConfig(iterations=2)
     assert hybrid.search.phases[1] == GradientConfig(strains=8, irprop=IRpropConfig(initial=0.01))
     # What is written is read as the same.
     written = ADAPTER.dump_python(hybrid, mode="json")
-    assert written["search"]["phases"][1]["optimiser"] == "gradient"
+    assert written["search"]["phases"][1]["name"] == "gradient"
     assert read(json.dumps(written)) == hybrid
     assert hash(hybrid) == hash(read(json.dumps(written)))
     assert dataclasses.replace(Stage(), search=CEMConfig()).search == CEMConfig()
@@ -92,12 +92,12 @@ def test_settings_name_their_optimiser() -> None:
 @pytest.mark.parametrize(
     ("text", "where", "what"),
     [
-        ('{"search": {"optimiser": "cem", "strains": 3}}', ("search", "strains"), "unexpected"),
-        ('{"search": {"optimiser": "cem", "plans": "3"}}', ("search", "plans"), "integer"),
-        ('{"search": {"optimiser": "sgd"}}', ("search",), "expected one of gradient, random_shooting, cem"),
+        ('{"search": {"name": "cem", "strains": 3}}', ("search", "strains"), "unexpected"),
+        ('{"search": {"name": "cem", "plans": "3"}}', ("search", "plans"), "integer"),
+        ('{"search": {"name": "sgd"}}', ("search",), "expected one of gradient, random_shooting, cem"),
         ('{"search": 3}', ("search",), "expected the settings of an optimiser"),
-        ('{"search": {"optimiser": "hybrid", "phases": [{"near": 2.0}]}}', ("search", "phases", 0, "near"), "less"),
-        ('{"search": {"optimiser": ["cem"]}}', ("search",), "expected one of gradient"),
+        ('{"search": {"name": "hybrid", "phases": [{"near": 2.0}]}}', ("search", "phases", 0, "near"), "less"),
+        ('{"search": {"name": ["cem"]}}', ("search",), "expected one of gradient"),
     ],
 )
 def test_errors_name_the_setting(text: str, where: tuple, what: str) -> None:
@@ -108,7 +108,7 @@ def test_errors_name_the_setting(text: str, where: tuple, what: str) -> None:
 
 @pytest.mark.usefixtures("registered")
 def test_one_from_outside() -> None:
-    settings = read('{"search": {"optimiser": "first", "plans": 20}}').search
+    settings = read('{"search": {"name": "first", "plans": 20}}').search
     assert settings == FirstConfig(plans=20)
     found = optimise(bowl.objective(1), bowl.space(1), settings, key=jax.random.key(0))
     assert found.loss == found.losses.min()

@@ -1,8 +1,9 @@
 """A search that reports its progress: it runs the strains in batches, and gives the best plan after each batch.
 
-A search is one compiled program, which returns nothing until its end. Strains are independent of one another, so a
-search with 64 strains can be replaced by four with 16, of which the best plan is kept. Between these, progress can be
-shown and the search stopped. Its random numbers differ from those of `clothkit plan`, so its plan may differ, too.
+A search is one compiled program, which returns nothing until its end. The strains of a gradient search are independent
+of one another, so a search with 64 strains can be replaced by four with 16, of which the best plan is kept. Between
+these, progress can be shown and the search stopped. Its random numbers differ from those of `clothkit plan`, so its
+plan may differ, too. Other optimisers run in one piece.
 """
 
 import dataclasses
@@ -14,11 +15,12 @@ import numpy as np
 from jaxtyping import Float, Shaped
 
 from clothkit.planning.agent import conclude, pose
+from clothkit.planning.optimisers.gradient import GradientConfig
 from clothkit.planning.planner import Planner
 from clothkit.planning.types import Memory, Plan
 
 STRAINS_PER_BATCH = 16
-"""Strains in a batch. A multiple of eight, as a search's number of strains must be."""
+"""Strains in a batch."""
 
 
 class Progress(NamedTuple):
@@ -54,10 +56,10 @@ def search_in_batches(
     `state` and `candidates` are what the agent perceives. Stops early when `on_progress` returns False. Returns
     the final progress. Raises InputError when the nets have no reference values for plans of that length.
     """
-    strains, length = planner.settings.search.strains, int(memory.left[0])
-    count = min(STRAINS_PER_BATCH, strains)
-    settings = dataclasses.replace(planner.settings.search, strains=count)
-    batched = dataclasses.replace(planner, settings=dataclasses.replace(planner.settings, search=settings))
+    length = int(memory.left[0])
+    strains = planner.settings.search.optimiser.shape(length)[1]
+    batched = _in_batches(planner)
+    count = batched.settings.search.optimiser.shape(length)[1]
     problems = pose(planner, state[None].astype(np.float32), candidates[None], memory, length)
     progress = Progress(0, strains, None, np.zeros(0, np.float32), count)
     for key in jax.random.split(jax.random.key(seed), -(-strains // count)):
@@ -73,3 +75,14 @@ def search_in_batches(
         problems = problems._replace(later=np.zeros(1, bool))
     on_progress(progress)
     return progress
+
+
+def _in_batches(planner: Planner) -> Planner:
+    """The planner for one batch of strains; the same planner if its search can't be divided."""
+    search = planner.settings.search
+    optimiser = search.optimiser
+    if not isinstance(optimiser, GradientConfig) or optimiser.halvings:
+        return planner
+    fewer = dataclasses.replace(optimiser, strains=min(STRAINS_PER_BATCH, optimiser.strains))
+    settings = dataclasses.replace(planner.settings, search=dataclasses.replace(search, optimiser=fewer))
+    return dataclasses.replace(planner, settings=settings)

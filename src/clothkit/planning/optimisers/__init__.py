@@ -13,10 +13,11 @@ from clothkit.planning.optimisers.registry import (
     evaluations,
     optimise,
     optimiser,
+    optimiser_of,
     register,
 )
 
-__all__ = ["OPTIMISERS", "AnySettings", "Optimiser", "evaluations", "optimise", "optimiser", "register"]
+__all__ = ["OPTIMISERS", "AnySettings", "Optimiser", "evaluations", "optimise", "optimiser", "optimiser_of", "register"]
 
 register("gradient", GradientConfig, descend)
 register("random_shooting", RandomShootingConfig, shoot)

@@ -77,6 +77,14 @@ class GradientConfig:
         screened = self.strains * self.screen if self.screen > 1 else 0
         return screened + sum(strains * iterations for strains, iterations in self.rounds(length))
 
+    def shape(self, length: int) -> tuple[int, int]:
+        """Iterations and strains."""
+        return self.iterations(length), self.strains
+
+    def starts(self, length: int) -> int:
+        """How often a strain can start: it goes on for at least `patience` iterations."""
+        return self.iterations(length) // self.patience + 1
+
 
 class _Strains(NamedTuple):
     """The state of all strains; every field has a row per strain."""

@@ -45,6 +45,14 @@ class GreedyConfig:
         """Number of plans that a search evaluates; all but `plans` of them are evaluated up to an earlier step."""
         return self.plans * length
 
+    def shape(self, length: int) -> tuple[int, int]:
+        """Iterations and plans in each."""
+        return length, self.plans
+
+    def starts(self, length: int) -> int:
+        """One: every iteration has new plans."""
+        return 1
+
 
 def greedy(
     evaluate: Evaluate, space: Space, settings: GreedyConfig, *, initial: Initial | None = None, key: PRNGKeyArray

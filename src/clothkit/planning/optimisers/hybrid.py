@@ -38,6 +38,15 @@ class HybridConfig:
         """Number of plans of this length that all phases evaluate."""
         return sum(phase.evaluations(length) for phase in self.phases)
 
+    def shape(self, length: int) -> tuple[int, int]:
+        """The iterations of all phases, and the plans of the largest population."""
+        shapes = [phase.shape(length) for phase in self.phases]
+        return sum(iterations for iterations, _ in shapes), max(plans for _, plans in shapes)
+
+    def starts(self, length: int) -> int:
+        """The starts of all phases."""
+        return sum(phase.starts(length) for phase in self.phases)
+
 
 def in_turn(
     evaluate: Evaluate, space: Space, settings: HybridConfig, *, initial: Initial | None = None, key: PRNGKeyArray

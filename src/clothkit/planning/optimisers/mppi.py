@@ -68,6 +68,14 @@ class MPPIConfig:
         """Number of plans that a search evaluates, whatever their length."""
         return self.plans * self.iterations
 
+    def shape(self, length: int) -> tuple[int, int]:
+        """Iterations and plans in each."""
+        return self.iterations, self.plans
+
+    def starts(self, length: int) -> int:
+        """One: every iteration has new plans."""
+        return 1
+
 
 def path_integral(
     evaluate: Evaluate, space: Space, settings: MPPIConfig, *, initial: Initial | None = None, key: PRNGKeyArray

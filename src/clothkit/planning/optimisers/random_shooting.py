@@ -43,6 +43,14 @@ class RandomShootingConfig:
         """Number of plans that a search evaluates, whatever their length."""
         return self.plans
 
+    def shape(self, length: int) -> tuple[int, int]:
+        """Iterations and plans in each."""
+        return self.plans // min(self.chunk, self.plans), min(self.chunk, self.plans)
+
+    def starts(self, length: int) -> int:
+        """One: every iteration has new plans."""
+        return 1
+
 
 def shoot(
     evaluate: Evaluate,

@@ -66,20 +66,20 @@ def evaluations(settings: Settings, length: int) -> int:
 
 
 def _validated(value: Any) -> Any:
-    """Settings from a mapping with the optimiser's name under `optimiser`, or settings as they are."""
+    """Settings from a mapping with the optimiser's name under `name`, or settings as they are."""
     if any(type(value) is each.settings for each in OPTIMISERS.values()):
         return value
     if not isinstance(value, Mapping):
         raise ValueError("expected the settings of an optimiser")
     rest = dict(value)
-    chosen = optimiser(str(rest.pop("optimiser", DEFAULT)))
+    chosen = optimiser(str(rest.pop("name", DEFAULT)))
     # As JSON, in which a list may stand for a tuple; phases may be settings already.
     return pydantic.TypeAdapter(chosen.settings).validate_json(json.dumps(rest, default=_serialised))
 
 
 def _serialised(settings: Any) -> dict[str, Any]:
     chosen = optimiser_of(settings)
-    return {"optimiser": chosen.name, **pydantic.TypeAdapter(chosen.settings).dump_python(settings, mode="json")}
+    return {"name": chosen.name, **pydantic.TypeAdapter(chosen.settings).dump_python(settings, mode="json")}
 
 
 AnySettings = Annotated[
@@ -89,5 +89,5 @@ AnySettings = Annotated[
 ]
 """The type of a field that holds the settings of any registered optimiser.
 
-In params.yaml they are the keys of a mapping, beside `optimiser`, the name, which is `gradient` if left out.
+In params.yaml they are the keys of a mapping, beside `name`, the optimiser, which is `gradient` if left out.
 """

@@ -87,6 +87,14 @@ class Settings(Protocol):
         """Number of plans of this length that a search evaluates, without the exact evaluations of the finalists."""
         ...
 
+    def shape(self, length: int) -> tuple[int, int]:
+        """The shape of `Outcome.losses` of a search for plans of this length: iterations and plans."""
+        ...
+
+    def starts(self, length: int) -> int:
+        """How often a row of the population can begin anew in a search, beyond which `restarts` tells nothing."""
+        ...
+
 
 class Best(NamedTuple):
     """The best plans found so far, one per row."""
