@@ -58,7 +58,7 @@ def test_an_ensemble_is_the_papers_two_nets_unless_told(tmp_path: Path) -> None:
         ),
         ({"scales.laptop.regularise.train": "many"}, "scales.laptop.regularise.train: input should be a valid integer"),
         ({"ensemble.members": []}, "ensemble.members: tuple should have at least 1 item"),
-        ({"ensemble.members": [0, 1, 0]}, "ensemble: members must differ from one another"),
+        ({"ensemble.members": [0, 1, 0]}, "ensemble: value error, members must differ from one another"),
         ({"ensemble.members": [0, -1]}, "ensemble.members.1: input should be greater than or equal to 0"),
         ({"ensemble.members": [2**32]}, "ensemble.members.0: input should be less than"),
         ({"ensemble.members": 2}, "ensemble.members: input should be a valid"),

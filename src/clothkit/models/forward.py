@@ -76,7 +76,8 @@ def rollout(
 ) -> Rollout:
     """Apply M once per manipulation: eq. (5) without the decoder. Without `trace` the first memory trace is zero.
 
-    `unroll` writes the steps one after another into the program instead of looping over them.
+    With `unroll` the program has the steps one after another instead of a loop. The numbers are the same; in a measured
+    case on a CPU it ran for a sixth less time, and a search took a quarter longer to compile.
     """
 
     def step(carry: tuple[Array, Array], manipulation: Array) -> tuple[tuple[Array, Array], Rollout]:
@@ -85,7 +86,6 @@ def rollout(
 
     first = jnp.zeros_like(latent) if trace is None else jnp.asarray(trace)
     steps = jnp.moveaxis(jnp.asarray(manipulations), -2, 0)
-    # A loop compiles M once instead of n times, and M takes most of the compilation time.
     return jax.lax.scan(step, (latent, first), steps, unroll=unroll)[1]
 
 
