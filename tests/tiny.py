@@ -43,9 +43,8 @@ def write_params(path: Path) -> None:
     """params.yaml at the smallest scale, with searches in voxels that take no time."""
     params = YAML(typ="safe").load(ROOT / "params.yaml")
     params["scale"] = "smoke"
-    params["scales"]["smoke"]["plan"]["voxel_search"] = {
-        "optimiser": {"strains": 8, "base_iterations": 2, "iterations_per_step": 0}
-    }
+    small = {"strains": 8, "base_iterations": 2, "iterations_per_step": 0}
+    params["scales"]["smoke"]["plan"]["voxel_search"] = {"optimiser": small}
     path.write_text(json.dumps(params))
 
 

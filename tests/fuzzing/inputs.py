@@ -28,7 +28,7 @@ from tests.report.contents import tidy_tasks
 from tests.simulation import arcsim_runs
 from tests.tiny import ROOT, attempts, sessions, write_files, write_nets, write_params
 
-SEARCH = {"strains": 8, "base_iterations": 2, "iterations_per_step": 0}
+SEARCH = {"optimiser": {"strains": 8, "base_iterations": 2, "iterations_per_step": 0}}
 
 
 def write_inputs(folder: Path) -> None:

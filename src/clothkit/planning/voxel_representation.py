@@ -66,10 +66,10 @@ class VoxelRepresentation:
     def positions(self, states: States, grasps: Float[np.ndarray, "task 2 2"]) -> Float[np.ndarray, "task 2 2"]:
         return grasps
 
-    def mean(self, prediction: Logits) -> Float[np.ndarray, "*batch x y z"]:
+    def mean(self, prediction: Float[Array | np.ndarray, "*batch x y z"]) -> Float[np.ndarray, "*batch x y z"]:
         return np.asarray(jax.nn.sigmoid(prediction))
 
-    def std(self, prediction: Logits) -> None:
+    def std(self, prediction: Float[Array | np.ndarray, "*batch x y z"]) -> None:
         return None
 
     def distance(self, states: States, goals: States) -> Float[np.ndarray, " task"]:
