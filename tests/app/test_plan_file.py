@@ -163,7 +163,7 @@ def refused(*arguments: object) -> str:
     with (
         mock.patch.object(Worlds, "advance", never),
         mock.patch.object(simulate_command, "execute", never),
-        mock.patch.object(predict_command, "predicted", never),
+        mock.patch.object(predict_command, "predict_plan", never),
     ):
         result = run(*arguments)
     assert result.exit_code == 1, result.output
