@@ -18,6 +18,7 @@ from clothkit.dataset.augment import augment
 from clothkit.dataset.regularise import regularise
 from clothkit.dataset.rows import write_rows
 from clothkit.dataset.tasks import tasks_of
+from clothkit.episodes import record
 from clothkit.episodes.record import Sessions, Sizes, tasks_of_dataset
 from clothkit.episodes.rows import rows
 from clothkit.evaluation import arrays, estimation, prediction
@@ -26,7 +27,7 @@ from clothkit.models.net import Net
 from clothkit.models.settings import EMDVoxelConfig, PEMDConfig, VtMConfig
 from clothkit.observation.camera import back_project
 from clothkit.params import Params, load_params
-from clothkit.planning import normalisation, record
+from clothkit.planning import normalisation
 from clothkit.simulation.attempts import Attempts
 from clothkit.simulation.records import write_raw
 from tests.observation.scenes import SCALE, SMALL, folded, image_of

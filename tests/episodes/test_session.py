@@ -19,7 +19,7 @@ from clothkit.cloth.silhouette import centred
 from clothkit.dataset.store import SPLITS, Dataset
 from clothkit.dataset.tasks import Task
 from clothkit.episodes import record
-from clothkit.episodes.evaluate import cost, evaluate
+from clothkit.episodes.evaluate import TIMED_SESSIONS, cost, evaluate
 from clothkit.episodes.record import Pieces, Tasks, blank, join, load, save, save_piece, tasks_of_dataset
 from clothkit.episodes.rows import rows
 from clothkit.episodes.session import best_of_restarts, run_sessions
@@ -27,6 +27,7 @@ from clothkit.errors import InputError
 from clothkit.planning import planner as planners
 from clothkit.planning.search import Found, Problem
 from clothkit.planning.sight import MeshSight, View, mesh_candidates
+from clothkit.resumable import load_piece
 from tests.planning import toy
 
 MANIPULATIONS = np.array([[-1, -1, -1, -1, 0.6, 0.5], [1, 1, 1, 1, -0.7, -0.3], [-1, 1, -1, 1, 0.5, -0.6]], np.float32)
@@ -273,8 +274,11 @@ def test_an_interrupted_run_goes_on_to_the_same_rows(tmp_path: Path) -> None:
 
     with pytest.raises(KeyboardInterrupt):
         evaluate(data, planner, killed, work=tmp_path / "broken")
-    assert sorted(p.name for p in (tmp_path / "broken").iterdir()) == ["seconds_000.json", "sessions_000.npz"]
+    assert [p.name for p in (tmp_path / "broken").iterdir()] == ["sessions_000000"]
+    done = tmp_path / "broken/sessions_000000"
+    times = [path.stat().st_mtime_ns for path in sorted(done.iterdir())]
     resumed, _ = evaluate(data, planner, toy.execute, work=tmp_path / "broken")
+    assert [path.stat().st_mtime_ns for path in sorted(done.iterdir())] == times
     pd.testing.assert_frame_equal(rows(whole.whole(), "b1"), rows(resumed.whole(), "b1"))
     # Two pieces of one task; the first search, which compiles, is not counted.
     assert cost(clock)["plans"] == {"1": (1, pytest.approx(clock["1"][1][1], abs=1e-3))}
@@ -286,6 +290,19 @@ def test_an_interrupted_run_goes_on_to_the_same_rows(tmp_path: Path) -> None:
     np.testing.assert_array_equal(back.plan, whole.whole().plan)
     assert back.split.tolist() == ["test"] * 2
     assert len(join([back, back])) == 4
+
+
+@pytest.mark.parametrize("name", ["sessions.npz", "seconds.json"])
+def test_a_damaged_piece_is_told_by_its_folder(tmp_path: Path, name: str) -> None:
+    sessions, clock = blank(tasks(Task(0, 0, 3)), toy.planner("b1").sizes), {"1": [(2, 0.1)], "estimates": [(1, 0.2)]}
+    TIMED_SESSIONS.save(tmp_path / "piece", (sessions, clock))
+    found, times = load_piece(tmp_path / "piece", TIMED_SESSIONS)
+    np.testing.assert_array_equal(found.state, sessions.state)
+    assert times == clock
+    path = tmp_path / "piece" / name
+    path.write_bytes(path.read_bytes()[:-5])
+    with pytest.raises(InputError, match=r"piece: what an earlier run left is damaged \(.*; delete this folder"):
+        load_piece(tmp_path / "piece", TIMED_SESSIONS)
 
 
 def test_memory_does_not_grow_with_the_number_of_tasks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

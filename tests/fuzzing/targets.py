@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 from unittest import mock
@@ -20,16 +21,18 @@ from clothkit.app.planner import Past, Planned, first_traces, predicted
 from clothkit.app.viewer import recorded
 from clothkit.app.viewer.tasks import test_tasks as tasks_in
 from clothkit.dataset import raw, store, tables
+from clothkit.episodes import record
 from clothkit.evaluation import arrays, tidy
 from clothkit.models import store as nets
 from clothkit.observation.files import read
 from clothkit.observation.observe import observe
 from clothkit.observation.states import PointCloud
 from clothkit.params import load_params
-from clothkit.planning import normalisation, record
+from clothkit.planning import normalisation
 from clothkit.planning.planner import Planner
 from clothkit.report import made_with
 from clothkit.report.timings import table_8
+from clothkit.resumable import load_piece
 from clothkit.simulation import arcsim_obj, arcsim_runs, arcsim_scene, generation
 from clothkit.training import checkpoint
 from tests.app.plans import BOTH, ONE
@@ -221,7 +224,7 @@ LOADERS = (
     loader("reference values", REFERENCE.path, "json", normalisation.load),
     Target("net", (*NETS[:2], *VTM), lambda _: [nets.load(Path(f"data/nets/{name}")) for name in ("pemd_a", "vtm")]),
     loader("piece of sessions", "work/sessions_000.npz", "npz", record.load_piece),
-    loader("block of attempts", "work/block.npz", "bytes", generation.read_block),
+    loader("block of attempts", "work/block.npz", "bytes", partial(load_piece, storage=generation.BLOCKS)),
     loader("checkpoint", "work/checkpoint", "bytes", lambda path: checkpoint.read(path, [0, 0])),
     loader(
         "note of a stage's cost",

@@ -131,7 +131,7 @@ def test_the_chain_runs_on_from_arcsims_runs(tmp_path: Path) -> None:
     pieces, _ = evaluate(dataset, planner, toy.execute, work=tmp_path / "plan")
     sessions = pieces.whole()
 
-    seen = camera.estimation(dataset, vtm, CAMERA, REFINE)
+    seen = camera.estimation(dataset, vtm, CAMERA, REFINE, work=tmp_path / "states")
     arrays.save(tmp_path / "pictures.zarr", seen.arrays, {})
     before = camera_planning.planning(dataset, planner, toy.execute, sessions, CAMERA, work=tmp_path / "camera")
 
