@@ -30,7 +30,7 @@ from clothkit.observation.states import PointCloud
 from clothkit.params import load_params
 from clothkit.planning import normalisation
 from clothkit.planning.planner import Planner
-from clothkit.report import made_with
+from clothkit.report import run_settings
 from clothkit.report.timings import table_8
 from clothkit.resumable import load_piece
 from clothkit.simulation import arcsim_obj, arcsim_runs, arcsim_scene, generation
@@ -173,7 +173,7 @@ def _table(declared: tables.Table) -> Callable[[Path], Any]:
 
 def _settings(path: Path) -> Any:
     """What a report says that it was made with, less the text of its file."""
-    return dataclasses.replace(made_with.read(path), text="")
+    return dataclasses.replace(run_settings.read(path), text="")
 
 
 def _imported(runs: Path) -> Any:

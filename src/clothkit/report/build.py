@@ -10,7 +10,7 @@ from clothkit.cloth.equivalents import relabel
 from clothkit.dataset.tasks import Task, tasks_of
 from clothkit.evaluation.occupancy import TALL_MEASURE
 from clothkit.report import camera_tables, metrics, planning_tables, tables
-from clothkit.report.captions import CAPTIONS, CAPTIONS_FILE
+from clothkit.report.captions import CAPTIONS_FILE
 from clothkit.report.figures.calibration import calibration
 from clothkit.report.figures.camera import camera
 from clothkit.report.figures.curves import curves
@@ -26,6 +26,7 @@ from clothkit.report.figures.trajectories import Example, trajectories
 from clothkit.report.figures.voxels import voxels
 from clothkit.report.inputs import NETS, Inputs
 from clothkit.report.plots import plots
+from clothkit.report.sections import CAPTIONS
 from clothkit.report.settings import ReportConfig
 
 PREDICTOR_OF = {"main": "main", "b1": "a1"}

@@ -33,12 +33,6 @@ UNCERTAINTY = (
     "estimates, then predictions after one, two and three manipulations; the paper tells those of the test set.\n"
 )
 
-SESSIONS = (
-    "Above the recorded sequence and its goal (light blue), which is all that the planner is given of it; at the left "
-    "what happened, the outcome in light blue; between, plan by plan, the estimate (E) with grasp candidates (lilac "
-    "circles) and the predictions (P, σ lilac); at the right the predicted outcome, refined. The first test sequences, "
-    "and the task of median error. Paths that leave a picture end in an arrow at its border."
-)
 VOXELS = (
     "The same predictions in voxels: mean absolute difference of voxel values. *a2* is the paper's voxel baseline, "
     "which sees, and predicts, voxels. Meshes become voxels by eq. (16), and their truth is unoccluded, a vertex per "
@@ -170,41 +164,67 @@ SYSTEMS = {
 CAPTIONS_FILE = "captions.json"
 """File beside a report's figures with the captions that they had when they were drawn."""
 
-CAPTIONS = {
-    "sequences": "Simulated test sequences: states from above, manipulations dotted (red and green: the two hands); "
-    "blue and orange are the cloth's two sides.",
-    "estimates": "Estimates of test sequences after one, two and three manipulations: truth, voxels, VtM's mean with "
-    "its σ in lilac, and the refined mesh.",
-    "predictions": "Predictions from an estimate of the first state (E) beside what was recorded (R). Lilac is σ, the "
-    "yellow arrow in a corner the predicted shift of the cloth's centre, to scale.",
-    "sessions_1": f"Planning in one step. {SESSIONS}",
-    "sessions_2": f"Planning in two steps. {SESSIONS}",
-    "sessions_3": f"Planning in three steps. {SESSIONS}",
-    "calibration": "Test set: the share of coordinates whose error is below z σ, against the share of a normal "
-    "distribution there; dots are at z = 1. Above the dashed diagonal σ is larger than the errors warrant, below it "
-    "smaller. Estimates by the manipulations that lie behind the state; predictions from estimates, by the "
-    "manipulations predicted, from every start.",
-    "scatter": "Planning error against prediction error, a dot per test task. Predictions start from what the planner "
-    "starts from: estimates beside main, true meshes (a1) beside b1.",
-    "largest": "The largest errors, in the table's order: start with the recorded manipulation, and goal; then, plan "
-    "by plan, the estimate with grasp candidates (lilac circles) and the plan's first manipulation, the outcome "
-    "predicted for the whole plan (σ lilac), and what its execution led to, the final outcome on light blue. Numbers "
-    "are how far the first estimate is off, how far from the goal the nets expect the first plan to end, and how far "
-    "from it the cloth was in the end.",
-    "camera": "Test states before cameras: the middle of the picture by height above "
-    "the table, the voxels that come of it (the scales below are those of all pictures), and the refined estimate. On "
-    "the left the truth, its voxels free of noise, and their estimate.",
-    "meshes": "One state of the first test sequence, as a mesh and as the probabilistic mesh that VtM makes of its "
-    "voxels: from above (the grid is printed on the picture; lilac is σ), and each component over the cloth, u to the "
-    "right, v upwards. Light is more: x and y over the viewport, z over the mesh's own heights, σ up to the number "
-    "above it.",
-    "voxels": "The same state in voxels, without noise and unoccluded: the share of occupied voxels along each line of "
-    "sight, darker is more. z is stretched as the viewport's resolution stretches it.",
-    "trajectories": "From grasp points g and displacement d to release points r: two hands' are mirrored at the line "
-    "m, which stands across d in p (eq. 1); a single hand moves by d. Grey: the silhouette. What leaves the picture "
-    "ends in an arrow at its border, in every figure.",
-    "equivalents": "One shape as eight meshes, with the geodesic coordinates of its corners; the colours are those of "
-    "geodesic coordinates, too.",
-    "curves": "Validation errors during training, with their values where the score was best (dots). Tasks: "
-    "manipulations / state that they start from; states: manipulations that lie behind them.",
-}
+# Captions of figures.
+SEQUENCES = (
+    "Simulated test sequences: states from above, manipulations dotted (red and green: the two hands); blue and "
+    "orange are the cloth's two sides."
+)
+ESTIMATES = (
+    "Estimates of test sequences after one, two and three manipulations: truth, voxels, VtM's mean with its σ in "
+    "lilac, and the refined mesh."
+)
+PREDICTIONS = (
+    "Predictions from an estimate of the first state (E) beside what was recorded (R). Lilac is σ, the yellow "
+    "arrow in a corner the predicted shift of the cloth's centre, to scale."
+)
+CALIBRATION = (
+    "Test set: the share of coordinates whose error is below z σ, against the share of a normal distribution "
+    "there; dots are at z = 1. Above the dashed diagonal σ is larger than the errors warrant, below it smaller. "
+    "Estimates by the manipulations that lie behind the state; predictions from estimates, by the manipulations "
+    "predicted, from every start."
+)
+SCATTER = (
+    "Planning error against prediction error, a dot per test task. Predictions start from what the planner starts"
+    " from: estimates beside main, true meshes (a1) beside b1."
+)
+LARGEST_PICTURED = (
+    "The largest errors, in the table's order: start with the recorded manipulation, and goal; then, plan by "
+    "plan, the estimate with grasp candidates (lilac circles) and the plan's first manipulation, the outcome "
+    "predicted for the whole plan (σ lilac), and what its execution led to, the final outcome on light blue. "
+    "Numbers are how far the first estimate is off, how far from the goal the nets expect the first plan to end, "
+    "and how far from it the cloth was in the end."
+)
+CAMERA_PICTURED = (
+    "Test states before cameras: the middle of the picture by height above the table, the voxels that come of it "
+    "(the scales below are those of all pictures), and the refined estimate. On the left the truth, its voxels "
+    "free of noise, and their estimate."
+)
+MESHES = (
+    "One state of the first test sequence, as a mesh and as the probabilistic mesh that VtM makes of its voxels: "
+    "from above (the grid is printed on the picture; lilac is σ), and each component over the cloth, u to the "
+    "right, v upwards. Light is more: x and y over the viewport, z over the mesh's own heights, σ up to the "
+    "number above it."
+)
+VOXELS_PICTURED = (
+    "The same state in voxels, without noise and unoccluded: the share of occupied voxels along each line of "
+    "sight, darker is more. z is stretched as the viewport's resolution stretches it."
+)
+TRAJECTORIES = (
+    "From grasp points g and displacement d to release points r: two hands' are mirrored at the line m, which "
+    "stands across d in p (eq. 1); a single hand moves by d. Grey: the silhouette. What leaves the picture ends "
+    "in an arrow at its border, in every figure."
+)
+EQUIVALENTS = (
+    "One shape as eight meshes, with the geodesic coordinates of its corners; the colours are those of geodesic "
+    "coordinates, too."
+)
+CURVES = (
+    "Validation errors during training, with their values where the score was best (dots). Tasks: manipulations /"
+    " state that they start from; states: manipulations that lie behind them."
+)
+SESSIONS = (
+    "Above the recorded sequence and its goal (light blue), which is all that the planner is given of it; at the left "
+    "what happened, the outcome in light blue; between, plan by plan, the estimate (E) with grasp candidates (lilac "
+    "circles) and the predictions (P, σ lilac); at the right the predicted outcome, refined. The first test sequences, "
+    "and the task of median error. Paths that leave a picture end in an arrow at its border."
+)

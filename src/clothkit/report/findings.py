@@ -5,8 +5,8 @@ The words are made from the paired comparisons of planners, so that they stay tr
 
 import pandas as pd
 
+from clothkit.report.formatting import LEAST, number
 from clothkit.report.layout import TASKS
-from clothkit.report.printed import LEAST, number
 
 LEVEL = 0.05
 """Significance level: a difference counts as found where p times the number of compared columns is below it."""

@@ -7,11 +7,11 @@ import pandas as pd
 
 from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.cloth.voxels import HEIGHT
-from clothkit.report import markdown
 from clothkit.report.card.columns import described
 from clothkit.report.card.inputs import PARTS, Inputs
 from clothkit.report.card.meanings import flatten
 from clothkit.report.card.tables import TOLERANCE, WITHIN
+from clothkit.report.markdown import tables as markdown
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ import pandas as pd
 
 from clothkit.report import captions
 from clothkit.report.budgets import DAGGER
+from clothkit.report.formatting import JUDGED, SOURCES, TOO_FEW, better, number
 from clothkit.report.html.elements import Html, element, joined
 from clothkit.report.layout import HIGH, LOW, NO_ACTION
-from clothkit.report.printed import JUDGED, SOURCES, TOO_FEW, better, number
 
 STATISTICS = {"std": "st.dev.", LOW: "95 % of mean"}
 

@@ -19,7 +19,7 @@ Net = PEMDConfig | EMDVoxelConfig | VtMConfig
 
 
 @dataclass(frozen=True)
-class Learned:
+class TrainedNet:
     """Settings of a net and of its training."""
 
     net: Net
@@ -27,7 +27,7 @@ class Learned:
 
 
 @dataclass(frozen=True)
-class MadeWith:
+class RunSettings:
     """Settings of the run that a report is about."""
 
     text: str
@@ -39,9 +39,9 @@ class MadeWith:
     """Largest number of sequences that are planned for, by split."""
     search: SearchConfig
     voxel_search: SearchConfig
-    pemd: Learned
-    emd_voxel: Learned
-    vtm: Learned
+    pemd: TrainedNet
+    emd_voxel: TrainedNet
+    vtm: TrainedNet
 
     @property
     def canonical(self) -> bool:
@@ -54,7 +54,7 @@ class MadeWith:
         return bool(getattr(self.emd_voxel.net, "canonical", False))
 
 
-def read(path: Path) -> MadeWith:
+def read(path: Path) -> RunSettings:
     """The settings in a params.yaml that the report stage wrote: those of one scale, defaults filled in.
 
     Raises InputError that names the file and the key that is missing or has an invalid value.
@@ -72,21 +72,21 @@ def read(path: Path) -> MadeWith:
         raise InputError(f"{path}: is not valid YAML ({' '.join(str(error).split())})") from error
     scale = _at(path, whole, "scale")
     stages = _at(path, whole, f"scales.{scale}")
-    return MadeWith(
+    return RunSettings(
         text=text,
         scale=scale,
         simulated=_at(path, stages, "simulate.source") == "own",
         sequences={split: _at(path, stages, f"plan.{split}") for split in ("test", "train")},
         search=_settings(path, stages, "plan.search", SearchConfig),
         voxel_search=_settings(path, stages, "plan.voxel_search", SearchConfig),
-        pemd=_learned(path, stages, "train_pemd", PEMDConfig),
-        emd_voxel=_learned(path, stages, "train_emd_voxel", EMDVoxelConfig),
-        vtm=_learned(path, stages, "train_vtm", VtMConfig),
+        pemd=_trained_net(path, stages, "train_pemd", PEMDConfig),
+        emd_voxel=_trained_net(path, stages, "train_emd_voxel", EMDVoxelConfig),
+        vtm=_trained_net(path, stages, "train_vtm", VtMConfig),
     )
 
 
-def _learned(path: Path, stages: Any, stage: str, net: type[Net]) -> Learned:
-    return Learned(
+def _trained_net(path: Path, stages: Any, stage: str, net: type[Net]) -> TrainedNet:
+    return TrainedNet(
         _settings(path, stages, f"{stage}.net", net), _settings(path, stages, f"{stage}.training", TrainingConfig)
     )
 
