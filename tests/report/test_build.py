@@ -165,7 +165,7 @@ def test_a_report_is_complete(inputs: Inputs, tmp_path: Path) -> None:
     assert "every task of 2 test sequences" in page
     assert "Too few test sequences were planned for (2)" in page
     assert len(tree(markup).all("img")) == len(pictures)
-    assert "No stage has left a note." in markup
+    assert "No stage has recorded its time." in markup
     assert len(markup) < 8e6
 
 

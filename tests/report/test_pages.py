@@ -114,7 +114,7 @@ def test_reports_of_before_sequences_were_counted_tell_them_by_their_comparisons
 
 def test_a_study_of_the_memory_trace_is_linked_where_there_is_one(tmp_path: Path) -> None:
     shown = contents_of(tmp_path / "report", SYSTEMS)
-    assert "What it is worth was not measured for this report." in page("Report: laptop", parts_of(shown))
+    assert "The effect was not measured for this report." in page("Report: laptop", parts_of(shown))
     (tmp_path / "report/studies").mkdir()
     (tmp_path / "report/studies/memory.csv").write_text("system\n")
     assert "[A study](studies/memory.csv)" in page("Report: laptop", parts_of(pages.read(tmp_path / "report")))

@@ -238,4 +238,6 @@ def test_a_page_of_one_planner_compares_nothing(tmp_path: Path) -> None:
     assert "| test | main | mean 95 % low | clothkit |" in text
     assert "| b4 |" not in text.replace("| b4 | paper |", "")
     assert "†" not in text
-    assert text.splitlines()[2].startswith("Planned and executed: every task of 12 test and 12 train sequences.")
+    assert text.splitlines()[2].startswith(
+        "This report planned and executed every task of 12 test and 12 train sequences."
+    )

@@ -114,7 +114,7 @@ def difference_of_training(table: pd.DataFrame, whose: str) -> str:
         return ""
     minutes = [row["training_cpu_minutes"] for row in (voxels, main)]
     if any(map(math.isnan, minutes)):
-        return f"{whose} were trained for a time that is not known"
+        return f"{whose} were trained for an unknown time"
     return f"{whose} were trained for {minutes[0]:.0f} CPU minutes, those of *main* for {minutes[1]:.0f}"
 
 

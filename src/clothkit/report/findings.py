@@ -26,7 +26,7 @@ PLANS = {
 
 RULE = (
     f"A difference counts as found where p, times the {len(TASKS)} columns that are compared, is below {LEVEL}; "
-    "[planners compared](#planners-compared) has them all.\n"
+    "[planners compared](#planners-compared) shows all comparisons.\n"
 )
 
 
@@ -47,9 +47,9 @@ def findings(comparisons: pd.DataFrame) -> list[str]:
 
 def _term(rows: pd.DataFrame) -> str:
     count = _sequences(rows)
-    which = f"(*main* against *b3*, which differs from it in this alone; {count} test sequences)"
+    which = f"(*main* compared with *b3*, which differs in nothing else; {count} test sequences)"
     if count < LEAST:
-        return f"Too few test sequences were planned for ({count}) to tell what the uncertainty term is worth.\n"
+        return f"Too few test sequences were planned for ({count}) to measure the effect of the uncertainty term.\n"
     better, worse = _found(rows, better=True), _found(rows, better=False)
     if better and worse:
         return f"With {TERM} plans were better than without it {which} in {better}, and worse in {worse}.\n"
@@ -64,25 +64,23 @@ def _lead(rivals: dict[str, pd.DataFrame]) -> str:
     words = {"b2": "*b2* (one net)", "b3": "*b3* (two nets, without the term)"}
     enough = {name: rows for name, rows in rivals.items() if _sequences(rows) >= LEAST}
     if not enough:
-        return "Nor is that enough to tell whether *main* leads over *b2* and *b3* as it does in the paper.\n"
+        return "That is not enough to tell whether *main* is better than *b2* and *b3*, as it is in the paper.\n"
     leads = {name: _found(rows, better=True) for name, rows in enough.items()}
     without = [words[name] for name, lead in leads.items() if not lead]
-    said = [
-        f"The paper's lead of *main* over {words[name]} was found in {lead}." for name, lead in leads.items() if lead
-    ]
+    said = [f"As in the paper, *main* was better than {words[name]} in {lead}." for name, lead in leads.items() if lead]
     if without:
-        said.append(f"The lead that *main* has over {' and '.join(without)} in the paper was not found.")
+        said.append(f"In the paper *main* is better than {' and '.join(without)}; here this was not found.")
     return " ".join(said) + "\n"
 
 
 def _refinement(rows: pd.DataFrame) -> str:
     paper = 'In the paper skipping refinement "was observed to significantly harm planning performance" (section 4.7)'
     if _sequences(rows) < LEAST:
-        return f"{paper}; too few sequences were planned for here to tell.\n"
+        return f"{paper}; too few sequences were planned for here to compare.\n"
     better, worse = (_found(rows, better=which, of_other=True) for which in (True, False))
     said = [f"it harmed {better}"] if better else []
     said += [f"plans without it were better in {worse}"] if worse else []
-    return f"{paper}; here {', and '.join(said) or 'no difference was found (*main* against *unrefined*)'}.\n"
+    return f"{paper}; here {', and '.join(said) or 'no difference was found (*main* compared with *unrefined*)'}.\n"
 
 
 def _sequences(rows: pd.DataFrame) -> int:

@@ -20,19 +20,19 @@ def findings_on_planners(report: Report) -> list[str]:
 def planned(report: Report) -> str:
     """The sentence on the number of sequences in our planning tables and in the paper's."""
     counts = " and ".join(f"{count} {split}" for split, count in report.contents.planned.items())
-    return f"Planned and executed: every task of {counts} sequences. {captions.PAPER}"
+    return f"This report planned and executed every task of {counts} sequences. {captions.PAPER}"
 
 
 def replay(report: Report) -> str:
-    """What the small error of one-step plans from the flat cloth means; "" for sequences from another simulator."""
+    """Why one-step plans from the flat cloth have a small error; "" for sequences from another simulator."""
     error = mean(report.table("table_6"), "clothkit", "main", "1/0")
     if not report.contents.settings.simulated or math.isnan(error):
         return ""
     return (
-        f"A one-step plan from the flat cloth (state 0; *main*: {number(error)}) is a replay: the simulator is "
-        "deterministic, each sequence begins with the same flat cloth, and a plan that finds the recorded manipulation "
-        "again gives almost the recorded state again. Its error says that the search finds it, not how well such a "
-        "plan would do on a cloth that behaves a little differently.\n"
+        f"A one-step plan from the flat cloth (state 0; *main*: {number(error)}) can be a replay: the simulator is "
+        "deterministic and each sequence begins with the same flat cloth, so a plan that finds the recorded "
+        "manipulation again reaches almost the recorded state. Its error shows that the search finds the manipulation, "
+        "not how well the plan would work on a cloth that behaves a little differently.\n"
     )
 
 
@@ -76,11 +76,12 @@ def viewport(contents: Contents, name: str, in_meshes: str) -> str:
         for system, column, length, start in (("main", "2/1", "two steps", 1), ("b4", "1/2", "one step", 2))
     )
     return (
-        f"{where}Two things are known of it. The viewport and the resolution that the paper gives make voxels eight "
-        "times finer in z than in x and y, though its text says four, and the finer voxels are, the fewer agree: the "
-        "table below, for a viewport of height 0.25, has voxels four times finer. And the paper's own table 7 is not "
-        "consistent with its table 6 across systems: nearly equal errors of meshes are voxel differences more than "
-        f"twice apart, in {pairs}. *mean / no action* relates our figures to what there is to be gained.\n"
+        f"{where}Two things are known about this difference. First, the paper's viewport and resolution make voxels "
+        "eight times finer in z than in x and y, although its text says four, and fewer voxels agree if they are "
+        "finer; the next table, for a viewport of height 0.25, has voxels that are four times finer. Second, the "
+        "paper's table 7 is not consistent with its table 6 across systems: almost equal errors of meshes are voxel "
+        f"differences that differ by more than a factor of two, in {pairs}. *mean / no action* compares our errors "
+        "with those without any action.\n"
     )
 
 
@@ -107,7 +108,7 @@ def unequal_training(report: Report) -> str:
 
 
 def _dagger(difference: str) -> str:
-    return f"†: with another budget. {difference} ([budgets](#budgets)).\n" if difference else ""
+    return f"†: has a different budget. {difference} ([budgets](#budgets)).\n" if difference else ""
 
 
 def dataset(report: Report) -> str:
@@ -119,7 +120,7 @@ def dataset(report: Report) -> str:
     return (
         f"{count} sequences of a square cloth folded at random, {manipulations} manipulations, {100 * single:.1f} % of "
         f"them single-handed; {100 * accepted:.1f} % of the tried sequences were accepted. [The dataset's card]"
-        "(dataset/README.md) tells its files, columns, quality and worst states.\n"
+        "(dataset/README.md) describes its files, columns, quality and worst states.\n"
     )
 
 

@@ -11,12 +11,12 @@ def card(shown: Card) -> Html:
     """The card as an element; its colour tells which figure is better."""
     best = better(shown.own, shown.paper)
     if best == "clothkit":
-        comparison = "better than the paper's, in another simulator:"
+        comparison = "better than the paper's (in another simulator):"
     elif best == "paper":
-        comparison = "the paper's, in another simulator, is better:"
+        comparison = "the paper's (in another simulator) is better:"
     else:
-        comparison = "the paper's, in another simulator:"
-    text = f"{shown.meaning[0].upper()}{shown.meaning[1:]}; doing nothing would be {number(shown.no_action)} off."
+        comparison = "the paper's (in another simulator):"
+    text = f"{shown.meaning}; without any action {number(shown.no_action)}."
     labelled = [element("p", f"as labelled: {number(shown.labelled)}", class_="against")]
     return element(
         "div",

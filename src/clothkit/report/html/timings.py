@@ -7,7 +7,7 @@ from clothkit.report.html.elements import Html, element, inline, joined, paragra
 
 
 def timings(block: Timings) -> Html:
-    """The seconds, the memory and the machine of each stage that left a note."""
+    """The seconds, the memory and the machine of each stage that recorded them."""
     return joined(
         element("h3", block.title),
         paragraph(block.paragraph),
@@ -18,7 +18,7 @@ def timings(block: Timings) -> Html:
 
 def _stages(timings: pd.DataFrame, label: str) -> Html:
     if timings.empty:
-        return element("p", "No stage has left a note.")
+        return element("p", "No stage has recorded its time.")
     names = ("stage", "time", "share of the longest", "CPU time", "memory", "machine")
     # Bars and machines start at the left of their columns.
     heads = [
