@@ -1,4 +1,4 @@
-"""Eq. (16): exact integrals against samples, against logarithms in double precision, and by hand."""
+"""Eq. (16): exact integrals against logarithms in double precision, and by hand."""
 
 import jax
 import numpy as np
@@ -9,7 +9,7 @@ from scipy.stats import norm
 
 from clothkit.cloth import grid, voxels
 from clothkit.cloth.mesh import ProbabilisticMesh
-from clothkit.evaluation.occupancy import differences, occupancy, sampled_occupancy, seen_occupancy
+from clothkit.evaluation.occupancy import differences, occupancy, seen_occupancy
 
 
 def prediction(seed: int, *, spread: float = 0.1, batch: int = 1) -> ProbabilisticMesh:
@@ -42,19 +42,6 @@ def test_it_is_the_product_of_eq_16_in_double_precision() -> None:
         np.testing.assert_allclose(found[i], by_logarithms(one), atol=2e-5)
 
 
-def test_samples_agree_within_their_error() -> None:
-    mesh = prediction(1)
-    exact = np.asarray(occupancy(mesh))[0]
-    draws = np.stack([sampled_occupancy(mesh, samples=256, key=jax.random.key(k))[0] for k in range(8)])
-    # Samples of different vertices are independent, so their product is unbiased; only its spread is left.
-    error = draws.std(0, ddof=1) / np.sqrt(len(draws))
-    deviation = (draws.mean(0) - exact)[error > 0] / error[error > 0]
-    assert abs(draws.mean() - exact.mean()) < 4 * draws.mean((1, 2, 3)).std(ddof=1) / np.sqrt(len(draws)) + 1e-6
-    # Student's t with seven degrees of freedom: its median absolute value is 0.711.
-    assert np.median(np.abs(deviation[exact[error > 0] > 0.2])) == pytest.approx(0.711, abs=0.1)
-    assert np.abs(draws.mean(0) - exact).max() < 0.06
-
-
 @given(st.floats(-1.2, 1.2), st.floats(-1.2, 1.2), st.floats(-0.1, 0.2), st.floats(0.01, 0.5))
 def test_a_cloth_of_equal_vertices_by_hand(x: float, y: float, z: float, std: float) -> None:
     """n equal vertices: 1 - (1 - p)^n; the shares of one sum to its probability of being above the viewport's floor."""
@@ -75,7 +62,6 @@ def test_a_certain_prediction_is_the_voxels_of_its_mesh() -> None:
     certain = ProbabilisticMesh(mean.astype(np.float32), np.full(mean.shape, 1e-5, np.float32))
     truth = np.asarray(voxels.of_mesh(certain.mean))
     np.testing.assert_allclose(occupancy(certain), truth, atol=1e-5)
-    np.testing.assert_allclose(sampled_occupancy(certain, samples=8, key=jax.random.key(0)), truth, atol=1e-6)
     assert float(differences(occupancy(certain), truth)[0]) == pytest.approx(0, abs=1e-6)
 
 

@@ -8,9 +8,6 @@ from jaxtyping import Array, Float, Int
 from clothkit.cloth.equivalents import INVERSE, relabel_batch
 from clothkit.cloth.mesh import ProbabilisticMesh, best_label, distance, error
 
-IDEAL_SIGMA_RATIO = float(np.sqrt(2 / np.pi))
-"""Sigma ratio of a calibrated prediction: mean absolute deviation / standard deviation of a normal distribution."""
-
 errors = jax.jit(error, static_argnames="aligned")
 labelled_errors = jax.jit(distance)
 
