@@ -9,7 +9,7 @@ from scipy.stats import norm
 
 from clothkit.cloth import grid, voxels
 from clothkit.cloth.mesh import ProbabilisticMesh
-from clothkit.evaluation.occupancy import differences, occupancy, seen_occupancy
+from clothkit.evaluation.occupancy import differences, occluded_occupancy, occupancy
 
 
 def prediction(seed: int, *, spread: float = 0.1, batch: int = 1) -> ProbabilisticMesh:
@@ -69,7 +69,7 @@ def test_a_certain_prediction_occluded_is_what_a_camera_sees_of_its_mesh() -> No
     rng = np.random.default_rng(3)
     mesh = grid.flat() + np.array([0.013, 0.017, 0.004]) + rng.normal(0, [0.003, 0.003, 0.02], (1, 32, 32, 3))
     certain = ProbabilisticMesh(mesh.astype(np.float32), np.full(mesh.shape, 1e-6, np.float32))
-    found = np.asarray(seen_occupancy(certain, key=jax.random.key(0)))
+    found = np.asarray(occluded_occupancy(certain, key=jax.random.key(0)))
     # But for a vertex that lies on the border of voxels.
     assert np.mean(np.abs(found - np.asarray(voxels.observe(certain.mean))) > 1e-3) < 1e-3
 
@@ -79,7 +79,7 @@ def test_what_is_seen_of_one_uncertain_height_by_hand() -> None:
     mean = np.broadcast_to(np.array([0.03, 0.03, 0.001], np.float32), (1, 32, 32, 3)).copy()
     std = np.full_like(mean, 1e-6)
     mean[0, 5, 5, 2], std[0, 5, 5, 2] = 0.06, 0.01
-    found = np.asarray(seen_occupancy(ProbabilisticMesh(mean, std), draws=2000, key=jax.random.key(1)))[0, 16, 16]
+    found = np.asarray(occluded_occupancy(ProbabilisticMesh(mean, std), draws=2000, key=jax.random.key(1)))[0, 16, 16]
     edges = np.arange(16) * 0.125 / 16
     np.testing.assert_allclose(found, np.where(edges > 0, norm.sf(edges, 0.06, 0.01), 1), atol=0.04)
 

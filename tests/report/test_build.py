@@ -16,7 +16,7 @@ from clothkit.episodes.record import Sessions, Sizes, blank, tasks_of_dataset
 from clothkit.evaluation import calibration, camera_planning, planning
 from clothkit.evaluation.comparisons import of_predictions
 from clothkit.report import pages, panels, timings
-from clothkit.report.build import build, picked
+from clothkit.report.build import build, example_tasks
 from clothkit.report.figures.largest import Failure, largest
 from clothkit.report.figures.sessions import median, of_record, sessions
 from clothkit.report.inputs import Inputs
@@ -178,7 +178,7 @@ def test_a_session_is_drawn_from_its_record(inputs: Inputs, dataset: Dataset, tm
     np.testing.assert_allclose(session.steps[1].candidates, dataset.vertices[1, 2][[0, 31], 0, :2], atol=1e-6)
     assert of_record(inputs.sessions, dataset, rows, Task(7, 0, 1), net=1) is None
     for name in ("one.png", "two.png"):
-        sessions([session], tmp_path / name, abreast=1)
+        sessions([session], tmp_path / name, per_row=1)
     assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
 
 
@@ -230,8 +230,8 @@ def test_the_median_case_is_shown_and_named(inputs: Inputs) -> None:
 
 
 def test_pictures_take_the_starts_in_turn() -> None:
-    assert picked([5, 6, 7, 8], [3] * 4, 1) == [Task(5, 0, 1), Task(6, 1, 1), Task(7, 2, 1), Task(8, 0, 1)]
-    assert picked([5, 6], [3, 3], 3) == [Task(5, 0, 3), Task(6, 0, 3)]
+    assert example_tasks([5, 6, 7, 8], [3] * 4, 1) == [Task(5, 0, 1), Task(6, 1, 1), Task(7, 2, 1), Task(8, 0, 1)]
+    assert example_tasks([5, 6], [3, 3], 3) == [Task(5, 0, 3), Task(6, 0, 3)]
     # Short sequences have fewer starts, or none.
-    assert picked([5, 6, 7], [1, 1, 2], 1) == [Task(5, 0, 1), Task(6, 0, 1), Task(7, 0, 1)]
-    assert picked([5, 6], [1, 2], 2) == [Task(6, 0, 2)]
+    assert example_tasks([5, 6, 7], [1, 1, 2], 1) == [Task(5, 0, 1), Task(6, 0, 1), Task(7, 0, 1)]
+    assert example_tasks([5, 6], [1, 2], 2) == [Task(6, 0, 2)]

@@ -63,7 +63,7 @@ class Estimation(NamedTuple):
     """Pictures, voxels and estimates of some states under every condition, for figures."""
 
 
-def pictured(settings: EvaluateCameraConfig, condition: Condition) -> PictureConfig:
+def picture_settings(settings: EvaluateCameraConfig, condition: Condition) -> PictureConfig:
     """Return the picture settings of a condition."""
     noise = settings.picture.noise
     return dataclasses.replace(
@@ -91,14 +91,14 @@ def observe(
         centre_error, overlap = np.zeros(len(meshes)), np.ones(len(meshes))
         height = np.zeros((0, 0, 0), np.float32)
     else:
-        picture_settings = for_net(pictured(settings, condition), vtm)
+        condition_settings = for_net(picture_settings(settings, condition), vtm)
         occupied = np.zeros((len(meshes), *voxels.RESOLUTION), bool)
         centre_error, overlap = np.full((2, len(meshes)), np.nan)
-        camera = picture_settings.camera
+        camera = condition_settings.camera
         height = np.full((len(stored), camera.rows, camera.columns), UNMEASURED, np.float32)
         for number, mesh in enumerate(tqdm(meshes, desc=condition.name, unit="picture", leave=False)):
             try:
-                picture = take(mesh, picture_settings)
+                picture = take(mesh, condition_settings)
             except InputError:
                 continue
             occupied[number] = picture.observation.voxels

@@ -15,7 +15,7 @@ from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.cloth.voxels import HEIGHT, RESOLUTION, observe
 
 DRAWS = 16
-"""Meshes drawn from a prediction in `seen_occupancy`; few suffice, since differences to binary voxels are linear."""
+"""Meshes drawn from a prediction in `occluded_occupancy`; few suffice: differences to binary voxels are linear."""
 
 TALL = 2 * HEIGHT
 """Upper end of a second viewport [normalised]: 0.25. With section 4.7's viewport and resolution, voxels are eight times
@@ -67,7 +67,7 @@ def occupancy(mesh: ProbabilisticMesh, *, height: float = HEIGHT) -> Float[Array
 
 
 @partial(jax.jit, static_argnames=("draws", "height"))
-def seen_occupancy(
+def occluded_occupancy(
     mesh: ProbabilisticMesh, *, draws: int = DRAWS, height: float = HEIGHT, key: PRNGKeyArray
 ) -> Float[Array, "batch 32 32 16"]:
     """Return the probability, 0..1, that a camera above sees each voxel occupied (doubled and occluded).

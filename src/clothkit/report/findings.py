@@ -34,15 +34,15 @@ def findings(comparisons: pd.DataFrame) -> list[str]:
     """Paragraphs in Markdown from the table of planners' comparisons; an empty list if nothing was compared."""
     errors = comparisons[(comparisons["split"] == "test") & (comparisons["measure"] == "error")]
     pairs = dict(iter(errors[errors["system"] == "main"].groupby("against")))
-    said = []
+    sentences = []
     if "b3" in pairs:
-        said.append(_term(pairs["b3"]))
-    rivals = {name: pairs[name] for name in ("b2", "b3") if name in pairs}
-    if rivals:
-        said.append(_lead(rivals))
+        sentences.append(_term(pairs["b3"]))
+    others = {name: pairs[name] for name in ("b2", "b3") if name in pairs}
+    if others:
+        sentences.append(_lead(others))
     if "unrefined" in pairs:
-        said.append(_refinement(pairs["unrefined"]))
-    return [*said, RULE] if said else []
+        sentences.append(_refinement(pairs["unrefined"]))
+    return [*sentences, RULE] if sentences else []
 
 
 def _term(rows: pd.DataFrame) -> str:
@@ -60,17 +60,19 @@ def _term(rows: pd.DataFrame) -> str:
     return f"Plans were no better with {TERM} than without it {which}: no difference was found.\n"
 
 
-def _lead(rivals: dict[str, pd.DataFrame]) -> str:
-    words = {"b2": "*b2* (one net)", "b3": "*b3* (two nets, without the term)"}
-    enough = {name: rows for name, rows in rivals.items() if _sequences(rows) >= LEAST}
+def _lead(others: dict[str, pd.DataFrame]) -> str:
+    names = {"b2": "*b2* (one net)", "b3": "*b3* (two nets, without the term)"}
+    enough = {name: rows for name, rows in others.items() if _sequences(rows) >= LEAST}
     if not enough:
         return "That is not enough to tell whether *main* is better than *b2* and *b3*, as it is in the paper.\n"
     leads = {name: _found(rows, better=True) for name, rows in enough.items()}
-    without = [words[name] for name, lead in leads.items() if not lead]
-    said = [f"As in the paper, *main* was better than {words[name]} in {lead}." for name, lead in leads.items() if lead]
+    without = [names[name] for name, lead in leads.items() if not lead]
+    sentences = [
+        f"As in the paper, *main* was better than {names[name]} in {lead}." for name, lead in leads.items() if lead
+    ]
     if without:
-        said.append(f"In the paper *main* is better than {' and '.join(without)}; here this was not found.")
-    return " ".join(said) + "\n"
+        sentences.append(f"In the paper *main* is better than {' and '.join(without)}; here this was not found.")
+    return " ".join(sentences) + "\n"
 
 
 def _refinement(rows: pd.DataFrame) -> str:
@@ -78,9 +80,11 @@ def _refinement(rows: pd.DataFrame) -> str:
     if _sequences(rows) < LEAST:
         return f"{paper}; too few sequences were planned for here to compare.\n"
     better, worse = (_found(rows, better=which, of_other=True) for which in (True, False))
-    said = [f"it harmed {better}"] if better else []
-    said += [f"plans without it were better in {worse}"] if worse else []
-    return f"{paper}; here {', and '.join(said) or 'no difference was found (*main* compared with *unrefined*)'}.\n"
+    sentences = [f"it harmed {better}"] if better else []
+    sentences += [f"plans without it were better in {worse}"] if worse else []
+    return (
+        f"{paper}; here {', and '.join(sentences) or 'no difference was found (*main* compared with *unrefined*)'}.\n"
+    )
 
 
 def _sequences(rows: pd.DataFrame) -> int:
@@ -93,11 +97,11 @@ def _found(rows: pd.DataFrame, *, better: bool, of_other: bool = False) -> str:
     With `of_other`, the words say how the other system's errors compare with the first one's.
     """
     size = "smaller" if better != of_other else "larger"
-    said = []
+    sentences = []
     for column in TASKS:
         for row in rows[rows["column"] == column].to_dict("records"):
             significant = row["sequences"] >= LEAST and row["p"] * len(TASKS) < LEVEL
             if significant and (row["difference"] < 0) == better:
-                told = f"mean error {number(abs(row['difference']))} {size}, p {row['p']:.2g}"
-                said.append(f"{PLANS[column]} ({told})")
-    return " and ".join(part for part in (", ".join(said[:-1]), *said[-1:]) if part)
+                detail = f"mean error {number(abs(row['difference']))} {size}, p {row['p']:.2g}"
+                sentences.append(f"{PLANS[column]} ({detail})")
+    return " and ".join(part for part in (", ".join(sentences[:-1]), *sentences[-1:]) if part)
