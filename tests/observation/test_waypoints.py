@@ -17,6 +17,7 @@ from clothkit.observation.waypoints import (
 from tests.observation.scenes import SCALE, folded
 from tests.observation.scenes import turned as turned_mesh
 
+EVERYWHERE = ReachConfig(low=(-9.0, -9.0, -9.0), high=(9.0, 9.0, 9.0))
 POSE = Pose(np.eye(3), np.zeros(3), np.array([0.5, 0.1]), SCALE)
 HALF = np.array([1.0, -1.0, 1.0, 1.0, -1.4, 0.0], np.float32)
 
