@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from clothkit.cloth.grid import SIDE, geodesic
+from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.regularise import interpolation
 from clothkit.errors import InputError
 from clothkit.simulation.arcsim_obj import Frame, read_frame
@@ -62,7 +62,7 @@ def read_scene(conf: Path) -> Scene:
     held = np.full((1, HANDS, 1), -1)
     path = np.zeros((1, HANDS, POINTS, 3))
     for hand, (handle, moved) in enumerate(handles):
-        distance = np.linalg.norm(geodesic() - start.geodesic(handle.node), axis=-1)
+        distance = np.linalg.norm(SQUARE.geodesic() - start.geodesic(handle.node), axis=-1)
         held[0, hand, 0] = distance.argmin()
         path[0, hand] = start.positions[handle.node] + moved
     motion = Motion(held, path, np.array([release]))
@@ -86,5 +86,5 @@ def replay(scene: Scene, settings: SimulationConfig) -> Replay:
 
 def _on_grid(frame: Frame) -> Float[np.ndarray, "u v 3"]:
     grid = interpolation(frame.material, frame.triangles)(frame.positions)
-    assert grid.shape == (SIDE, SIDE, 3)
+    assert grid.shape == (*SQUARE.shape, 3)
     return grid.astype(np.float32)

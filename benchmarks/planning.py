@@ -32,13 +32,18 @@ from clothkit.cloth.silhouette import silhouette
 from clothkit.cloth.voxels import observe
 from clothkit.estimation.estimate import estimate, estimate_unrefined
 from clothkit.models import emd_voxel, pemd, vtm
+from clothkit.models.forward import ForwardModel, forward_model
 from clothkit.models.net import Net
 from clothkit.params import load_params
-from clothkit.planning.draw import EXTENT, RASTER, Candidates
-from clothkit.planning.loss import Range, Spread, Weights
-from clothkit.planning.search import UNKNOWN, Problem, Reference, SearchConfig, search
-from clothkit.planning.sight import CORNERS, MeshSight, VoxelSight
+from clothkit.planning.initial import EXTENT, RASTER
+from clothkit.planning.mesh_representation import CORNERS, MESH
+from clothkit.planning.objective import Range, Reference, Weights, objective_of
+from clothkit.planning.representation import Representation
+from clothkit.planning.search import SearchConfig, search
 from clothkit.planning.systems import SYSTEMS, System
+from clothkit.planning.types import UNKNOWN, Candidates, Problem
+from clothkit.planning.uncertainty import Spread
+from clothkit.planning.voxel_representation import VOXEL
 from clothkit.report import paper
 
 LENGTHS = (1, 2, 3)
@@ -47,18 +52,21 @@ ESTIMATION = {"VtM": 0.0037, "refined": 0.5737}
 """The paper's time per estimate (section 6.1), in s."""
 
 
-def problems(system: System, nets: tuple[Net, ...], forward: Any, length: int, batch: int) -> Problem:
+def problems(
+    model: ForwardModel, representation: Representation, nets: tuple[Any, ...], length: int, batch: int
+) -> Problem:
     """Return a batch of problems whose state and goal are the flat cloth."""
-    state = np.asarray(observe(flat())) if system.voxels else flat()
+    voxels = representation is VOXEL
+    state = np.asarray(observe(flat())) if voxels else flat()
     grasps = np.zeros((CANDIDATES, 2), np.float32)
-    grasps[: len(CORNERS)] = 0.7 * CORNERS if system.voxels else CORNERS
-    widths = [jax.eval_shape(forward.encode, net, jnp.asarray(state)).shape[-1] for net in nets]
+    grasps[: len(CORNERS)] = 0.7 * CORNERS if voxels else CORNERS
+    widths = [jax.eval_shape(model.encode, net, jnp.asarray(state)).shape[-1] for net in nets]
     one = Problem(
         state=state,
         goal=state,
         candidates=Candidates(grasps, np.array(len(CORNERS))),
-        traces=tuple(np.zeros((forward.labels, width), np.float32) for width in widths),
-        relative=np.array(0 if system.voxels else UNKNOWN),
+        traces=tuple(np.zeros((representation.labels, width), np.float32) for width in widths),
+        relative=np.array(0 if voxels else UNKNOWN),
         later=np.array(False),
         carried=np.zeros((length, 6), np.float32),
         covered=silhouette(flat(), resolution=RASTER, extent=EXTENT),
@@ -105,26 +113,26 @@ def measure(system: System, stages: Any, settings: SearchConfig, batch: int, rou
     """Return a row of the table for each plan length."""
     net: Any = stages.train_emd_voxel if system.voxels else stages.train_pemd
     build: Any = emd_voxel.initial if system.voxels else pemd.initial
-    nets = tuple(Net(net.net, build(net.net, key=jax.random.key(seed))) for seed in range(system.nets))
-    forward = VoxelSight().forward if system.voxels else MeshSight(None, stages.plan.refine).forward
-    explicit = system.alpha is None and system.nets == 2
+    count = 1 if system.single else 2
+    nets = tuple(build(net.net, key=jax.random.key(seed)) for seed in range(count))
+    kind = (forward_model(net.net), VOXEL if system.voxels else MESH)
+    explicit = system.alpha is None and not system.single
     found = []
     for length in LENGTHS:
-        asked = problems(system, nets, forward, length, batch)
+        asked = problems(*kind, nets, length, batch)
         keys = jax.random.split(jax.random.key(0), batch)
         reference = Reference((Range(0.0, 1.0),) * 2, Spread(np.ones(length, np.float32), np.ones(length, np.float32)))
-        given = (nets, asked, reference, Weights(float(explicit), 5.0, 1.25))
+        objective = objective_of(len(nets), reference, Weights(float(explicit), 5.0, 1.25))
+        inputs = (nets, asked, objective)
         # Compiled ahead of time, without a first run: at table 1's sizes one search takes minutes on a CPU.
-        program = search.lower(
-            forward, *given, length=length, settings=settings, explicit=explicit, keys=keys
-        ).compile()
-        seconds = least(partial(program, *given, keys=keys), rounds, compiled=True)
+        program = search.lower(*kind, *inputs, length=length, settings=settings, keys=keys).compile()
+        seconds = least(partial(program, *inputs, keys=keys), rounds, compiled=True)
         row: dict[str, Any] = {"system": system.name, "strains": settings.strains, "length": length}
         row |= {"s a plan": round(seconds / batch, 3), "paper's": published(system.name, length)}
         if not system.voxels:
             rows = settings.strains * batch
-            alone, flops = products_alone(nets[0].params, rows, length, explicit, settings.every, rounds)
-            evaluations = settings.iterations(length) * system.nets
+            alone, flops = products_alone(nets[0], rows, length, explicit, settings.every, rounds)
+            evaluations = settings.iterations(length) * count
             row |= {
                 "GF a plan": round(flops * evaluations / batch / 1e9),
                 "products s": round(alone * evaluations / batch, 3),

@@ -23,7 +23,7 @@ import numpy as np
 from tables import show
 from timed import in_a_row, least
 
-from clothkit.cloth.grid import flat
+from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.store import STATES, STEPS, Dataset
 from clothkit.params import load_params
 from clothkit.training import pemd as pemd_training
@@ -39,7 +39,7 @@ SHARE = 0.4  # fraction of voxels that `rare: 0.001` keeps for folded cloths; th
 def made_up() -> Dataset:
     """Return a synthetic dataset of flat cloths with noise."""
     random = np.random.default_rng(0)
-    vertices = flat() + 0.01 * random.standard_normal((SEQUENCES, STATES, *flat().shape))
+    vertices = SQUARE.flat() + 0.01 * random.standard_normal((SEQUENCES, STATES, *SQUARE.shape, 3))
     vertices[..., 2] = np.abs(vertices[..., 2])
     return Dataset(
         vertices=vertices.astype(np.float32),

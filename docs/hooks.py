@@ -1,6 +1,7 @@
 """Hooks by which mkdocs builds this site.
 
-A line `{{ source clothkit.planning.loss.diff }}` is replaced by the current source of that function, class or constant.
+A line `{{ source clothkit.planning.uncertainty.bounded_exp }}` is replaced by the current source of that function,
+class or constant.
 Equations between dollars become MathML, which browsers render without scripts. Every module of src/clothkit is listed
 in the reference, and the figures are those of the laptop report.
 """

@@ -9,7 +9,7 @@ from clothkit.dataset.rows import write_rows
 from clothkit.episodes import record
 from clothkit.evaluation import arrays, camera, camera_planning
 from clothkit.models.store import load
-from clothkit.planning.loss import Weights
+from clothkit.planning.objective import Weights
 from clothkit.planning.planner import artifacts, assemble
 from clothkit.planning.systems import SYSTEMS
 from clothkit.simulation.executor import end_workers, execute
@@ -24,7 +24,8 @@ def main() -> None:
     """Write estimation.parquet, planning.parquet, comparisons.parquet and pictures.zarr in data/evaluation/camera."""
     with stage("evaluate_camera") as s:
         system = SYSTEMS["main"]
-        found = artifacts(system, DATA)
+        members = s.shared.ensemble.members
+        found = artifacts(system, DATA, members)
         work = s.work(inputs=[MESHES, SESSIONS, *found.values()])
         weights = Weights(s.shared.alpha, s.shared.beta, s.shared.gamma)
         plan, simulate = s.shared.stages.plan, s.shared.stages.simulate
@@ -34,7 +35,7 @@ def main() -> None:
         estimation = camera.estimation(
             dataset, load(found["vtm"], "vtm"), s.params, plan.refine, work=pieces / "states"
         )
-        planner = assemble(system, DATA, weights, plan, simulate.candidates)
+        planner = assemble(system, DATA, weights, plan, simulate.candidates, members)
         simulator = partial(execute, settings=simulate.simulation, workers=simulate.workers)
         baseline = record.load(SESSIONS)
         planning = camera_planning.planning(dataset, planner, simulator, baseline, s.params, work=pieces / "sessions")

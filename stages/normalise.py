@@ -2,29 +2,29 @@
 
 import sys
 from pathlib import Path
-from typing import Any
 
 from clothkit.dataset import store
-from clothkit.models.store import Kind, load
-from clothkit.planning.forward import MESH
+from clothkit.models.ensemble import folders, load
+from clothkit.models.store import Kind
+from clothkit.planning.mesh_representation import MESH
 from clothkit.planning.normalisation import normalise, save
-from clothkit.planning.recorded import in_meshes, in_voxels
-from clothkit.planning.voxel_forward import VOXEL
+from clothkit.planning.representation import Representation
+from clothkit.planning.voxel_representation import VOXEL
 from clothkit.stage import stage
 
 MESHES, NETS = Path("data/meshes.zarr"), Path("data/nets")
-KINDS: dict[str, tuple[Kind, Any, Any]] = {"mesh": ("pemd", MESH, in_meshes), "voxel": ("emd_voxel", VOXEL, in_voxels)}
+KINDS: dict[str, tuple[Kind, Representation]] = {"mesh": ("pemd", MESH), "voxel": ("emd_voxel", VOXEL)}
 
 
 def main(kind: str) -> None:
     """Write data/normalisation/<kind>.json."""
-    net, forward, recorded = KINDS[kind]
-    folders = [NETS / f"{net}_a", NETS / f"{net}_b"]
+    net, representation = KINDS[kind]
     with stage("normalise", kind) as s:
-        work = s.work(inputs=[MESHES, *folders])
-        a, b = (load(folder, net) for folder in folders)
+        members = s.shared.ensemble.members
+        work = s.work(inputs=[MESHES, *folders(NETS, net, members).values()])
+        ensemble = load(NETS, net, members)
         validation = store.load(MESHES).of_split("validation")
-        normalisation = normalise(forward, (a, b), validation, s.params, recorded=recorded)
+        normalisation = normalise(ensemble.model, representation, ensemble.params, validation, s.params)
         save(work / f"{kind}.json", normalisation, s.attributes)
         s.publish(work / f"{kind}.json", f"data/normalisation/{kind}.json")
 

@@ -11,8 +11,9 @@ from clothkit.dataset import store
 from clothkit.dataset.rows import write_rows
 from clothkit.episodes.evaluate import cost, evaluate
 from clothkit.episodes.record import save
-from clothkit.episodes.rows import rows
-from clothkit.planning.loss import Weights
+from clothkit.evaluation.diagnosis import diagnosed
+from clothkit.evaluation.session_rows import rows
+from clothkit.planning.objective import Weights
 from clothkit.planning.planner import artifacts, assemble
 from clothkit.planning.systems import SYSTEMS
 from clothkit.simulation.executor import end_workers, execute
@@ -26,16 +27,18 @@ def main(name: str) -> None:
     """Write data/evaluation/planning/<system>.parquet and sessions_<system>.zarr."""
     system = SYSTEMS[name]
     with stage("plan", name) as s:
-        work = s.work(inputs=[MESHES, *artifacts(system, DATA).values()])
+        members = s.shared.ensemble.members
+        work = s.work(inputs=[MESHES, *artifacts(system, DATA, members).values()])
         weights = Weights(s.shared.alpha, s.shared.beta, s.shared.gamma)
         simulate = s.shared.stages.simulate
-        planner = assemble(system, DATA, weights, s.params, simulate.candidates)
+        planner = assemble(system, DATA, weights, s.params, simulate.candidates, members)
         # The name contains a hash, so that pieces of a run with other weights or another simulator are not reused.
         made_with = (planner.weights, planner.grasping, simulate.simulation)
         pieces = work / hashlib.sha256(repr(made_with).encode()).hexdigest()[:16]
         simulator = partial(execute, settings=simulate.simulation, workers=simulate.workers)
-        sessions, clock = evaluate(store.load(MESHES), planner, simulator, work=pieces)
-        s.costs.update(cost(clock))
+        annotate = partial(diagnosed, planner=planner)
+        sessions, times = evaluate(store.load(MESHES), planner, simulator, work=pieces, annotate=annotate)
+        s.costs.update(cost(times))
         end_workers()
         attributes = {**s.attributes, **planner.weights._asdict()}
         save(work / "sessions.zarr", sessions, attributes)

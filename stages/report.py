@@ -17,9 +17,10 @@ OUTS = ("tables", "figures", "plots", "metrics.json", "metrics.csv", "params.yam
 def main() -> None:
     """Write the tables and figures of reports/<scale>/ and publish each part as a DVC out."""
     with stage("report") as s:
-        report = s.work(inputs=paths(DATA, s.params)) / "report"
+        members = s.shared.ensemble.members
+        report = s.work(inputs=paths(DATA, members, s.params)) / "report"
         shutil.rmtree(report, ignore_errors=True)
-        build(report, read(DATA, s.params), s.params)
+        build(report, read(DATA, members, s.params), s.params)
         made_with = s.shared.model_dump(mode="json")
         made_with["scales"] = {s.shared.scale: made_with["scales"][s.shared.scale]}
         YAML().dump(made_with, report / "params.yaml")

@@ -1,7 +1,4 @@
-"""Trains one of the voxel baseline's two nets, a or b, which differ in their random keys.
-
-Usage: `python stages/train_emd_voxel.py a`.
-"""
+"""Trains a member of the voxel baseline's ensemble, from its own random key: `python stages/train_emd_voxel.py 0`."""
 
 import sys
 from pathlib import Path
@@ -9,27 +6,30 @@ from pathlib import Path
 import jax
 
 from clothkit.dataset import store
+from clothkit.models.ensemble import folder, member_named
 from clothkit.models.net import Net
 from clothkit.models.store import save
 from clothkit.stage import stage
 from clothkit.training.emd_voxel import train_emd_voxel
 
-NETS = ("a", "b")
+NETS = Path("data/nets")
 
 
 def main(name: str) -> None:
+    """Write data/nets/emd_voxel/<member>."""
     with stage("train_emd_voxel", name) as s:
+        member = member_named(name, s.shared.ensemble.members)
         training, meshes = Path("data/augmented.zarr"), Path("data/meshes.zarr")
         work = s.work(inputs=[training, meshes])
-        key = jax.random.fold_in(jax.random.key(s.params.training.seed), NETS.index(name))
+        key = jax.random.fold_in(jax.random.key(s.params.training.seed), member)
         validation = store.load(meshes).of_split("validation")
         trained = train_emd_voxel(s.params, store.load(training), validation, work=work, key=key)
         attributes = {**s.attributes, "validation_score": trained.score}
         save(work / "net", Net(s.params.net, trained.params), trained.history, attributes)
-        s.publish(work / "net", f"data/nets/emd_voxel_{name}")
+        s.publish(work / "net", folder(NETS, "emd_voxel", member))
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 2 or sys.argv[1] not in NETS:
-        sys.exit(f"train_emd_voxel: expected one argument, {' or '.join(NETS)}")
+    if len(sys.argv) != 2:
+        sys.exit("train_emd_voxel: expected one argument, the number of a member of the ensemble")
     main(sys.argv[1])

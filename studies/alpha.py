@@ -22,9 +22,10 @@ from made_with import NAME, joined, made_with, read
 
 from clothkit.dataset import store
 from clothkit.episodes.evaluate import try_out
-from clothkit.episodes.rows import rows
+from clothkit.evaluation.diagnosis import diagnosed
+from clothkit.evaluation.session_rows import rows
 from clothkit.params import load_params
-from clothkit.planning.loss import Weights
+from clothkit.planning.objective import Weights
 from clothkit.planning.planner import artifacts, assemble
 from clothkit.planning.systems import SYSTEMS
 from clothkit.publish import unfinished
@@ -62,21 +63,22 @@ def main() -> None:
     settings += [usual, *(usual._replace(beta=value) for value in asked.betas)]
     settings += [usual._replace(gamma=value) for value in asked.gammas]
     simulate = params.stages.simulate
-    data, meshes = Path("data"), Path("data/meshes.zarr")
+    data, meshes, members = Path("data"), Path("data/meshes.zarr"), params.ensemble.members
     dataset = store.load(meshes)
     sequences = dataset.indices("validation")[: asked.sequences].tolist()
     folder.mkdir(parents=True, exist_ok=True)
     name = asked.system
-    inputs = [meshes, *artifacts(SYSTEMS[name], data).values()]
+    inputs = [meshes, *artifacts(SYSTEMS[name], data, members).values()]
     made = made_with(inputs, params.stages.plan, simulate.candidates, simulate.simulation)
     table = read(path, [*NAMES, "sequence", "length", "error"], made)
     for weights in settings:
         done = set(known(table, weights)["sequence"])
         missing = [sequence for sequence in sequences if sequence not in done]
         if missing:
-            planner = assemble(SYSTEMS[name], data, weights, params.stages.plan, simulate.candidates)
+            planner = assemble(SYSTEMS[name], data, weights, params.stages.plan, simulate.candidates, members)
             simulator = partial(execute, settings=simulate.simulation)
-            sessions, _ = try_out(dataset, missing, "validation", planner, simulator)
+            annotate = partial(diagnosed, planner=planner)
+            sessions, _ = try_out(dataset, missing, "validation", planner, simulator, annotate=annotate)
             found = rows(sessions, name).assign(**weights._asdict(), **{NAME: made})
             table = joined(table, found)
             with unfinished(path) as part:

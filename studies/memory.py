@@ -15,50 +15,48 @@ A row per way, net and task goes to reports/<scale>/studies/memory_tasks.csv; me
 """
 
 import argparse
+from functools import partial
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
-from clothkit.cloth.grid import CLOTH_SIDE
+from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.dataset import store
 from clothkit.dataset.store import Dataset
 from clothkit.dataset.tasks import tasks_of
 from clothkit.evaluation.comparisons import compare
-from clothkit.models import pemd
-from clothkit.models.canonical import described, framed, unframed
-from clothkit.models.layers import run
-from clothkit.models.net import Net
-from clothkit.models.store import load
+from clothkit.models.canonical import Canonicalised, framed, unframed
+from clothkit.models.ensemble import Ensemble, load
+from clothkit.models.forward import ForwardModel
 from clothkit.params import load_params
-from clothkit.planning.planner import artifacts
-from clothkit.planning.systems import SYSTEMS
 
 WAYS = ("none", "carried", "frame")
 
 
 def encoded_like(
-    net: Net, mesh: Float[Array, "batch u v 3"], latent: Float[Array, "batch latent"]
+    model: ForwardModel, params: PyTree, mesh: Float[Array, "batch u v 3"], latent: Float[Array, "batch latent"]
 ) -> Float[Array, "batch latent"]:
     """Return the latent of a mesh in the frame of another latent; for nets that are not canonical, the usual latent."""
-    if not net.config.canonical:
-        return pemd.encode(net, mesh)
+    if not isinstance(model, Canonicalised):
+        return model.encode(params, mesh)
     _, frame = unframed(latent)
-    return framed(run(pemd.PEMD(net.config), net.params, described(mesh, frame), method="encode"), frame)
+    return framed(model.model.encode(params, model.description.state(mesh, frame)), frame)
 
 
 def moved(
-    net: Net, trace: Float[Array, "batch latent"], latent: Float[Array, "batch latent"]
+    model: ForwardModel, trace: Float[Array, "batch latent"], latent: Float[Array, "batch latent"]
 ) -> Float[Array, "batch latent"]:
     """Return a trace with its frame replaced by that of a latent and its units unchanged."""
-    return framed(unframed(trace)[0], unframed(latent)[1]) if net.config.canonical else trace
+    return framed(unframed(trace)[0], unframed(latent)[1]) if isinstance(model, Canonicalised) else trace
 
 
 def predicted(
-    net: Net,
+    model: ForwardModel,
+    params: PyTree,
     states: Float[Array, "batch state u v 3"],
     manipulations: Float[Array, "batch step 6"],
     start: int,
@@ -68,41 +66,43 @@ def predicted(
 
     As in a session, every earlier state is encoded anew, and the trace of each step is passed to the next.
     """
-    first = pemd.encode(net, states[:, 0])
+    first = model.encode(params, states[:, 0])
     trace = jnp.zeros_like(first)
     for i in range(start + 1):
-        latent = encoded_like(net, states[:, i], first) if way == "frame" else pemd.encode(net, states[:, i])
-        trace = jnp.zeros_like(latent) if way == "none" or i == 0 else moved(net, trace, latent)
+        state = states[:, i]
+        latent = encoded_like(model, params, state, first) if way == "frame" else model.encode(params, state)
+        trace = jnp.zeros_like(latent) if way == "none" or i == 0 else moved(model, trace, latent)
         if i < start:
-            _, trace, _ = pemd.step(net, latent, trace, manipulations[:, i])
+            _, trace, _ = model.step(params, latent, trace, manipulations[:, i])
     means = []
     for i in range(start, manipulations.shape[1]):
-        latent, trace, _ = pemd.step(net, latent, trace, manipulations[:, i])
-        means.append(pemd.decode(net, latent).mean)
+        latent, trace, _ = model.step(params, latent, trace, manipulations[:, i])
+        means.append(model.decode(params, latent).mean)
     return jnp.stack(means)
 
 
-def rows(dataset: Dataset, nets: dict[str, Net], sequences: list[int]) -> pd.DataFrame:
+def rows(dataset: Dataset, ensemble: Ensemble, sequences: list[int]) -> pd.DataFrame:
     """Return a row per way, net and task with the labelled error of the predicted mean [cloth length]."""
     chosen = [s for s in sequences if dataset.length[s] == dataset.manipulation.shape[1]]
     states, manipulations = jnp.asarray(dataset.vertices[chosen]), jnp.asarray(dataset.manipulation[chosen])
     found = []
-    for name, net in nets.items():
+    for member, params in zip(ensemble.members, ensemble.params, strict=True):
         for way in WAYS:
             for start in (1, 2):
-                means = jax.jit(lambda s, m, n=net, b=start, w=way: predicted(n, s, m, b, w))(states, manipulations)
+                of_way = partial(predicted, ensemble.model, params, start=start, way=way)
+                means = jax.jit(of_way)(states, manipulations)
                 apart = jnp.linalg.norm(means - jnp.moveaxis(states[:, start + 1 :], 1, 0), axis=-1)
-                errors = np.asarray(apart.mean((-2, -1))) / CLOTH_SIDE
+                errors = np.asarray(apart.mean((-2, -1))) / CLOTH_LENGTH
                 for place, sequence in enumerate(chosen):
                     for task in tasks_of(sequence, int(dataset.length[sequence])):
                         if task.start == start:
                             error = float(errors[task.length - 1, place])
-                            found.append((way, name, "validation", sequence, start, task.length, error))
+                            found.append((way, str(member), "validation", sequence, start, task.length, error))
     return pd.DataFrame(found, columns=["system", "net", "split", "sequence", "start", "length", "error"])
 
 
 def summary(tidy: pd.DataFrame) -> pd.DataFrame:
-    """Return means over both nets, by way and column of the tables, with their paired comparisons with `none`."""
+    """Return means over the nets, by way and column of the tables, with their paired comparisons with `none`."""
     both: pd.DataFrame = tidy.groupby(["system", "split", "sequence", "start", "length"])["error"].mean().reset_index()
     labelled = both.assign(column=both["length"].astype(str) + "/" + both["start"].astype(str))
     means = labelled.groupby(["system", "column"], as_index=False)["error"].mean()
@@ -118,9 +118,8 @@ def main() -> None:
     asked = parser.parse_args()
     params, data = load_params(Path("params.yaml")), Path("data")
     dataset = store.load(data / "meshes.zarr")
-    paths = {name: path for name, path in artifacts(SYSTEMS["main"], data).items() if "pemd" in path.name}
-    nets = {name: load(path) for name, path in paths.items()}
-    tidy = rows(dataset, nets, dataset.indices("validation")[: asked.sequences].tolist())
+    ensemble = load(data / "nets", "pemd", params.ensemble.members)
+    tidy = rows(dataset, ensemble, dataset.indices("validation")[: asked.sequences].tolist())
     folder = Path("reports") / params.scale / "studies"
     folder.mkdir(parents=True, exist_ok=True)
     tidy.to_csv(folder / "memory_tasks.csv", index=False, lineterminator="\n", float_format="%.5g")

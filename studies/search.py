@@ -27,13 +27,14 @@ import numpy as np
 import pandas as pd
 from made_with import NAME, joined, made_with, read
 
+from clothkit.clock import Clock
 from clothkit.dataset import store
 from clothkit.episodes.evaluate import try_out
 from clothkit.episodes.record import Sessions
-from clothkit.episodes.rows import rows
-from clothkit.episodes.session import Clock
+from clothkit.evaluation.diagnosis import diagnosed
+from clothkit.evaluation.session_rows import rows
 from clothkit.params import load_params
-from clothkit.planning.loss import Weights
+from clothkit.planning.objective import Weights
 from clothkit.planning.planner import artifacts, assemble
 from clothkit.planning.search import SearchConfig
 from clothkit.planning.systems import SYSTEMS
@@ -72,13 +73,13 @@ def by_restart(sessions: Sessions) -> pd.DataFrame:
     return pd.concat(found, ignore_index=True)
 
 
-def seconds_per_plan(clock: Clock) -> dict[int, float]:
+def seconds_per_plan(times: Clock) -> dict[int, float]:
     """Return the seconds per plan by length, without each length's first call, which compiles.
 
     Lengths with a single call are left out.
     """
     found = {}
-    for length, calls in clock.items():
+    for length, calls in times.items():
         if length != "estimates" and len(calls) > 1:
             plans, spent = np.sum(calls[1:], axis=0)
             found[int(length)] = float(spent / plans)
@@ -110,12 +111,12 @@ def main() -> None:
         draw(pd.read_csv(path), restarts[_same(restarts, usual)], usual, folder / "search.png")
         return
     weights = Weights(params.alpha, params.beta, params.gamma)
-    data, meshes = Path("data"), Path("data/meshes.zarr")
+    data, meshes, members = Path("data"), Path("data/meshes.zarr"), params.ensemble.members
     dataset = store.load(meshes)
     sequences = dataset.indices("validation")[: asked.sequences].tolist()
     folder.mkdir(parents=True, exist_ok=True)
     others = {name: value for name, value in dataclasses.asdict(plan.search).items() if name not in KEYS}
-    inputs = [meshes, *artifacts(SYSTEMS["main"], data).values()]
+    inputs = [meshes, *artifacts(SYSTEMS["main"], data, members).values()]
     made = made_with(inputs, others, plan.refine, weights, simulate.candidates, simulate.simulation)
     table = read(path, [*KEYS, "sequence"], made)
     restarts = read(of_restarts, [*KEYS, "length", "restart", "best", "least"], made)
@@ -127,10 +128,11 @@ def main() -> None:
         missing = [] if known else sorted(done.union(sequences))
         if missing:
             settings = dataclasses.replace(plan, search=size)
-            planner = assemble(SYSTEMS["main"], data, weights, settings, simulate.candidates)
+            planner = assemble(SYSTEMS["main"], data, weights, settings, simulate.candidates, members)
             simulator = partial(execute, settings=simulate.simulation)
-            sessions, clock = try_out(dataset, missing, "validation", planner, simulator)
-            seconds = seconds_per_plan(clock)
+            annotate = partial(diagnosed, planner=planner)
+            sessions, times = try_out(dataset, missing, "validation", planner, simulator, annotate=annotate)
+            seconds = seconds_per_plan(times)
             found = rows(sessions, "main").assign(**of_search, **{NAME: made})
             found["seconds"] = found["length"].map(seconds)
             table = joined(table[~_same(table, of_search)], found)

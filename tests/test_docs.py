@@ -200,7 +200,7 @@ def test_each_equation_has_the_code_that_implements_it_below() -> None:
     assert "{{" not in shown.replace("^{{", "")
     assert "def bounded_exp" in shown
     with pytest.raises(LookupError, match="no_such"):
-        site.find_source("clothkit.planning.loss.no_such")
+        site.find_source("clothkit.planning.uncertainty.no_such")
 
 
 def test_equations_become_mathml() -> None:

@@ -102,7 +102,7 @@ def drawn(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     history = pd.DataFrame({"iteration": [10, 20], "score": [0.4, 0.3]})
     tidy = pd.DataFrame({"z": [1.0, 2.0], "expected": [0.683, 0.954], "coverage": [0.6, 0.9], "axis": "all"})
     rows = plots(
-        {"a": history, "b": history, "vtm": history},
+        {"pemd_0": history, "pemd_1": history, "vtm": history},
         pd.concat([tidy.assign(split="test", system=name, length=1) for name in ("estimate", "main")]),
         tables.prediction(tidy_tasks(("main", "a1")), ("main", "a1")),
         planning_tables.planning(planned, planning.intervals(planned), ("main", "b1")),
@@ -120,7 +120,7 @@ def drawn(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("plot", "column", "values", "x", "y"),
     [
-        ("learning curves", "line", {"pemd_a", "pemd_b", "vtm"}, "iteration", "error"),
+        ("learning curves", "line", {"pemd_0", "pemd_1", "vtm"}, "iteration", "error"),
         ("calibration", "line", {"estimates, 1", "predictions, 1", "ideal"}, "expected", "coverage"),
         ("errors of predictions", "line", {"main", "a1"}, "length", "error"),
         ("errors of plans", "line", {"main", "b1"}, "length", "error"),
@@ -257,6 +257,33 @@ def test_the_lock_is_kept_last(tmp_path: Path) -> None:
         left_out = set(graph) - {lock} - networkx.descendants(graph, lock)
         assert [stage.name for stage in left_out] == []
         assert len(graph) > 15
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning:pygtrie")
+@pytest.mark.filterwarnings("ignore::DeprecationWarning:dvc")
+@pytest.mark.parametrize("members", [[0], [0, 1, 7]])
+def test_every_member_is_trained_for_what_needs_the_ensemble(tmp_path: Path, members: list[int]) -> None:
+    """And nothing else is: no stage waits for the nets of another kind."""
+    repository = Repository(tmp_path)
+    for name in ("dvc.yaml", "params.yaml"):
+        shutil.copy(ROOT / name, tmp_path)
+    apply_overrides(tmp_path / "params.yaml", [f"ensemble.members={members}"])
+    with Repo(str(repository.folder)) as repo:
+        graph = repo.index.graph
+        named = {stage.addressing: stage for stage in graph}
+        before = {name: {s.addressing for s in networkx.descendants(graph, stage)} for name, stage in named.items()}
+    mesh, voxel = ({f"train_{kind}@{member}" for member in members} for kind in ("pemd", "emd_voxel"))
+    assert {name for name in named if name.startswith(("train_pemd", "train_emd_voxel"))} == mesh | voxel
+    every = mesh | voxel | {"train_vtm"}
+    for name, needed in {
+        "normalise@mesh": mesh,
+        "normalise@voxel": voxel,
+        "plan@b1": mesh,
+        "plan@main": mesh | {"train_vtm"},
+        "plan_fixed@b5": voxel,
+        "evaluate_prediction": every,
+    }.items():
+        assert before[name] & every == needed, name
 
 
 def test_the_lock_is_kept_without_its_own_stage(tmp_path: Path) -> None:

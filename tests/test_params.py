@@ -41,6 +41,12 @@ def test_every_scale_of_the_repository_is_valid(tmp_path: Path) -> None:
     assert params.section("regularise")["train"] == params.stages.regularise.train
 
 
+def test_an_ensemble_is_the_papers_two_nets_unless_told(tmp_path: Path) -> None:
+    assert load_params(write(tmp_path)).ensemble.members == (0, 1)
+    assert load_params(write(tmp_path, ensemble=...)).ensemble.members == (0, 1)
+    assert load_params(write(tmp_path, **{"ensemble.members": [7]})).ensemble.members == (7,)
+
+
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
@@ -51,6 +57,12 @@ def test_every_scale_of_the_repository_is_valid(tmp_path: Path) -> None:
             "scales.smoke.train_pemd.net.latent: input should be greater than",
         ),
         ({"scales.laptop.regularise.train": "many"}, "scales.laptop.regularise.train: input should be a valid integer"),
+        ({"ensemble.members": []}, "ensemble.members: tuple should have at least 1 item"),
+        ({"ensemble.members": [0, 1, 0]}, "ensemble: members must differ from one another"),
+        ({"ensemble.members": [0, -1]}, "ensemble.members.1: input should be greater than or equal to 0"),
+        ({"ensemble.members": [2**32]}, "ensemble.members.0: input should be less than"),
+        ({"ensemble.members": 2}, "ensemble.members: input should be a valid"),
+        ({"ensemble.nets": [0]}, "ensemble.nets is not a known key"),
         ({"scales.laptop.regularise.train": 3.5}, "scales.laptop.regularise.train: input should be a valid integer"),
         ({"scales.laptop.simulate.source": "arksim"}, "simulate.source: input should be 'own' or 'arcsim', found"),
         ({"alpha": -1.0}, "alpha: input should be greater than or equal to 0"),

@@ -20,9 +20,9 @@ from clothkit.dataset.rows import write_rows
 from clothkit.dataset.tasks import tasks_of
 from clothkit.episodes import record
 from clothkit.episodes.record import Sessions, Sizes, tasks_of_dataset
-from clothkit.episodes.rows import rows
 from clothkit.evaluation import arrays, estimation, prediction
-from clothkit.models import emd_voxel, pemd, store, vtm
+from clothkit.evaluation.session_rows import rows
+from clothkit.models import emd_voxel, ensemble, pemd, store, vtm
 from clothkit.models.net import Net
 from clothkit.models.settings import EMDVoxelConfig, PEMDConfig, VtMConfig
 from clothkit.observation.camera import back_project
@@ -34,6 +34,7 @@ from tests.observation.scenes import SCALE, SMALL, folded, image_of
 from tests.planning import toy
 
 ROOT = Path(__file__).parents[1]
+MEMBERS = (0, 1)
 AT = (0.05, -0.03)
 """Where the cloth lies on the table [m]."""
 
@@ -56,10 +57,10 @@ def write_nets(folder: Path) -> None:
     of_meshes = jax.jit(lambda key: pemd.initial(small, key=key))
     of_voxels = jax.jit(lambda key: emd_voxel.initial(coarse, key=key))
     sees = jax.jit(lambda key: vtm.initial(seer, key=key))
-    for k, name in enumerate("ab"):
-        score = {"validation_score": 0.1 + 0.01 * k}
-        store.save(folder / f"nets/pemd_{name}", Net(small, of_meshes(jax.random.key(k))), history, score)
-        store.save(folder / f"nets/emd_voxel_{name}", Net(coarse, of_voxels(jax.random.key(k))), history, score)
+    for member in MEMBERS:
+        key, score = jax.random.key(member), {"validation_score": 0.1 + 0.01 * member}
+        store.save(ensemble.folder(folder / "nets", "pemd", member), Net(small, of_meshes(key)), history, score)
+        store.save(ensemble.folder(folder / "nets", "emd_voxel", member), Net(coarse, of_voxels(key)), history, score)
     store.save(folder / "nets/vtm", Net(seer, sees(jax.random.key(2))), history, {})
     (folder / "normalisation").mkdir()
     for kind in ("mesh", "voxel"):
@@ -107,11 +108,11 @@ def write_data(folder: Path, params: Path) -> None:
     arrays.save(evaluations / "estimates.zarr", found.arrays(), about)
     write_rows(evaluations / "estimation.parquet", estimation.rows(dataset, found), about)
     stored = arrays.load(evaluations / "estimates.zarr", arrays.ESTIMATES)
-    nets = {name: store.load(folder / f"nets/pemd_{name}") for name in "ab"}
+    nets = ensemble.load(folder / "nets", "pemd", MEMBERS)
     starts, settings = prediction.starts(dataset, stored), given.stages.evaluate_prediction
     about = _about(given, "evaluate_prediction")
-    write_rows(evaluations / "prediction.parquet", prediction.rows(dataset, starts, nets, "a", settings), about)
-    arrays.save(evaluations / "predictions.zarr", prediction.stored(dataset, starts, nets["a"], settings), about)
+    write_rows(evaluations / "prediction.parquet", prediction.rows(dataset, starts, nets, settings), about)
+    arrays.save(evaluations / "predictions.zarr", prediction.stored(dataset, starts, nets.nets[0], settings), about)
     for system in ("main", "b1"):
         done = sessions(dataset)
         record.save(evaluations / f"planning/sessions_{system}.zarr", [done], _about(given, "plan"))

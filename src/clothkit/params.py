@@ -19,6 +19,7 @@ from clothkit.dataset.regularise import RegulariseConfig
 from clothkit.errors import InputError, system_error
 from clothkit.evaluation.camera_settings import EvaluateCameraConfig
 from clothkit.evaluation.settings import EvaluateEstimationConfig, EvaluatePlanningConfig, EvaluatePredictionConfig
+from clothkit.models.settings import EnsembleConfig
 from clothkit.planning.settings import NormaliseConfig, PlanConfig
 from clothkit.report.card.settings import CardConfig
 from clothkit.report.settings import ReportConfig
@@ -48,14 +49,15 @@ class StageParams(pydantic.BaseModel, frozen=True, extra="forbid", allow_inf_nan
 
 
 class Params(pydantic.BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
-    """The whole file: the selected scale, the planning weights of eqs. (13) and (15), the command line's settings, and
-    the stages' settings at every scale."""
+    """The whole file: the selected scale, the planning weights of eqs. (13) and (15), the members of the ensemble, the
+    command line's settings, and the stages' settings at every scale."""
 
     scale: Scale
     alpha: Annotated[float, Ge(0)]
     beta: Annotated[float, Gt(0)]
     gamma: float
     app: AppConfig = AppConfig()
+    ensemble: EnsembleConfig = EnsembleConfig()
     scales: dict[Scale, StageParams]
 
     @property

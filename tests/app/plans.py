@@ -3,7 +3,9 @@
 import json
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -13,12 +15,33 @@ from clothkit.cloth.silhouette import centred
 from clothkit.cloth.voxels import RESOLUTION
 from clothkit.observation.pose import Pose
 from clothkit.observation.waypoints import hand_paths, paths_from
+from clothkit.planning.planner import Planner
 from clothkit.planning.systems import system
+from clothkit.planning.types import Found, Problem
 from tests.planning import toy
 from tests.tiny import AT
 
 BOTH = np.array([1.0, -1.0, 1.0, 1.0, -1.3, 0.0], np.float32)
 ONE = np.array([-1.0, -1.0, -1.0, -1.0, 0.6, 0.5], np.float32)
+
+
+def finding(plan: np.ndarray, *, common: int = 0, relative: int = 0) -> Any:
+    """In place of searches: as if they found the first steps of a plan, whatever they are asked."""
+
+    def search(planner: Planner, problems: Problem, keys: jax.Array, *, length: int) -> Found:
+        tasks = len(problems.state)
+        size = (tasks, planner.settings.search.iterations(length), planner.settings.search.strains)
+        return Found(
+            plan=jnp.broadcast_to(plan[:length], (tasks, length, 6)),
+            loss=jnp.zeros(tasks),
+            terms={"accuracy": jnp.zeros((tasks, len(planner.nets)))},
+            common=jnp.full(tasks, common, jnp.int32),
+            relative=jnp.full(tasks, relative, jnp.int32),
+            losses=jnp.zeros(size),
+            restarts=jnp.zeros(size, bool),
+        )
+
+    return mock.patch.object(Planner, "search", search)
 
 
 def content(
@@ -33,6 +56,7 @@ def content(
     In the table's frame, or in that of a camera, in which the table has these axes and this origin.
     """
     chosen = system(name)
+    nets = 1 if chosen.single else 2
     axes, origin = camera or (np.eye(3), np.zeros(3))
     poses, mesh, steps = [Pose(axes, origin, np.array(AT), side / 1.4)], flat(), []
     start = {"state": _state(mesh, chosen.voxels, poses[0]), "centre_m": _centre(poses[0])}
@@ -51,7 +75,7 @@ def content(
             }
             for points in poses[0].table_to_camera(paths.points).round(6).tolist()
         ]
-        states = {net: _state(mesh, chosen.voxels, poses[-1]) for net in "ab"[: chosen.nets]}
+        states = {net: _state(mesh, chosen.voxels, poses[-1]) for net in range(nets)}
         steps.append(
             {
                 "manipulation": vector.astype(float).tolist(),
@@ -59,13 +83,13 @@ def content(
                 "hands": hands,
                 "predictions": [{"net": net, "state": state} for net, state in states.items()],
                 "centre_m": _centre(poses[-1]),
-                "disagreement_m": 0.0 if chosen.nets == 2 and not chosen.voxels else None,
+                "disagreement_m": 0.0 if nets == 2 and not chosen.voxels else None,
             }
         )
     of_mesh, of_voxels = (None, 0.1) if chosen.voxels else (0.1, None)
     return {
         "format": "clothkit plan",
-        "version": 1,
+        "version": 2,
         "system": name,
         "seed": 0,
         "frame": "camera" if camera else "table",
@@ -87,12 +111,12 @@ def content(
             "voxel_error_no_action": of_voxels and 2 * of_voxels,
             "silhouette_iou": 0.9,
             "silhouette_iou_no_action": 0.5,
-            "epistemic_uncertainty": 0.1 if chosen.nets == 2 else None,
+            "epistemic_uncertainty": 0.1 if nets == 2 else None,
             "loss": 0.3,
             "improves": True,
         },
         "warning": None,
-        "memory": {"common": 0, "relative": 0, "better": 0, "traces_before": None},
+        "memory": {"common": 0, "relative": 0, "best": 0, "traces_before": None},
     }
 
 

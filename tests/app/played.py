@@ -7,14 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 
-from clothkit.app.viewer.session import Look, Session, ShownPlan, Step, error_of
+from clothkit.app.viewer.session import Session, ShownPlan, StateEstimate, Step, error_of
 from clothkit.cloth.equivalents import relabel, relabel_manipulation
 from clothkit.cloth.silhouette import centred
 from clothkit.dataset import store
 from clothkit.dataset.tasks import Task
-from clothkit.episodes.record import Sessions, blank, join, save, tasks_of_dataset
-from tests.episodes.test_session import dataset
+from clothkit.episodes.record import Sessions, blank, join, save, sizes_of, tasks_of_dataset
 from tests.planning import toy
+from tests.toy_dataset import dataset
 
 LABELS = 5
 """The equivalent under which estimates come."""
@@ -39,15 +39,26 @@ def session() -> Session:
     for i, end in enumerate((1, 0)):
         plan = PLAN[i:] if end else np.concatenate([CANDIDATES[0], CANDIDATES[0], [0.1, 0.1]])[None].astype(np.float32)
         means = np.stack([after(states[i], plan, strength) for strength in (1.0, 1.05)])
-        shown = ShownPlan(plan, means, np.full_like(means, 0.01), 0.1, 1.0, np.array([3.0, 1.0], np.float32), 8)
-        steps.append(Step(Look(states[i], None, CANDIDATES), shown))
+        shown = ShownPlan(
+            manipulations=plan,
+            means=means,
+            sigmas=np.full_like(means, 0.01),
+            uncertainty=0.1,
+            loss=1.0,
+            progress=np.array([3.0, 1.0], np.float32),
+            tried=8,
+            improves=bool(end),
+            expected=0.02,
+            expected_no_action=0.3,
+        )
+        steps.append(Step(StateEstimate(states[i], None, CANDIDATES), shown))
     return Session("made up", 2, states[2], tuple(states), tuple(steps))
 
 
 def recorded(task: Task) -> Sessions:
     """A record of `session`'s sort for a task of the toy dataset, estimates under other labels."""
     planner = toy.planner("main")
-    found = blank(tasks_of_dataset(dataset(), [task], "test"), planner.sizes)
+    found = blank(tasks_of_dataset(dataset(), [task], "test"), sizes_of(planner))
     n = task.length
     for i in range(n):
         plan = np.concatenate([PLAN, PLAN])[i:n]
@@ -61,6 +72,8 @@ def recorded(task: Task) -> Sessions:
         found.state[0, i + 1], found.centre[0, i + 1] = after(found.state[0, i], plan)[0], 0
         found.loss[0, i], found.terms[0, i], found.progress[0, i, :4] = 1.5, (0.5, 0.5, 0.25), (4, 3, 2, 1.5)
         found.null[0, i] = False
+        # The goal has the labels of the true states.
+        found.relative[0, i], found.expected[0, i] = LABELS, 0.05
     return found
 
 
@@ -88,4 +101,4 @@ def fill(folder: Path, nets: Path) -> Path:
 def with_sigma(shown: Session, sigma: np.ndarray) -> Session:
     """The session with a standard deviation of its first estimate."""
     first, *rest = shown.steps
-    return shown._replace(steps=(first._replace(look=first.look._replace(sigma=sigma)), *rest))
+    return shown._replace(steps=(first._replace(estimate=first.estimate._replace(sigma=sigma)), *rest))

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from clothkit.app import export as app_export
-from clothkit.app.given import keep_compiled_programs
+from clothkit.app.inputs import keep_compiled_programs
 from clothkit.app.output import write_mesh
 from clothkit.cloth.grid import flat
 from clothkit.models import store
@@ -70,10 +70,10 @@ def without(name: str) -> Callable[[], None]:
 def exchanged_net() -> None:
     """Data in which a net lies in another one's place."""
     shutil.copytree(Path("data").resolve(), "damaged")
-    shutil.rmtree("damaged/nets/pemd_a")
-    shutil.copytree("damaged/nets/vtm", "damaged/nets/pemd_a")
-    about = json.loads(Path("damaged/nets/pemd_a/net.json").read_text())
-    Path("damaged/nets/pemd_a/net.json").write_text(json.dumps({**about, "validation_score": 0.1}))
+    shutil.rmtree("damaged/nets/pemd/0")
+    shutil.copytree("damaged/nets/vtm", "damaged/nets/pemd/0")
+    about = json.loads(Path("damaged/nets/pemd/0/net.json").read_text())
+    Path("damaged/nets/pemd/0/net.json").write_text(json.dumps({**about, "validation_score": 0.1}))
 
 
 def directory(name: str) -> Callable[[], None]:
@@ -137,7 +137,7 @@ STATES: list[tuple[Callable[[], None], tuple[object, ...], str, str]] = [
     (raw("state.pcd", "VERSION 0.7\nFIELDS a b\n"), ("state.pcd",), "state.pcd", ""),
     (raw("cloth.zarr", "x"), ("cloth.zarr:0/1",), "cloth.zarr", "is a file, expected a zarr store"),
     (nothing, ("{files}/cloud.npz", "--system", "b1"), "cloud.npz", "plans from a mesh"),
-    (nothing, (START, "--data", "nowhere"), "nowhere/nets/pemd_a", "not found"),
+    (nothing, (START, "--data", "nowhere"), "nowhere/nets/pemd/0", "not found"),
     (
         higher,
         ("{files}/cloud.npz",),
@@ -146,9 +146,9 @@ STATES: list[tuple[Callable[[], None], tuple[object, ...], str, str]] = [
     ),
     (without("nets/vtm"), ("{files}/cloud.npz", *DAMAGED), "damaged/nets/vtm", "not found"),
     (without("normalisation/mesh.json"), (START, *DAMAGED), "normalisation/mesh.json", "not found"),
-    (without("nets/pemd_b/net.json"), (START, *DAMAGED), "pemd_b/net.json", "not found, expected a net's description"),
-    (broken_net("nets/pemd_a", store.WEIGHTS), (START, *DAMAGED), "pemd_a/net.msgpack", "damaged"),
-    (broken_net("nets/pemd_b", store.ATTRIBUTES), (START, *DAMAGED), "pemd_b/net.json", "truncated or damaged file"),
+    (without("nets/pemd/1/net.json"), (START, *DAMAGED), "pemd/1/net.json", "not found, expected a net's description"),
+    (broken_net("nets/pemd/0", store.WEIGHTS), (START, *DAMAGED), "pemd/0/net.msgpack", "damaged"),
+    (broken_net("nets/pemd/1", store.ATTRIBUTES), (START, *DAMAGED), "pemd/1/net.json", "truncated or damaged file"),
     (nothing, (START, "--reach", 0, 0, 0, -1, -1, -1), "--reach", "low corner first"),
     (nothing, (START, "--after", "out.json"), "out.json", "another file"),
     (link("old.json", "old.json"), (START, "--after", "old.json"), "old.json", "its symbolic links lead in a circle"),
@@ -156,7 +156,7 @@ STATES: list[tuple[Callable[[], None], tuple[object, ...], str, str]] = [
     (nothing, (START, "--out", "plan.txt"), "plan.txt", "expected json"),
     (nothing, (START, "--out", f"{'x' * 300}.json"), "xxx.json", "can't be written: its name is too long"),
     (nothing, (START, "--out", "params.yaml/plan.json"), "params.yaml/plan.json", "params.yaml is no folder"),
-    (exchanged_net, (START, *DAMAGED), "pemd_a/net.json", "kind: expected 'pemd', found 'vtm'"),
+    (exchanged_net, (START, *DAMAGED), "pemd/0/net.json", "kind: expected 'pemd', found 'vtm'"),
     (directory("params.yaml"), (START,), "params.yaml", "it is a folder, expected a file"),
     (link("params.yaml", "params.yaml"), (START,), "params.yaml", "its symbolic links lead in a circle"),
     (link("params.yaml", "nowhere.yaml"), (START,), "params.yaml", "not found"),

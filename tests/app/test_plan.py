@@ -1,5 +1,6 @@
 """Plans through the command line: what is written is what a robot can do, in the frame of the file that it saw."""
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -11,10 +12,10 @@ import pytest
 
 from clothkit.app import plan as plan_command
 from clothkit.app import simulate as simulate_command
-from clothkit.app.given import reach_of, seeing
+from clothkit.app.inputs import observation_options, reach_of
+from clothkit.app.plan_arrays import placed_state
 from clothkit.app.plan_file import UNLIKELY, Plan, read_plan, schema
-from clothkit.app.planner import Planned, first_traces, predicted
-from clothkit.app.recall import believed_of
+from clothkit.app.planner import begin, decide, for_one_cloth, turned_plan
 from clothkit.app.settings import AppConfig
 from clothkit.cloth.grid import flat
 from clothkit.cloth.mesh import distance
@@ -23,7 +24,9 @@ from clothkit.observation.camera import CameraConfig
 from clothkit.observation.files import read
 from clothkit.observation.waypoints import ReachConfig
 from clothkit.planning.planner import Planner
+from clothkit.planning.types import Memory, Observation
 from tests.app.conftest import AT, ROOT, run, succeed
+from tests.app.plans import finding
 from tests.app.schema import violations
 from tests.observation.scenes import SCALE, SMALL
 from tests.planning import toy
@@ -37,19 +40,13 @@ def still(net: Any, latent: Any, trace: Any, manipulation: Any) -> Any:
     return mesh, trace + 1, jnp.zeros_like(shift)
 
 
-STILL = toy.FORWARD._replace(step=still)
+STILL = toy.MODEL._replace(step=still)
+FOUND = np.array([[-1, -1, 1, -1, 0.1, 0.7], [0.5, 1, 0.5, 1, -0.6, -0.4]], np.float32)
+"""Both hands, then one, instead of what a search finds: with nets that know nothing these may be null manipulations."""
 
 
 def toy_planner(*_: object) -> Planner:
-    planner = toy.planner("b1")
-    object.__setattr__(planner.sight, "forward", STILL)
-    return planner
-
-
-def find_this(planner: Planner, state: np.ndarray, *_: object, **__: object) -> Planned:
-    """In place of a search: both hands, then one, whatever is asked for; nets that know nothing may find nulls."""
-    plan = np.array([[-1, -1, 1, -1, 0.1, 0.7], [0.5, 1, 0.5, 1, -0.6, -0.4]], np.float32)
-    return predicted(planner, state, plan, common=3, traces=first_traces(planner))._replace(loss=0.0)
+    return for_one_cloth(dataclasses.replace(toy.planner("b1"), model=STILL))
 
 
 def grasps_on(plan: Plan, step: int) -> np.ndarray:
@@ -58,7 +55,7 @@ def grasps_on(plan: Plan, step: int) -> np.ndarray:
     if step:
         prediction = plan.steps[step - 1].predictions[plan.memory.better]
         placed = type(placed)(state=prediction.state, centre_m=plan.steps[step - 1].centre_m)
-    mesh = believed_of(plan, placed)
+    mesh = placed_state(plan, placed)
     uv = np.array(plan.steps[step].manipulation[:4], np.float32).reshape(2, 2)
     points = np.stack([np.asarray(to_cartesian(mesh, point), float) for point in uv])
     return plan.pose(placed.centre_m).normalised_to_camera(points)
@@ -76,7 +73,7 @@ def grasps_on(plan: Plan, step: int) -> np.ndarray:
 def test_hands_start_at_the_grasp_points_in_the_plans_frame(
     here: Path, files: Path, state: str, options: list[str], frame: str
 ) -> None:
-    with mock.patch.object(plan_command, "find_plan", find_this):
+    with finding(FOUND, common=3):
         said = succeed("plan", "--state", files / state, "--goal", files / "goal.glb", "--steps", 2, *options)
     plan = read_plan(here / "plan.json")
     assert plan.frame == frame
@@ -165,7 +162,7 @@ def test_a_plan_read_back_and_simulated_does_what_it_says(here: Path, files: Pat
     goal = np.asarray(toy.dragged(jnp.asarray(flat()), jnp.array([-1, -1, -1, -1, 0.6, 0.5])))
     goal = np.asarray(toy.dragged(jnp.asarray(goal), jnp.array([1, 1, 1, 1, -0.7, -0.3])))
     np.save(here / "goal.npy", goal)
-    with mock.patch.object(plan_command, "planner_of", toy_planner):
+    with mock.patch.object(plan_command, "load_planner", toy_planner):
         said = succeed("plan", "--state", files / "start.obj", "--goal", here / "goal.npy", "--steps", 2)
     plan = read_plan(here / "plan.json")
     assert plan.expected.improves
@@ -183,7 +180,7 @@ def test_a_plan_read_back_and_simulated_does_what_it_says(here: Path, files: Pat
     state = plan.steps[-1].predictions[0].state
     assert state.kind == "mesh"
     found = read(here / "mesh.ply")
-    apart = float(distance(found.mesh, believed_of(plan, plan.start)))  # type: ignore[union-attr]
+    apart = float(distance(found.mesh, placed_state(plan, plan.start)))  # type: ignore[union-attr]
     where = found.pose.normalised_to_table(found.mesh.astype(float))  # type: ignore[union-attr]
     assert apart > 0.1
     # Hands of the toy world take the nearest vertex.
@@ -206,20 +203,65 @@ def test_a_plan_that_makes_nothing_better_says_so(here: Path, files: Path) -> No
     assert read_plan(here / "old.json") == plan
 
 
+TOWARDS, AWAY = np.float32([[-1, -1, -1, -1, 0.6, 0.5]]), np.float32([[-1, -1, -1, -1, -0.6, -0.5]])
+
+
+@pytest.mark.parametrize(
+    ("plan", "goal", "improves"), [(TOWARDS, "start", True), (AWAY, "outcome", False)], ids=["improves", "useless"]
+)
+def test_a_plan_is_judged_in_the_labelling_that_was_found(
+    here: Path, plan: np.ndarray, goal: str, improves: bool
+) -> None:
+    """In both cases the goal's own labels would tell the opposite; what was found reverses v."""
+    start = toy.bent()
+    nets = [np.asarray(toy.dragged(jnp.asarray(start), jnp.asarray(plan[0]), float(net))) for net in toy.NETS]
+    outcome = np.mean(nets, axis=0)
+    wanted = {"start": start, "outcome": outcome}[goal]
+    np.save(here / "start.npy", start)
+    np.save(here / "goal.npy", wanted)
+    errors = []
+    for labelled in (wanted[:, ::-1], wanted):
+        for state in (outcome, start):
+            off = state.astype(float) - labelled
+            errors.append(np.linalg.norm(off - off.mean((0, 1)), axis=-1).mean() / 1.4)
+    assert (errors[0] < errors[1]) == improves
+    assert (errors[2] < errors[3]) != improves
+    with mock.patch.object(plan_command, "load_planner", toy_planner), finding(plan, relative=4):
+        said = succeed("plan", "--state", here / "start.npy", "--goal", here / "goal.npy", "--steps", 1)
+    found = read_plan(here / "plan.json")
+    assert found.expected.error_cloth_lengths == pytest.approx(errors[0], rel=1e-3)
+    assert found.expected.error_no_action_cloth_lengths == pytest.approx(errors[1], rel=1e-3)
+    assert found.expected.improves == improves
+    assert (found.warning == UNLIKELY) == (UNLIKELY in said) == (not improves)
+
+
+@pytest.mark.parametrize("useless", [False, True])
+def test_a_turned_plan_keeps_the_decision_and_turns_its_errors(useless: bool) -> None:
+    planner, goal = toy_planner(), np.asarray(toy.dragged(jnp.asarray(flat()), jnp.asarray(0.9 * TOWARDS[0])))
+    with finding(TOWARDS):
+        planned, _ = decide(planner, Observation(meshes=flat()[None]), begin(planner, goal, 1), seed=0)
+    assert not planned.useless
+    turned = turned_plan(planner, planned._replace(useless=useless), goal, -np.eye(2))
+    np.testing.assert_allclose(turned.plan, [[1, 1, 1, 1, -0.6, -0.5]], atol=1e-5)
+    assert turned.expected == pytest.approx(planned.expected, abs=1e-5)
+    assert turned.expected_no_action == pytest.approx(planned.expected_no_action, abs=1e-5)
+    assert (turned.useless, turned.improves) == (useless, not useless)
+
+
 def test_after_takes_up_what_is_left(here: Path, files: Path) -> None:
     goal = np.asarray(toy.dragged(jnp.asarray(toy.bent()), jnp.array([-1, -1, -1, -1, 0.6, 0.5])))
     np.save(here / "start.npy", toy.bent())
     np.save(here / "goal.npy", goal)
-    asked = []
-    original = plan_command.find_plan
+    memories = []
+    original = plan_command.decide
 
-    def spy(*arguments: Any, **more: Any) -> Any:
-        asked.append((arguments, more))
-        return original(*arguments, **more)
+    def spy(planner: Planner, observation: Observation, memory: Memory, *, seed: int) -> Any:
+        memories.append(memory)
+        return original(planner, observation, memory, seed=seed)
 
     with (
-        mock.patch.object(plan_command, "planner_of", toy_planner),
-        mock.patch.object(plan_command, "find_plan", spy),
+        mock.patch.object(plan_command, "load_planner", toy_planner),
+        mock.patch.object(plan_command, "decide", spy),
     ):
         common = ("plan", "--goal", here / "goal.npy")
         succeed(*common, "--state", here / "start.npy", "--steps", 2)
@@ -230,14 +272,14 @@ def test_after_takes_up_what_is_left(here: Path, files: Path) -> None:
     later = read_plan(here / "next.json")
     assert len(later.steps) == 1
     assert later.memory.traces_before is not None
-    past = asked[1][1]["past"]
-    np.testing.assert_allclose(past.rest, [plan.steps[1].manipulation], atol=1e-6)
-    assert past.relative == plan.memory.relative == later.memory.relative
+    memory = memories[1]
+    np.testing.assert_allclose(memory.rest[0, :1], [plan.steps[1].manipulation], atol=1e-6)
+    assert memory.relative[0] == plan.memory.relative == later.memory.relative
     # The state is expected as the better net predicts it after the first step.
     first = plan.steps[0]
     assert not first.null
     placed = type(plan.start)(state=first.predictions[0].state, centre_m=first.centre_m)
-    np.testing.assert_allclose(past.expected, believed_of(plan, placed), atol=1e-5)
+    np.testing.assert_allclose(memory.expected[0], placed_state(plan, placed), atol=1e-5)
     # A toy trace counts the manipulations that were executed.
     assert all((np.array(trace) == (not plan.steps[0].null)).all() for trace in later.memory.traces_before)
     assert wrong.exit_code == 1
@@ -269,7 +311,7 @@ def test_a_plan_is_turned_into_reach_and_its_goal_with_it(here: Path, files: Pat
     """The flat cloth looks the same turned by right angles; what is beyond its middle is out of reach."""
     goal = np.asarray(toy.dragged(jnp.asarray(flat()), jnp.array([-1, -1, -1, -1, 0.6, 0.5])))
     np.save(here / "goal.npy", goal)
-    with mock.patch.object(plan_command, "planner_of", toy_planner):
+    with mock.patch.object(plan_command, "load_planner", toy_planner):
         wanted = ("plan", "--state", files / "start.obj", "--goal", here / "goal.npy", "--steps", 1)
         succeed(*wanted, "--out", "free.json")
         free = read_plan(here / "free.json")
@@ -301,12 +343,12 @@ def test_reach_and_side_come_from_params_unless_options_say_otherwise() -> None:
     app = AppConfig(side=0.5, reach=box, table=(0.0, 0.0, 2.0, 1.0))
     assert reach_of(app, None) == box
     assert reach_of(app, (0.0, 0.0, 0.0, 2.0, 2.0, 2.0)) == ReachConfig(low=(0.0, 0.0, 0.0), high=(2.0, 2.0, 2.0))
-    how = seeing(app, side=None, table=None, table_colour=(1, 2, 3, 4, 5, 6), box=None)
+    how = observation_options(app, side=None, table=None, table_colour=(1, 2, 3, 4, 5, 6), box=None)
     assert how.side == 0.5
     assert how.table is not None
     assert how.table.offset == 0.5
     assert how.cloud.table_colour == ((1, 2, 3), (4, 5, 6))
-    assert seeing(app, side=0.3, table=None, table_colour=None, box=None).side == 0.3
+    assert observation_options(app, side=0.3, table=None, table_colour=None, box=None).side == 0.3
 
 
 def test_the_published_schema_is_the_one_that_plans_are_read_by() -> None:

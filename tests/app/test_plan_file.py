@@ -261,6 +261,22 @@ def refused_while_writing(arguments: tuple[object, ...]) -> str:
     return result.stderr.splitlines()[-1]
 
 
+def test_turned_plans_keep_their_decision_and_equal_errors_leave_either() -> None:
+    expected = PLANS["b1"]["expected"]
+    turned = changed(PLANS["b1"], "turned", [[0.0, -1.0], [1.0, 0.0]])
+    same = changed(
+        PLANS["b1"], "expected", {**expected, "error_no_action_cloth_lengths": 0.1, "error_no_action_m": 0.04}
+    )
+    for plan in (turned, same):
+        for improves in (True, False):
+            assert plan_of(changed(plan, "expected.improves", improves)).expected.improves == improves
+    idle = changed(turned, "steps", [{**step, "null": True, "hands": []} for step in turned["steps"]])
+    for step in idle["steps"]:
+        step["manipulation"][4:] = [0.1, 0.1]
+    with pytest.raises(InputError, match=r"expected\.improves: expected false"):
+        plan_of(idle)
+
+
 def test_a_plan_that_no_file_may_hold_is_not_written(tmp_path: Path) -> None:
     plan = plan_of(PLANS["b1"])
     assert json.loads(plan.model_dump_json()) == json.loads(json.dumps(PLANS["b1"]))

@@ -7,33 +7,35 @@ import subprocess
 import sys
 import urllib.request
 from pathlib import Path
-from typing import Any
 from unittest import mock
 
 import numpy as np
 import pytest
 import trimesh
 
-from clothkit.app.given import look, seeing, settings
+from clothkit.app.inputs import load_settings, observation_options, read_input
 from clothkit.app.plan_file import UNLIKELY
-from clothkit.app.planner import Past, first_traces, predicted
+from clothkit.app.planner import for_one_cloth
 from clothkit.app.viewer import colours, live
 from clothkit.app.viewer.canvas import finer, two_sided
 from clothkit.app.viewer.colours import Scale, legend, round_up
 from clothkit.app.viewer.recorded import entries, session_of, systems_in
 from clothkit.app.viewer.scene import Cloth, View, cubes, hand_paths, scale_of, scene_of, to_show
-from clothkit.app.viewer.session import Look, disagreement, error_of, facts, matched, places, unlikely
+from clothkit.app.viewer.search_progress import STRAINS_PER_BATCH, OnProgress, Progress, search_in_batches
+from clothkit.app.viewer.session import StateEstimate, disagreement, error_of, facts, matched, places
 from clothkit.app.viewer.tasks import test_tasks as tasks_in
-from clothkit.app.viewer.watched import AT_ONCE, Progress, find_watched
 from clothkit.cloth import voxels
 from clothkit.cloth.grid import flat, triangles
+from clothkit.episodes import record
 from clothkit.errors import InputError
 from clothkit.manipulation.geometry import release_points, to_cartesian
-from clothkit.planning.planner import Planner
+from clothkit.planning import agent
+from clothkit.planning.types import Memory, Observation
 from tests.app import played
 from tests.app.conftest import run
-from tests.episodes.test_session import MANIPULATIONS
+from tests.app.plans import finding
 from tests.planning import toy
+from tests.toy_dataset import MANIPULATIONS
 
 FORWARD = ("--no-browser", "--port", 0)
 
@@ -137,8 +139,9 @@ def test_voxels_are_shown_as_cubes() -> None:
     seen = np.asarray(voxels.observe(session.states[0])).astype(np.float32)
     plan = session.steps[0].plan
     assert plan is not None
-    plan = plan._replace(means=np.broadcast_to(seen, (2, 2, *seen.shape)), sigmas=None)
-    step = session.steps[0]._replace(look=Look(seen, None, 0.5 * played.CANDIDATES), plan=plan)
+    means = np.broadcast_to(seen, (2, 2, *seen.shape))
+    plan = plan._replace(means=means, sigmas=None, expected=None, expected_no_action=None)
+    step = session.steps[0]._replace(estimate=StateEstimate(seen, None, 0.5 * played.CANDIDATES), plan=plan)
     session = session._replace(steps=(step, *session.steps[1:]))
     assert matched(step, session.states[0]) is step
     assert disagreement(plan) is None
@@ -153,11 +156,10 @@ def test_voxels_are_shown_as_cubes() -> None:
 def test_facts_say_what_is_expected_and_when_nothing_good_is() -> None:
     session = played.session()
     first, second = (facts(session, at) for at in (0, 1))
-    assert not unlikely(session.steps[0], session.goal)
     assert UNLIKELY not in first
+    assert "expected error **0.020** after the plan, 0.300 if nothing is done" in first
     assert "epistemic uncertainty u = 0.1" in first
     # Its only manipulation is too short to be one.
-    assert unlikely(session.steps[1], session.goal)
     assert UNLIKELY in second
     assert "error **0.000**" in facts(session, 2)
     assert "no plan yet" in facts(session._replace(steps=(session.steps[0]._replace(plan=None),)), 0)
@@ -199,16 +201,31 @@ def test_recorded_sessions_are_read_one_by_one(folder: Path) -> None:
     assert found[0].error == pytest.approx(error_of(session.states[2], session.goal), abs=1e-4)
     assert f"error {found[0].error:.3f}" in found[0].label
     # What came under other labels is under those of the truth, and lies where it lay.
-    look, plan = session.steps[0]
+    estimate, plan = session.steps[0]
     assert plan is not None
-    np.testing.assert_allclose(look.estimate, kept.state[0, 0], atol=1e-5)
+    np.testing.assert_allclose(estimate.state, kept.state[0, 0], atol=1e-5)
     np.testing.assert_allclose(plan.manipulations, played.PLAN, atol=1e-6)
     np.testing.assert_allclose(plan.means[0], played.after(kept.state[0, 0], played.PLAN), atol=2e-3)
     uv = kept.candidates[0, 0, : len(played.CANDIDATES)]
-    np.testing.assert_allclose(places(look.estimate, look.candidates), places(kept.estimate[0, 0], uv), atol=1e-5)
+    np.testing.assert_allclose(places(estimate.state, estimate.candidates), places(kept.estimate[0, 0], uv), atol=1e-5)
     assert plan.uncertainty == 0.25
     np.testing.assert_array_equal(plan.progress, [4, 3, 2, 1.5])
     assert "executed" in plan.note
+    assert plan.improves
+    assert plan.expected == pytest.approx(0.05)
+    off = kept.state[0, 0].astype(float) - kept.goal[0]
+    no_action = np.linalg.norm(off - off.mean((0, 1)), axis=-1).mean() / 1.4
+    assert plan.expected_no_action == pytest.approx(no_action, rel=1e-4)
+
+
+def test_a_recorded_plan_that_the_agent_cancelled_is_warned_of(folder: Path) -> None:
+    kept = record.load(folder / "evaluation/planning/sessions_main.zarr")
+    kept.cancelled[:], kept.null[:], kept.error_otherwise[:] = True, True, 0.2
+    with mock.patch.object(record, "load", return_value=kept):
+        session = session_of(folder, "main", entries(folder, "main")[0])
+    said = facts(session, 0)
+    assert UNLIKELY in said
+    assert "no improvement was expected (it would have come to 0.200)" in said
 
 
 def test_a_record_that_leads_nowhere_is_told_and_not_left_out(tmp_path: Path) -> None:
@@ -236,62 +253,49 @@ def test_a_broken_record_is_told(folder: Path, tmp_path: Path) -> None:
 
 
 def test_a_search_in_lots_tells_how_far_it_is_and_can_be_stopped() -> None:
-    planner = toy.planner("b1")
-    session = played.session()
+    planner = for_one_cloth(toy.planner("b1"))
+    start, goal, _ = played.session().states
+    begun = agent.begin(planner, goal[None], np.array([1]))
+    seen, candidates = agent.perceive(planner, Observation(meshes=start[None]), begun)
+
+    def search(on_progress: OnProgress, memory: Memory = begun) -> Progress:
+        return search_in_batches(planner, seen[0], candidates[0], memory, seed=0, on_progress=on_progress)
+
     told: list[Progress] = []
-    found = find_watched(planner, session.states[0], session.states[1], 1, seed=0, watch=lambda p: not told.append(p))
+    found = search(lambda progress: not told.append(progress))
     strains = toy.SEARCH.strains
-    assert [progress.done for progress in told] == [*range(0, strains, AT_ONCE), strains]
+    assert [progress.done for progress in told] == [*range(0, strains, STRAINS_PER_BATCH), strains]
     assert found.best is not None
     assert (np.diff(found.lowest) <= 0).all()
-    assert len(found.lowest) == strains // AT_ONCE * toy.SEARCH.iterations(1)
-    losses = [progress.best.loss for progress in told if progress.best]
+    assert len(found.lowest) == strains // STRAINS_PER_BATCH * toy.SEARCH.iterations(1)
+    losses = [float(progress.best.loss[0]) for progress in told if progress.best]
     assert losses == sorted(losses, reverse=True)
-    mean = np.asarray(found.best.predictions[0].mean[-1])
-    reached, before = error_of(mean, session.states[1]), error_of(session.states[0], session.states[1])
+    reached, before = error_of(found.best.means[0, 0, 0], goal), error_of(start, goal)
     assert reached is not None
     assert before is not None
     assert reached < 0.5 * before
-    stopped = find_watched(
-        planner, session.states[0], session.states[1], 1, seed=0, watch=lambda progress: progress.done == 0
-    )
-    assert stopped.done == AT_ONCE
+    stopped = search(lambda progress: progress.done == 0)
+    assert stopped.done == STRAINS_PER_BATCH
     # A later search of a session starts from what is left of the last plan: here it is found at once.
-    way = played.PLAN[:1]
-    past = Past(session.states[0], first_traces(planner), 0, way)
+    rest = np.full_like(begun.rest, np.nan)
+    rest[0, 0] = played.PLAN[0]
+    later = begun._replace(planned=np.ones(1, bool), relative=np.zeros(1, np.int32), rest=rest)
     first: list[Progress] = []
-    find_watched(
-        planner,
-        session.states[0],
-        session.states[1],
-        1,
-        seed=0,
-        past=past,
-        watch=lambda progress: not first.append(progress) and progress.done == 0,
-    )
-    assert first[-1].done == AT_ONCE
+    search(lambda progress: not first.append(progress) and progress.done == 0, later)
+    assert first[-1].done == STRAINS_PER_BATCH
     assert first[-1].lowest[-1] <= stopped.lowest[-1]
-    nothing = find_watched(planner, session.states[0], session.states[1], 1, seed=0, watch=lambda _: False)
+    nothing = search(lambda _: False)
     assert nothing.best is None
 
 
 def under_way(folder: Path, monkeypatch: pytest.MonkeyPatch) -> live.Live:
     """A live session of the toy world, before its first plan."""
     monkeypatch.chdir(folder)  # without params.yaml
-    how = seeing(settings().app, side=None, table=None, table_colour=None, box=None)
-    start, goal = (look(f"{folder}/meshes.zarr:0/{state}", how) for state in (0, 2))
-    return live.begin(toy.planner("b1"), start, goal, 2, title="toy", data=folder, settings=settings())
-
-
-def finds(plan: np.ndarray) -> Any:
-    """A search that always finds the same plan."""
-
-    def find(planner: Planner, state: np.ndarray, *_: Any, past: Past | None, **__: Any) -> Progress:
-        traces = past.traces if past else first_traces(planner)
-        best = predicted(planner, state, plan, common=0, traces=traces)
-        return Progress(8, 8, best, np.array([2.0, 1.0], np.float32), 8)
-
-    return mock.patch.object(live, "find_watched", find)
+    how = observation_options(load_settings().app, side=None, table=None, table_colour=None, box=None)
+    start, goal = (read_input(f"{folder}/meshes.zarr:0/{state}", how) for state in (0, 2))
+    return live.begin(
+        for_one_cloth(toy.planner("b1")), start, goal, 2, title="toy", data=folder, settings=load_settings()
+    )
 
 
 def test_a_live_session_goes_from_plan_to_plan(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -301,16 +305,15 @@ def test_a_live_session_goes_from_plan_to_plan(folder: Path, monkeypatch: pytest
     with mock.patch.object(live, "execute", lambda *given, **_: toy.execute(*given)):
         for left in (2, 1):
             assert session.left == left
-            with finds(recorded_plan()[-left:]):
-                session = live.plan(session, seed=0, watch=lambda _: True)
+            with finding(recorded_plan()[-left:]):
+                session = live.plan(session, seed=0, on_progress=lambda _: True)
             plan = session.session.steps[-1].plan
             assert plan is not None
             assert plan.means.shape == (2, left, 32, 32, 3)
             session = live.perform(session)
-            assert session.past is not None
             # A toy trace counts the manipulations that were executed.
-            assert (session.past.traces[0] == 3 - left).all()
-            np.testing.assert_allclose(session.past.rest, recorded_plan()[-left:][1:])
+            assert (session.memory.traces[0] == 3 - left).all()
+            np.testing.assert_allclose(session.memory.rest[0, : left - 1], recorded_plan()[-left:][1:])
     shown = session.session
     assert shown.over
     assert len(shown.steps) == 2
@@ -320,7 +323,7 @@ def test_a_live_session_goes_from_plan_to_plan(folder: Path, monkeypatch: pytest
     assert end is not None
     assert end < 0.1 * before
     with pytest.raises(InputError, match="is over"):
-        live.plan(session, seed=0, watch=lambda _: True)
+        live.plan(session, seed=0, on_progress=lambda _: True)
 
 
 def recorded_plan() -> np.ndarray:
@@ -331,20 +334,19 @@ def recorded_plan() -> np.ndarray:
 def test_a_null_manipulation_changes_nothing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     short = recorded_plan().copy()
     short[0, 4:] = 0.1
-    with finds(short):
-        planned = live.plan(under_way(folder, monkeypatch), seed=0, watch=lambda _: True)
+    with finding(short):
+        planned = live.plan(under_way(folder, monkeypatch), seed=0, on_progress=lambda _: True)
     done = live.perform(planned)
     np.testing.assert_array_equal(done.session.states[1], done.session.states[0])
-    assert done.past is not None
-    assert (done.past.traces[0] == 0).all()
+    assert (done.memory.traces[0] == 0).all()
     assert "too short" in facts(done.session, 0)
 
 
 def test_tasks_are_those_of_the_test_split(folder: Path, tmp_path: Path) -> None:
     found = tasks_in(folder / "meshes.zarr")
     assert len(found) == 12
-    ask = found["sequence 1, state 1 to 3"]
-    assert (ask.state, ask.goal, ask.steps) == (f"{folder}/meshes.zarr:1/1", f"{folder}/meshes.zarr:1/3", 2)
+    files = found["sequence 1, state 1 to 3"]
+    assert (files.state, files.goal, files.steps) == (f"{folder}/meshes.zarr:1/1", f"{folder}/meshes.zarr:1/3", 2)
     assert tasks_in(tmp_path / "meshes.zarr") == {}
     (tmp_path / "meshes.zarr").mkdir()
     with pytest.raises(InputError, match="can't be read as a zarr store"):
@@ -362,7 +364,7 @@ def test_tasks_are_those_of_the_test_split(folder: Path, tmp_path: Path) -> None
         (("--host", "192.0.2.1"), "--host: 192.0.2.1 is no address of this machine"),
         (("--host", "no such host"), "--host: 'no such host' is unknown"),
         (("--data", "."), ".: holds nothing to show, expected recorded sessions"),
-        (("--state", "a.obj", "--goal", "a.obj", "--data", "."), "nets/pemd_a: not found, system main plans with it"),
+        (("--state", "a.obj", "--goal", "a.obj", "--data", "."), "nets/pemd/0: not found, system main plans with it"),
     ],
 )
 def test_bad_input_is_told_in_one_sentence(here: Path, arguments: tuple[object, ...], says: str) -> None:

@@ -12,7 +12,7 @@ import viser
 from playwright.sync_api import ConsoleMessage, FileChooser, Page, expect, sync_playwright
 from playwright.sync_api import TimeoutError as PlaywrightTimeout
 
-from clothkit.app.given import seeing, settings
+from clothkit.app.inputs import load_settings, observation_options
 from clothkit.app.viewer.page import build
 from clothkit.cloth.grid import flat
 from tests.app import played
@@ -38,11 +38,11 @@ def address(here: Path, data: Path, tmp_path: Path) -> Iterator[str]:
     uploads = tmp_path / "uploads"
     uploads.mkdir()
     folder = played.fill(tmp_path / "played", data)
-    given = settings()
-    how = seeing(given.app, side=None, table=None, table_colour=None, box=None)
+    settings = load_settings()
+    options = observation_options(settings.app, side=None, table=None, table_colour=None, box=None)
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     try:
-        build(server, data=folder, chosen="main", own=None, settings=given, seeing=how, uploads=uploads)
+        build(server, data=folder, chosen="main", own=None, settings=settings, options=options, uploads=uploads)
         yield f"http://127.0.0.1:{server.get_port()}"
     finally:
         server.stop()

@@ -3,8 +3,6 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from clothkit.cloth.equivalents import relabel
-from clothkit.cloth.grid import flat
 from clothkit.cloth.mesh import (
     ProbabilisticMesh,
     best_label,
@@ -15,6 +13,8 @@ from clothkit.cloth.mesh import (
     whiten,
     whiten_probabilistic,
 )
+from clothkit.cloth.symmetry import relabel
+from clothkit.cloth.topology import SQUARE
 
 RNG = np.random.default_rng(1)
 MESH = RNG.normal(size=(2, 7, 7, 3)).astype(np.float32)
@@ -42,15 +42,16 @@ def test_whitening_rescales_sigma_like_the_mean() -> None:
 
 
 def test_a_flat_cloth_whitens_to_finite_values_with_finite_gradients() -> None:
-    white, gradient = jax.value_and_grad(lambda m: (whiten(m) ** 2).sum())(flat())
+    white, gradient = jax.value_and_grad(lambda m: (whiten(m) ** 2).sum())(SQUARE.flat())
     assert np.isfinite(white)
     assert np.isfinite(gradient).all()
-    assert (np.asarray(whiten(flat()))[..., 2] == 0).all()
+    assert (np.asarray(whiten(SQUARE.flat()))[..., 2] == 0).all()
 
 
 def test_distance_is_in_cloth_lengths() -> None:
-    assert float(distance(flat() + np.float32([1.4, 0, 0]), flat())) == pytest.approx(1, rel=1e-4)
-    assert float(distance_aligned(flat() + np.float32([1.4, 0.2, 0.1]), flat())) == pytest.approx(0, abs=5e-5)
+    assert float(distance(SQUARE.flat() + np.float32([1.4, 0, 0]), SQUARE.flat())) == pytest.approx(1, rel=1e-4)
+    moved = SQUARE.flat() + np.float32([1.4, 0.2, 0.1])
+    assert float(distance_aligned(moved, SQUARE.flat())) == pytest.approx(0, abs=5e-5)
 
 
 @pytest.mark.parametrize("k", range(8))

@@ -1,7 +1,7 @@
 import jax
 import numpy as np
 
-from clothkit.cloth.grid import flat
+from clothkit.cloth.topology import SQUARE
 from clothkit.cloth.voxels import double, observe, observe_noisily, occlude, of_mesh, voxelise
 
 RNG = np.random.default_rng(2)
@@ -38,7 +38,7 @@ def test_doubling_puts_midpoints_between_neighbours() -> None:
 
 
 def test_the_flat_cloth_is_a_solid_square_one_voxel_high() -> None:
-    seen = np.asarray(observe(flat()))
+    seen = np.asarray(observe(SQUARE.flat()))
     inside = np.arange(32) >= 4
     inside &= inside[::-1]
     assert seen[inside][:, inside][:, :, 0].all()
@@ -47,7 +47,7 @@ def test_the_flat_cloth_is_a_solid_square_one_voxel_high() -> None:
 
 def test_a_meshs_own_voxels_are_those_of_its_vertices_alone() -> None:
     """Neither midpoints nor what lies below, which a camera sees too."""
-    mesh = flat() * np.float32([2, 2, 1])
+    mesh = SQUARE.flat() * np.float32([2, 2, 1])
     mesh[10:20, 10:20, 2] = 0.06
     expected = np.zeros((32, 32, 16), bool)
     for x, y, z in mesh.reshape(-1, 3):
@@ -63,8 +63,8 @@ def test_a_meshs_own_voxels_are_those_of_its_vertices_alone() -> None:
 
 def test_noise_is_drawn_from_its_key_and_vanishes_with_its_scale() -> None:
     first, second = (
-        np.asarray(observe_noisily(flat(), noise=0.025, noise_z=0.01, key=jax.random.key(k))) for k in (0, 1)
+        np.asarray(observe_noisily(SQUARE.flat(), noise=0.025, noise_z=0.01, key=jax.random.key(k))) for k in (0, 1)
     )
     assert (first != second).any()
-    silent = observe_noisily(flat(), noise=0.0, noise_z=0.0, key=jax.random.key(0))
-    np.testing.assert_array_equal(silent, observe(flat()))
+    silent = observe_noisily(SQUARE.flat(), noise=0.0, noise_z=0.0, key=jax.random.key(0))
+    np.testing.assert_array_equal(silent, observe(SQUARE.flat()))

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from clothkit.cloth.grid import flat, geodesic, triangles
+from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.regularise import RegulariseConfig, assign_splits, interpolation, regularise
 from clothkit.errors import InputError
 
@@ -16,7 +16,7 @@ SETTINGS = RegulariseConfig(train=2, validation=1, test=1, evaluated=1)
 def write_raw(folder: Path, count: int = 4) -> Path:
     """Raw artifacts of cloths that lie flat, each state 0.1 m further along x, on a grid of 32 x 32 of 0.4 m."""
     (folder / "states").mkdir(parents=True)
-    material = (geodesic().reshape(-1, 2) + 1) * 0.2
+    material = (SQUARE.geodesic().reshape(-1, 2) + 1) * 0.2
     rows, steps = [], []
     for sequence in range(count):
         for state in range(4):
@@ -26,14 +26,14 @@ def write_raw(folder: Path, count: int = 4) -> Path:
     pd.DataFrame(rows, columns=["sequence", "state", "topology", "vertices"]).to_parquet(folder / "states/0.parquet")
     names = ["sequence", "step", "hands", "u1", "v1", "u2", "v2", "dx", "dy"]
     pd.DataFrame(steps, columns=names).to_parquet(folder / "manipulations.parquet")
-    topology = {"topology": [0], "material": [material.ravel()], "triangles": [triangles().ravel()]}
+    topology = {"topology": [0], "material": [material.ravel()], "triangles": [SQUARE.triangles().ravel()]}
     pd.DataFrame(topology).to_parquet(folder / "topologies.parquet")
     return folder
 
 
 def test_flat_cloths_become_the_flat_mesh_and_its_centre(tmp_path: Path) -> None:
     dataset = regularise(write_raw(tmp_path), SETTINGS)
-    expected = flat() + np.float32([0, 0, 0.0035])
+    expected = SQUARE.flat() + np.float32([0, 0, 0.0035])
     np.testing.assert_allclose(dataset.vertices, np.broadcast_to(expected, (4, 4, 32, 32, 3)), atol=1e-3)
     np.testing.assert_allclose(
         dataset.centre[:, :, 0] - dataset.centre[:, :1, 0], [[0, 0.35, 0.7, 1.05]] * 4, atol=1e-3
@@ -51,7 +51,7 @@ def test_interpolation_is_exact_for_linear_maps_on_any_topology(seed: int) -> No
     faces = scipy_spatial.Delaunay(material).simplices.astype(np.int32)
     matrix, shift = rng.normal(size=(2, 3)), rng.normal(size=3)
     mesh = interpolation(material, faces)(material @ matrix + shift)
-    target = (geodesic().reshape(-1, 2) + 1) * 0.2
+    target = (SQUARE.geodesic().reshape(-1, 2) + 1) * 0.2
     np.testing.assert_allclose(mesh.reshape(-1, 3), target @ matrix + shift, atol=1e-6)
 
 

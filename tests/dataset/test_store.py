@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import zarr
 
-from clothkit.cloth.grid import flat
+from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.store import Dataset, load, save
 from clothkit.dataset.tasks import tasks_of
 from clothkit.errors import InputError
@@ -14,7 +14,7 @@ from clothkit.errors import InputError
 def make(count: int = 5, seed: int = 0) -> Dataset:
     rng = np.random.default_rng(seed)
     return Dataset(
-        vertices=(flat() + rng.normal(scale=0.1, size=(count, 4, 32, 32, 3))).astype(np.float32),
+        vertices=(SQUARE.flat() + rng.normal(scale=0.1, size=(count, 4, 32, 32, 3))).astype(np.float32),
         centre=rng.normal(size=(count, 4, 2)).astype(np.float32),
         manipulation=rng.uniform(-1, 1, (count, 3, 6)).astype(np.float32),
         hands=rng.integers(1, 3, (count, 3)).astype(np.int8),

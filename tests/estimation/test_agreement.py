@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from clothkit.cloth.grid import flat
+from clothkit.cloth.topology import SQUARE
 from clothkit.cloth.voxels import HEIGHT, observe
 from clothkit.estimation.agreement import Agreement, AgreementConfig, agreement, proposed
 
@@ -14,11 +14,11 @@ VOXEL = HEIGHT / 16
 
 def raised(layers: int) -> np.ndarray:
     """The flat cloth in the middle of the voxels of that layer, of which the lowest is 0."""
-    return np.asarray(flat() + np.float32([0, 0, (layers + 0.5) * VOXEL]))
+    return np.asarray(SQUARE.flat() + np.float32([0, 0, (layers + 0.5) * VOXEL]))
 
 
 def test_an_estimate_agrees_wholly_with_what_it_looks_like() -> None:
-    meshes = np.stack([flat(), raised(3)])
+    meshes = np.stack([SQUARE.flat(), raised(3)])
     found = agreement(meshes, np.asarray(observe(meshes)))
     np.testing.assert_array_equal(found.silhouette, [1, 1])
     np.testing.assert_array_equal(found.heights, [1, 1])
@@ -39,7 +39,7 @@ def test_columns_that_only_one_of_them_has_count_against_it() -> None:
     found = agreement(raised(0), half)
     assert found.silhouette == pytest.approx(half[..., 0].sum() / covered)
     assert found.heights == pytest.approx(found.silhouette)
-    nothing = agreement(flat() + np.float32([9, 0, 0]), np.zeros_like(seen))
+    nothing = agreement(SQUARE.flat() + np.float32([9, 0, 0]), np.zeros_like(seen))
     assert (float(nothing.silhouette), float(nothing.heights)) == (1, 1)
 
 

@@ -5,9 +5,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from clothkit.cloth.equivalents import relabel
-from clothkit.cloth.grid import flat
 from clothkit.cloth.mesh import ProbabilisticMesh
+from clothkit.cloth.symmetry import equivalents, relabel
+from clothkit.cloth.topology import SQUARE, rectangle
 from clothkit.estimation.estimate import estimate, estimate_unrefined, labelled_like
 from clothkit.estimation.refine import RefineConfig
 from clothkit.models.net import Net
@@ -16,7 +16,7 @@ from clothkit.models.vtm import VtMConfig, initial
 
 def lopsided() -> np.ndarray:
     """A mesh whose eight equivalents all differ."""
-    mesh = flat().copy()
+    mesh = SQUARE.flat().copy()
     mesh[20:, :10, 2] = 0.05
     mesh[..., 0] *= 0.8
     return mesh
@@ -49,3 +49,15 @@ def test_estimates_of_a_small_net() -> None:
     # Under the labels of what was predicted, refined or not.
     np.testing.assert_array_equal(biased.probabilistic.mean, labelled_like(plain.probabilistic, guess).mean)
     np.testing.assert_array_equal(estimate_unrefined(net, seen, guess), biased.probabilistic.mean)
+
+
+def test_labels_are_among_the_cloths_own_symmetries() -> None:
+    topology = rectangle(1.5)
+    mesh = (topology.flat() + np.float32([0, 0, 0.1]) * np.random.default_rng(1).random((32, 32, 1), np.float32))[None]
+    std = np.full(mesh.shape, 0.02, np.float32)
+    for k in range(topology.count):
+        blurred = ProbabilisticMesh(np.asarray(relabel(mesh, k, topology)), std)
+        np.testing.assert_allclose(labelled_like(blurred, mesh, topology).mean, mesh, atol=1e-6)
+    swapped = ProbabilisticMesh(mesh.swapaxes(1, 2), std)
+    found = np.asarray(labelled_like(swapped, mesh, topology).mean)
+    assert not any(np.allclose(found, np.asarray(m), atol=1e-3) for m in np.asarray(equivalents(mesh, topology)))

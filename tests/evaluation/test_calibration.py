@@ -7,9 +7,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from clothkit.cloth import grid
-from clothkit.cloth.equivalents import relabel_batch
 from clothkit.cloth.mesh import ProbabilisticMesh
+from clothkit.cloth.symmetry import relabel_batch
+from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.store import Dataset
 from clothkit.evaluation import calibration
 from clothkit.evaluation.errors import deviations
@@ -17,7 +17,8 @@ from clothkit.evaluation.prediction import Starts
 from clothkit.evaluation.settings import EvaluatePredictionConfig
 from clothkit.models import pemd
 from clothkit.models.net import Net
-from clothkit.models.pemd import PEMDConfig, rollout
+from clothkit.models.settings import PEMDConfig
+from tests.models.predicted import predicted_by
 
 
 def normal_coverage(z: pd.Series, factor: float = 1) -> np.ndarray:
@@ -28,7 +29,7 @@ def normal_coverage(z: pd.Series, factor: float = 1) -> np.ndarray:
 def noisy(stated: tuple[float, float, float], meshes: int = 32) -> tuple[ProbabilisticMesh, np.ndarray]:
     """Meshes in all eight labellings, whose sigmas are `stated` (x, y, z) times what their Gaussian errors have."""
     rng = np.random.default_rng(0)
-    truth = (grid.flat() + 0.1 * rng.normal(size=(meshes, 32, 32, 3))).astype(np.float32)
+    truth = (SQUARE.flat() + 0.1 * rng.normal(size=(meshes, 32, 32, 3))).astype(np.float32)
     std = rng.uniform(0.01, 0.03, truth.shape).astype(np.float32)
     mean = truth + std * rng.normal(size=truth.shape).astype(np.float32)
     k = np.arange(meshes) % 8
@@ -62,7 +63,7 @@ def test_an_error_of_just_z_sigma_is_not_below_it() -> None:
 
 def test_rows_count_the_states_that_there_are() -> None:
     rng = np.random.default_rng(0)
-    vertices = (grid.flat() + 0.1 * rng.normal(size=(2, 4, 32, 32, 3))).astype(np.float32)
+    vertices = (SQUARE.flat() + 0.1 * rng.normal(size=(2, 4, 32, 32, 3))).astype(np.float32)
     manipulation = rng.uniform(-1, 1, (2, 3, 6)).astype(np.float32)
     # The second sequence, of the test split, ends after two manipulations.
     vertices[1, 3] = manipulation[1, 2] = np.nan
@@ -93,7 +94,7 @@ def test_rows_count_the_states_that_there_are() -> None:
     of_estimates = tidy[tidy["system"] == "estimate"]
     np.testing.assert_array_equal(of_estimates["coverage"], (of_estimates["z"] > 1.45).astype(float))
     # Two manipulations of the test sequence: from its first state alone.
-    predicted, _, _ = rollout(net, vertices[1:, 0], manipulation[1:, :2])
+    predicted, _ = predicted_by(net, vertices[1:, 0], manipulation[1:, :2])
     final = ProbabilisticMesh(*(np.asarray(part)[-1] for part in predicted))
     by_hand = calibration.curve(np.asarray(deviations(final, vertices[1:, 2])))
     found = tidy.query("split == 'test' and system == 'main' and length == 2")

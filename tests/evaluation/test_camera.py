@@ -10,11 +10,11 @@ import pandas as pd
 import pytest
 
 from clothkit.cloth import voxels
-from clothkit.cloth.grid import flat
+from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.store import SPLITS, Dataset
-from clothkit.episodes.camera_sight import CameraSight, through_camera
 from clothkit.episodes.evaluate import evaluate
 from clothkit.episodes.record import Sessions
+from clothkit.episodes.sensors import depth_camera, exact_sensor
 from clothkit.errors import InputError
 from clothkit.estimation.estimate import estimate
 from clothkit.estimation.refine import RefineConfig
@@ -24,8 +24,8 @@ from clothkit.models import vtm
 from clothkit.models.net import Net
 from clothkit.models.settings import VtMConfig
 from clothkit.observation.picture import Picture, PictureConfig, take
-from clothkit.planning.sight import MeshSight
-from tests.episodes.test_session import dataset as toy_dataset
+from clothkit.planning.perception import Estimation
+from tests.episodes.test_sessions import dataset as toy_dataset
 from tests.evaluation import camera_rows
 from tests.observation.scenes import SMALL, folded
 from tests.planning import toy
@@ -50,7 +50,7 @@ def net() -> Net:
 @pytest.fixture(scope="module")
 def dataset() -> Dataset:
     """Two test sequences of folded cloths, the second of two manipulations, and one that is not for evaluation."""
-    states = np.stack([flat(), folded(along=0.4), folded(along=0.2, angle=0.5), folded(along=0.0)])
+    states = np.stack([SQUARE.flat(), folded(along=0.4), folded(along=0.2, angle=0.5), folded(along=0.0)])
     return Dataset(
         np.stack([states] * 3),
         np.zeros((3, 4, 2), np.float32),
@@ -120,34 +120,32 @@ def test_what_no_picture_shows_is_missing(dataset: Dataset, net: Net, tmp_path: 
     assert before[["voxel_error", "centre_error", "iou", "error"]].isna().all(axis=None)
 
 
-def test_a_planner_sees_what_its_camera_shows(net: Net) -> None:
-    planner = dataclasses.replace(toy.planner("main"), sight=MeshSight(net, REFINE))
-    sight = through_camera(planner, PICTURE).sight
-    assert isinstance(sight, CameraSight)
+def test_a_camera_gives_the_voxels_and_shifts_of_its_pictures(net: Net) -> None:
+    camera = depth_camera(PICTURE, Estimation(net, REFINE))
     truth = np.stack([folded(), folded(along=0.0)])
-    view = sight.see(truth, None)
+    sensed = camera(truth, None)
     pictures: list[Picture] = [take(mesh, PICTURE) for mesh in truth]
-    np.testing.assert_array_equal(view.shift, [picture.shift for picture in pictures])
-    seen = np.stack([picture.observation.voxels for picture in pictures])
-    np.testing.assert_allclose(view.states, estimate(net, seen, REFINE).mesh, atol=1e-5)
-    # What can't be seen is taken for what was expected.
-    with mock.patch("clothkit.episodes.camera_sight.take", side_effect=InputError("no cloth")):
-        blind = sight.see(truth, truth[::-1])
+    np.testing.assert_array_equal(sensed.shift, [picture.shift for picture in pictures])
+    np.testing.assert_array_equal(sensed.observation.voxels, [picture.observation.voxels for picture in pictures])
+    # What can't be seen is taken for what was expected, or for flat.
+    with mock.patch("clothkit.episodes.sensors.take", side_effect=InputError("no cloth")):
+        blind, first = camera(truth, truth[::-1]), camera(truth, None)
     assert not blind.shift.any()
-    np.testing.assert_allclose(blind.states, sight.estimates(np.asarray(voxels.observe(truth[::-1])), truth[::-1]))
+    np.testing.assert_array_equal(blind.observation.voxels, voxels.observe(truth[::-1]))
+    np.testing.assert_array_equal(first.observation.voxels, [voxels.observe(SQUARE.flat())] * 2)
 
 
-def test_eyes_look_as_high_as_their_net_knows(net: Net) -> None:
-    high = Net(VtMConfig(hidden=16, height=0.25), net.params)
+def test_sensors_see_as_high_as_the_net_knows(net: Net) -> None:
+    perception = Estimation(Net(VtMConfig(hidden=16, height=0.25), net.params), REFINE)
     truth = folded()[None] * np.array([1, 1, 4], np.float32)
     seen = voxels.observe(truth, height=0.25)
     assert (seen != voxels.observe(truth)).any()
-    sight = MeshSight(high, REFINE)
-    np.testing.assert_allclose(sight.see(truth, None).states, estimate(high, seen, REFINE).mesh, atol=1e-5)
-    before_camera = through_camera(dataclasses.replace(toy.planner("main"), sight=sight), PICTURE).sight
+    observation = exact_sensor(perception)(truth, None).observation
+    np.testing.assert_array_equal(observation.voxels, seen)
+    np.testing.assert_allclose(perception(observation, None), estimate(perception.vtm, seen, REFINE).mesh, atol=1e-5)
     pictures = []
-    with mock.patch("clothkit.episodes.camera_sight.take", lambda mesh, how: pictures.append(how) or take(mesh, how)):
-        before_camera.see(truth, None)
+    with mock.patch("clothkit.episodes.sensors.take", lambda mesh, how: pictures.append(how) or take(mesh, how)):
+        depth_camera(PICTURE, perception)(truth, None)
     assert [how.cloud.height for how in pictures] == [0.25]
 
 
@@ -156,8 +154,8 @@ def test_sessions_before_a_camera_are_held_against_those_without(tmp_path: Path)
     data = dataclasses.replace(data, length=np.ones_like(data.length))
     planner = toy.planner("b1")
     without, _ = evaluate(data, planner, toy.execute, work=tmp_path / "without")
-    # Toy cloths fit no camera: eyes that are as good without one.
-    with mock.patch.object(camera_planning, "through_camera", lambda planner, picture: planner):
+    # Toy cloths fit no camera: a sensor that is as good without one.
+    with mock.patch.object(camera_planning, "depth_camera", lambda picture, perception: exact_sensor(perception)):
         tidy = camera_planning.planning(data, planner, toy.execute, without.whole(), SETTINGS, work=tmp_path / "with")
     assert tidy["condition"].tolist() == ["voxels", "above", "noisy"]
     # The same eyes and the same draws: the same outcomes.

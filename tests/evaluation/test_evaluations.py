@@ -6,9 +6,10 @@ import jax
 import numpy as np
 import pytest
 
-from clothkit.cloth import grid, voxels
-from clothkit.cloth.equivalents import relabel
+from clothkit.cloth import voxels
 from clothkit.cloth.mesh import ProbabilisticMesh
+from clothkit.cloth.symmetry import relabel
+from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.store import Dataset
 from clothkit.dataset.tasks import TASKS
 from clothkit.errors import InputError
@@ -17,9 +18,10 @@ from clothkit.evaluation import arrays, estimation, prediction
 from clothkit.evaluation.occupancy import occluded_occupancy, occupancy
 from clothkit.evaluation.settings import EvaluateEstimationConfig, EvaluatePredictionConfig
 from clothkit.models import pemd, vtm
+from clothkit.models.ensemble import Ensemble
 from clothkit.models.net import Net
-from clothkit.models.pemd import PEMDConfig, rollout
-from clothkit.models.vtm import VtMConfig
+from clothkit.models.settings import PEMDConfig, VtMConfig
+from tests.models.predicted import predicted_by
 
 SEQUENCES = 5
 
@@ -29,7 +31,7 @@ def dataset() -> Dataset:
     """Four evaluated sequences, the last of them, 3, with two manipulations only."""
     rng = np.random.default_rng(0)
     shape = (SEQUENCES, 4, 32, 32, 3)
-    vertices = np.broadcast_to(grid.flat(), shape) * np.array([0.9, 0.7, 1]) + 0.01 * rng.normal(size=shape)
+    vertices = np.broadcast_to(SQUARE.flat(), shape) * np.array([0.9, 0.7, 1]) + 0.01 * rng.normal(size=shape)
     centre, manipulation = rng.normal(size=(SEQUENCES, 4, 2)), rng.uniform(-1, 1, (SEQUENCES, 3, 6))
     vertices[3, 3] = centre[3, 3] = manipulation[3, 2] = np.nan
     return Dataset(
@@ -44,9 +46,9 @@ def dataset() -> Dataset:
 
 
 @pytest.fixture(scope="module")
-def forward() -> dict[str, Net]:
+def forward() -> Ensemble:
     config = PEMDConfig(latent=4, encoder=(8,), manipulation=6, decoder=(8,))
-    return {name: Net(config, pemd.initial(config, key=jax.random.key(k))) for k, name in enumerate("ab")}
+    return Ensemble((0, 1), tuple(Net(config, pemd.initial(config, key=jax.random.key(k))) for k in range(2)), best=1)
 
 
 @pytest.fixture(scope="module")
@@ -83,23 +85,25 @@ def test_estimation_rows_of_known_estimates(dataset: Dataset, estimates: estimat
     assert (tidy["error_labelled"] > 0.1).all()
 
 
-def test_prediction_rows(dataset: Dataset, forward: dict[str, Net], estimates: estimation.Estimates) -> None:
+def test_prediction_rows(dataset: Dataset, forward: Ensemble, estimates: estimation.Estimates) -> None:
     given = prediction.starts(dataset, estimates._asdict())
-    tidy = prediction.rows(dataset, given, forward, "b", EvaluatePredictionConfig(batch=2))
+    tidy = prediction.rows(dataset, given, forward, EvaluatePredictionConfig(batch=2))
     # Three sequences have six tasks, the short one three.
     occluded = tidy["system"] == prediction.OCCLUDED
     tidy, seen = tidy[~occluded], tidy[occluded]
     assert len(tidy) == 2 * 2 * (3 * 6 + 3)
     assert not tidy.isna().any().any()
-    # What a camera sees of main's better net, against what it sees of the truth.
-    of_main = tidy.query("system == 'main' and net == 'b' and sequence == 2 and start == 1 and length == 2").iloc[0]
+    # What a camera sees of main's best net, against what it sees of the truth.
+    of_main = tidy.query("system == 'main' and net == '1' and sequence == 2 and start == 1 and length == 2").iloc[0]
     row = seen.query("sequence == 2 and start == 1 and length == 2").iloc[0]
     assert len(seen) == 3 * 6 + 3
     assert row["error_no_action"] == of_main["error_no_action"]
     assert row["position_error"] == of_main["position_error"]
     views = [np.asarray(voxels.observe(dataset.vertices[2, i])) for i in (1, 3)]
     assert row["voxel_error_no_action"] == pytest.approx(np.mean(views[0] != views[1]), rel=1e-4)
-    made, _, _ = rollout(forward["b"], given.meshes["main"][given.sequence == 2, 1], dataset.manipulation[2:3, 1:3])
+    made, _ = predicted_by(
+        forward.nets[1], given.meshes["main"][given.sequence == 2, 1], dataset.manipulation[2:3, 1:3]
+    )
     expected = occluded_occupancy(
         ProbabilisticMesh(*(np.asarray(part)[1] for part in made)), draws=256, key=jax.random.key(9)
     )
@@ -111,13 +115,15 @@ def test_prediction_rows(dataset: Dataset, forward: dict[str, Net], estimates: e
     )
     assert row["voxel_error_025"] == pytest.approx(np.abs(np.asarray(expected)[0] - tall[1]).mean(), rel=0.05)
     assert (tidy.loc[tidy["sequence"] == 3, ["start", "length"]].sum(axis=1) <= 2).all()
-    assert set(tidy.loc[tidy["better"], "net"]) == {"b"}
+    assert set(tidy.loc[tidy["better"], "net"]) == {"1"}
     assert set(zip(tidy["start"], tidy["length"], strict=True)) == set(TASKS)
-    # One of them by hand: NumPy's centre shift and error of net a, from the true mesh.
-    mean, _, shift = rollout(forward["a"], dataset.vertices[2:3, 1], dataset.manipulation[2:3, 1:3])
-    row = tidy.query("system == 'a1' and net == 'a' and sequence == 2 and start == 1 and length == 2").iloc[0]
+    # One of them by hand: NumPy's centre shift and error of net 0, from the true mesh.
+    mean, found = predicted_by(forward.nets[0], dataset.vertices[2:3, 1], dataset.manipulation[2:3, 1:3])
+    row = tidy.query("system == 'a1' and net == '0' and sequence == 2 and start == 1 and length == 2").iloc[0]
     moved = dataset.centre[2, 3] - dataset.centre[2, 1]
-    assert row["position_error"] == pytest.approx(np.linalg.norm(np.asarray(shift).sum(0)[0] - moved) / 1.4, rel=1e-4)
+    assert row["position_error"] == pytest.approx(
+        np.linalg.norm(np.asarray(found.shifts).sum(0)[0] - moved) / 1.4, rel=1e-4
+    )
     assert row["position_no_action"] == pytest.approx(np.hypot(*moved) / 1.4, rel=1e-5)
     candidates = [np.asarray(relabel(dataset.vertices[2, 3], k)) for k in range(8)]
     by_hand = min(np.linalg.norm(np.asarray(mean.mean)[1, 0] - c, axis=-1).mean() / 1.4 for c in candidates)
@@ -150,10 +156,10 @@ def test_a_state_without_an_estimate_is_told(dataset: Dataset, estimates: estima
 
 
 def test_stored_predictions_come_back(
-    dataset: Dataset, forward: dict[str, Net], estimates: estimation.Estimates, tmp_path: Path
+    dataset: Dataset, forward: Ensemble, estimates: estimation.Estimates, tmp_path: Path
 ) -> None:
     given = prediction.starts(dataset, estimates._asdict())
-    stored = prediction.stored(dataset, given, forward["a"], EvaluatePredictionConfig(stored=1))
+    stored = prediction.stored(dataset, given, forward.nets[0], EvaluatePredictionConfig(stored=1))
     contents = []
     for name in ("one.zarr", "two.zarr"):
         arrays.save(tmp_path / name, stored, {"scale": "smoke"})
@@ -171,10 +177,10 @@ def test_stored_predictions_come_back(
 
 
 def test_what_lies_past_a_sequences_end_may_be_missing(
-    dataset: Dataset, forward: dict[str, Net], estimates: estimation.Estimates, tmp_path: Path
+    dataset: Dataset, forward: Ensemble, estimates: estimation.Estimates, tmp_path: Path
 ) -> None:
     given = prediction.starts(dataset, estimates._asdict())
-    stored = prediction.stored(dataset, given, forward["a"], EvaluatePredictionConfig(stored=3))
+    stored = prediction.stored(dataset, given, forward.nets[0], EvaluatePredictionConfig(stored=3))
     assert np.argwhere(np.isnan(stored["mean"].values).all((2, 3, 4))).tolist() == [[3, 2]]
     arrays.save(tmp_path / "whole.zarr", stored, {})
     found = arrays.load(tmp_path / "whole.zarr", arrays.PREDICTIONS)

@@ -7,15 +7,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from clothkit.cloth import grid, voxels
+from clothkit.cloth import voxels
 from clothkit.cloth.mesh import ProbabilisticMesh
+from clothkit.cloth.topology import SQUARE
 from clothkit.evaluation.occupancy import differences, occluded_occupancy, occupancy
 
 
 def prediction(seed: int, *, spread: float = 0.1, batch: int = 1) -> ProbabilisticMesh:
     """A crumpled cloth, some of it outside the viewport."""
     rng = np.random.default_rng(seed)
-    mean = grid.flat() * np.array([1.5, 1.2, 1], np.float32) + 0.05 * rng.normal(size=(batch, 32, 32, 3))
+    mean = SQUARE.flat() * np.array([1.5, 1.2, 1], np.float32) + 0.05 * rng.normal(size=(batch, 32, 32, 3))
     mean[..., 2] = 0.05 + mean[..., 2]
     std = rng.uniform(0.01, spread, mean.shape)
     return ProbabilisticMesh(mean.astype(np.float32), std.astype(np.float32))
@@ -67,7 +68,7 @@ def test_a_certain_prediction_is_the_voxels_of_its_mesh() -> None:
 
 def test_a_certain_prediction_occluded_is_what_a_camera_sees_of_its_mesh() -> None:
     rng = np.random.default_rng(3)
-    mesh = grid.flat() + np.array([0.013, 0.017, 0.004]) + rng.normal(0, [0.003, 0.003, 0.02], (1, 32, 32, 3))
+    mesh = SQUARE.flat() + np.array([0.013, 0.017, 0.004]) + rng.normal(0, [0.003, 0.003, 0.02], (1, 32, 32, 3))
     certain = ProbabilisticMesh(mesh.astype(np.float32), np.full(mesh.shape, 1e-6, np.float32))
     found = np.asarray(occluded_occupancy(certain, key=jax.random.key(0)))
     # But for a vertex that lies on the border of voxels.

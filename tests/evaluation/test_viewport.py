@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
-from clothkit.cloth import grid
+from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.tasks import Task
 from clothkit.episodes.record import Sizes, Tasks, blank
 from clothkit.evaluation import viewport
@@ -20,7 +20,7 @@ def occupied(mesh: np.ndarray) -> np.ndarray:
 def test_outcomes_in_the_high_viewport() -> None:
     rng = np.random.default_rng(0)
     # Off the borders between voxels, and above the usual viewport here and there.
-    meshes = [grid.flat() * 0.99 + rng.uniform(0, (0.01, 0.01, 0.24), (32, 32, 3)) for _ in range(3)]
+    meshes = [SQUARE.flat() * 0.99 + rng.uniform(0, (0.01, 0.01, 0.24), (32, 32, 3)) for _ in range(3)]
     start, goal, outcome = np.array(meshes, np.float32)
     tasks = Tasks(
         [Task(7, 1, 2), Task(8, 0, 1)], ["test", "train"], np.stack([start] * 2), np.zeros((2, 2)), np.stack([goal] * 2)

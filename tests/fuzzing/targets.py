@@ -17,7 +17,7 @@ from clothkit.app import simulate as simulate_command
 from clothkit.app import view as view_command
 from clothkit.app.cli import cli
 from clothkit.app.plan_file import read_plan
-from clothkit.app.planner import Past, Planned, first_traces, predicted
+from clothkit.app.planner import Planned, predict_plan
 from clothkit.app.viewer import recorded
 from clothkit.app.viewer.tasks import test_tasks as tasks_in
 from clothkit.dataset import raw, store, tables
@@ -28,8 +28,10 @@ from clothkit.observation.files import read
 from clothkit.observation.observe import observe
 from clothkit.observation.states import PointCloud
 from clothkit.params import load_params
-from clothkit.planning import normalisation
+from clothkit.planning import agent, normalisation
+from clothkit.planning.batches import take
 from clothkit.planning.planner import Planner
+from clothkit.planning.types import Memory, Observation
 from clothkit.report import run_settings
 from clothkit.report.timings import table_8
 from clothkit.resumable import load_piece
@@ -79,7 +81,7 @@ def command(*words: str, reads: tuple[Input, ...], writes: tuple[str, ...], sear
 
     def call(changed: Mapping[str, str]) -> Any:
         given = [changed.get(before, word) for before, word in zip(("", *words), words, strict=False)]
-        with contextlib.nullcontext() if searches else mock.patch.object(plan_command, "find_plan", _planned):
+        with contextlib.nullcontext() if searches else mock.patch.object(plan_command, "decide", _decided):
             ended = CliRunner().invoke(cli, given)
         if ended.exit_code == 0:
             moved = dict(zip(words, given, strict=True))
@@ -106,7 +108,7 @@ def _beside(line: str) -> bool:
 def quick() -> Iterator[None]:
     """Without search and simulation, which take long to compile: all around them is run."""
     with (
-        mock.patch.object(plan_command, "find_plan", _planned),
+        mock.patch.object(plan_command, "decide", _decided),
         mock.patch.object(simulate_command, "execute", _executed),
         serving(),
     ):
@@ -120,11 +122,11 @@ def serving() -> Iterator[None]:
         yield
 
 
-def _planned(
-    planner: Planner, state: np.ndarray, goal: np.ndarray, length: int, *, seed: int, past: Past | None = None
-) -> Planned:
-    traces = past.traces if past else first_traces(planner)
-    return predicted(planner, state, np.stack([BOTH, ONE])[:length], common=0, traces=traces)._replace(loss=0.0)
+def _decided(planner: Planner, observation: Observation, memory: Memory, *, seed: int) -> tuple[Planned, Memory]:
+    """A plan that nobody searched for, from the state that the planner perceives."""
+    state, plan = agent.perceive(planner, observation, memory)[0][0], np.stack([BOTH, ONE])[: int(memory.left[0])]
+    found = predict_plan(planner, state, plan, common=0, traces=take(memory.traces, 0))
+    return found._replace(loss=0.0), memory
 
 
 def _executed(
@@ -206,9 +208,9 @@ CLOUD, MESH, GOAL, VOXELS = (
     Input("goal.glb", "bytes"),
     Input("voxels.npy", "npy"),
 )
-NETS = tuple(Input(f"data/nets/pemd_{net}/net.{kind}", f"{kind}") for net in "ab" for kind in ("json", "msgpack"))
+NETS = tuple(Input(f"data/nets/pemd/{net}/net.{kind}", f"{kind}") for net in (0, 1) for kind in ("json", "msgpack"))
 VTM = (Input("data/nets/vtm/net.msgpack", "bytes"), Input("data/nets/vtm/net.json", "json"))
-VOXEL_NETS = tuple(Input(f"data/nets/emd_voxel_{net}/net.json", "json") for net in "ab")
+VOXEL_NETS = tuple(Input(f"data/nets/emd_voxel/{net}/net.json", "json") for net in (0, 1))
 REFERENCE = Input("data/normalisation/mesh.json", "json")
 SESSIONS = Input("data/evaluation/planning/sessions_main.zarr", "zarr")
 
@@ -222,7 +224,7 @@ LOADERS = (
     loader("estimates", "data/evaluation/estimates.zarr", "zarr", lambda path: arrays.load(path, arrays.ESTIMATES)),
     loader("sessions", SESSIONS.path, "zarr", record.load),
     loader("reference values", REFERENCE.path, "json", normalisation.load),
-    Target("net", (*NETS[:2], *VTM), lambda _: [nets.load(Path(f"data/nets/{name}")) for name in ("pemd_a", "vtm")]),
+    Target("net", (*NETS[:2], *VTM), lambda _: [nets.load(Path(f"data/nets/{name}")) for name in ("pemd/0", "vtm")]),
     loader("piece of sessions", "work/sessions_000.npz", "npz", record.load_piece),
     loader("block of attempts", "work/block.npz", "bytes", partial(load_piece, storage=generation.BLOCKS)),
     loader("checkpoint", "work/checkpoint", "bytes", lambda path: checkpoint.read(path, [0, 0])),

@@ -1,7 +1,7 @@
 import numpy as np
 
 from clothkit.cloth import voxels
-from clothkit.cloth.grid import flat
+from clothkit.cloth.topology import SQUARE
 from clothkit.manipulation.candidates import candidates, voxel_candidates
 
 
@@ -16,7 +16,7 @@ def _turned(mesh: np.ndarray, angle: float) -> np.ndarray:
 
 def test_a_flat_cloth_is_graspable_at_its_corners_wherever_it_lies() -> None:
     for angle in (0.0, 0.3, 0.785):
-        mesh = _turned(flat(), angle) + np.float32([0.4, -0.3, 0])
+        mesh = _turned(SQUARE.flat(), angle) + np.float32([0.4, -0.3, 0])
         points = candidates(mesh)
         assert len(points) == 4
         for i in (0, 31):
@@ -26,7 +26,7 @@ def test_a_flat_cloth_is_graspable_at_its_corners_wherever_it_lies() -> None:
 
 def test_concave_corners_are_left_out() -> None:
     # An L: the quarter x > 0, y > 0 is folded onto the rest.
-    mesh = flat()
+    mesh = SQUARE.flat()
     mesh[16:, 16:, 0] = mesh[15::-1, 16:, 0]
     points = candidates(mesh)
     assert _nearest(points, (0, 0)) > 0.1
@@ -36,7 +36,7 @@ def test_concave_corners_are_left_out() -> None:
 
 def test_a_corner_is_moved_to_a_vertex_near_it_and_to_no_other_however_far_out() -> None:
     """An L with a long arm: along the diagonal the end of that is farther out than the corner of the short one."""
-    mesh = flat()
+    mesh = SQUARE.flat()
     mesh[16:, 10:, 0] = mesh[15::-1, 10:, 0]
     points = candidates(mesh)
     for corner in [(-0.7, -0.7), (0.7, -0.7), (-0.7, 0.7), tuple(mesh[31, 9, :2]), (0, 0.7)]:
@@ -44,7 +44,7 @@ def test_a_corner_is_moved_to_a_vertex_near_it_and_to_no_other_however_far_out()
 
 
 def test_a_diagonal_fold_has_three_corners() -> None:
-    mesh = flat()
+    mesh = SQUARE.flat()
     x, y = mesh[..., 0].copy(), mesh[..., 1].copy()
     over = x + y > 0
     mesh[..., 0] = np.where(over, -y, x)
@@ -56,8 +56,8 @@ def test_a_diagonal_fold_has_three_corners() -> None:
 
 
 def test_candidates_of_voxels_are_near_those_of_the_mesh() -> None:
-    found = voxel_candidates(np.asarray(voxels.observe(flat())))
-    wanted = candidates(flat())
+    found = voxel_candidates(np.asarray(voxels.observe(SQUARE.flat())))
+    wanted = candidates(SQUARE.flat())
     assert len(found) == len(wanted) == 4
     distance = np.linalg.norm(found[:, None] - wanted, axis=-1)
     # Half a voxel is 0.03.

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from clothkit.cloth.grid import flat, geodesic
+from clothkit.cloth.topology import SQUARE, Topology, rectangle, square
 from clothkit.manipulation.geometry import (
     arc,
     nearest_vertex,
@@ -71,12 +71,12 @@ def test_arcs_are_circles_that_end_at_the_release_height(k: float, height: float
 
 @given(COORDINATE, COORDINATE)
 def test_the_flat_cloth_maps_geodesic_to_cartesian_linearly(u: float, v: float) -> None:
-    np.testing.assert_allclose(to_cartesian(flat(), np.float32([u, v])), [0.7 * u, 0.7 * v, 0], atol=1e-5)
+    np.testing.assert_allclose(to_cartesian(SQUARE.flat(), np.float32([u, v])), [0.7 * u, 0.7 * v, 0], atol=1e-5)
 
 
 def test_vertices_are_interpolated_exactly_and_clipped_outside() -> None:
     mesh = RNG.normal(size=(32, 32, 3)).astype(np.float32)
-    every = to_cartesian(np.broadcast_to(mesh, (32, 32, 32, 32, 3)), geodesic())
+    every = to_cartesian(np.broadcast_to(mesh, (32, 32, 32, 32, 3)), SQUARE.geodesic())
     np.testing.assert_allclose(every, mesh, atol=1e-4)
     np.testing.assert_allclose(to_cartesian(mesh, np.float32([3, -7])), mesh[31, 0], atol=1e-5)
 
@@ -86,11 +86,21 @@ def test_nearest_vertex_is_the_brute_force_one() -> None:
     points = RNG.normal(size=(20, 2)).astype(np.float32)
     expected = [np.linalg.norm(mesh.reshape(-1, 3)[:, :2] - p, axis=1).argmin() for p in points]
     np.testing.assert_array_equal(nearest_vertex(mesh, points), expected)
-    np.testing.assert_allclose(to_geodesic(mesh, points)[3], geodesic(8).reshape(-1, 2)[expected[3]])
+    np.testing.assert_allclose(to_geodesic(mesh, points)[3], square(8).geodesic().reshape(-1, 2)[expected[3]])
 
 
 def test_the_topmost_of_the_near_vertices_is_taken() -> None:
-    folded = flat()
+    folded = SQUARE.flat()
     folded[16:] = folded[15::-1] + np.float32([0.004, 0, 0.01])
     assert topmost_vertex(folded, np.float32([-0.7, -0.7]), within=0.02) == 31 * 32
     assert topmost_vertex(folded, np.float32([-0.7, -0.7]), within=0.001) == 0
+
+
+@pytest.mark.parametrize("topology", [rectangle(1.8), Topology((5, 9), (0.5, 1.4))], ids=str)
+def test_a_rectangles_points_lie_between_its_own_sides(topology: Topology) -> None:
+    (along_u, along_v), flat = topology.sides, topology.flat()
+    for u, v in ((-1, 1), (0.3, -0.7), (1, 0.05), (2, -3)):
+        expected = np.clip([u, v], -1, 1) * [along_u / 2, along_v / 2]
+        np.testing.assert_allclose(to_cartesian(flat, np.float32([u, v]))[:2], expected, atol=1e-5)
+    points = flat[..., :2] + np.float32([0.01, -0.01])
+    np.testing.assert_array_equal(to_geodesic(flat, points), topology.geodesic())

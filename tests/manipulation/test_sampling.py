@@ -1,7 +1,7 @@
 import numpy as np
 
-from clothkit.cloth.grid import flat
 from clothkit.cloth.silhouette import silhouette
+from clothkit.cloth.topology import SQUARE
 from clothkit.manipulation.candidates import CandidateConfig, candidates
 from clothkit.manipulation.geometry import release_points
 from clothkit.manipulation.sampling import SamplingConfig, draw_hands, sample
@@ -10,7 +10,7 @@ SETTINGS, GRASPING = SamplingConfig(), CandidateConfig()
 
 
 def test_samples_obey_the_three_restrictions() -> None:
-    mesh = flat()
+    mesh = SQUARE.flat()
     rng = np.random.default_rng(0)
     corners = candidates(mesh, GRASPING)
     image = silhouette(mesh)
@@ -35,12 +35,12 @@ def test_hands_are_one_to_two() -> None:
 
 
 def test_a_cloth_without_room_gives_none() -> None:
-    tiny = flat() * np.float32([0.05, 0.05, 1])
+    tiny = SQUARE.flat() * np.float32([0.05, 0.05, 1])
     assert sample(np.random.default_rng(2), tiny, 2, SETTINGS, GRASPING) is None
 
 
 def test_the_same_seed_draws_the_same() -> None:
-    first, second = (sample(np.random.default_rng(5), flat(), 2, SETTINGS, GRASPING) for _ in range(2))
+    first, second = (sample(np.random.default_rng(5), SQUARE.flat(), 2, SETTINGS, GRASPING) for _ in range(2))
     assert first is not None
     assert second is not None
     assert first.vertices == second.vertices

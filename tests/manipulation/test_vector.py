@@ -2,7 +2,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from clothkit.cloth.grid import flat
+from clothkit.cloth.topology import SQUARE
 from clothkit.manipulation.geometry import release_points, to_cartesian
 from clothkit.manipulation.turns import planar, turn_manipulation, turn_mesh
 from clothkit.manipulation.vector import is_null, is_single, swap_grasps
@@ -28,7 +28,7 @@ def test_a_turned_manipulation_of_the_turned_cloth_releases_at_the_turned_points
     matrix = planar(jnp.array(0.7), jnp.array(mirrored))
     np.testing.assert_allclose(matrix @ matrix.T, np.eye(2), atol=1e-6)
     assert float(jnp.linalg.det(matrix)) == pytest.approx(-1 if mirrored else 1, rel=1e-5)
-    mesh, manipulation = jnp.asarray(flat()), jnp.asarray(MANIPULATION)
+    mesh, manipulation = jnp.asarray(SQUARE.flat()), jnp.asarray(MANIPULATION)
     turned_mesh, turned = turn_mesh(mesh, matrix), turn_manipulation(manipulation, matrix)
 
     def releases(mesh: jnp.ndarray, m: jnp.ndarray) -> np.ndarray:

@@ -17,14 +17,15 @@ from clothkit.dataset.tasks import TASKS
 from clothkit.manipulation.turns import planar, turn, turn_manipulation, turn_mesh
 from clothkit.models import emd_voxel, pemd, vtm
 from clothkit.models.canonical import axes, described, fit, frame, lies_along_y, voxel_frame, voxels_described
-from clothkit.models.emd_voxel import EMDVoxel
+from clothkit.models.forward import forward_model
 from clothkit.models.net import Net
 from clothkit.models.pemd import PEMD
 from clothkit.models.settings import EMDVoxelConfig, PEMDConfig, Start, VtMConfig
-from clothkit.training.augment import augment, examples_described
+from clothkit.training.augment import as_shown, augment
 from clothkit.training.emd_voxel import task_differences
 from clothkit.training.pemd import draw, sequences, task_errors
 from tests.models.conftest import crumpled
+from tests.models.predicted import predicted_by
 from tests.models.test_nets import nearly_flat
 
 
@@ -37,6 +38,7 @@ def lopsided(mesh):
 MESHES = lopsided(crumpled(8, 1).vertices[:, 3]).astype(np.float32)
 CONFIG = PEMDConfig(latent=5, encoder=(8,), manipulation=6, decoder=(8, 12), canonical=True)
 NET = Net(CONFIG, pemd.initial(CONFIG, Start(), key=jax.random.key(0)))
+MODEL = forward_model(CONFIG)
 PLAN = np.random.default_rng(2).uniform(-1, 1, (8, 2, 6)).astype(np.float32)
 ISOMETRIES = st.tuples(st.floats(0, 6.28), st.booleans(), st.integers(0, 7))
 
@@ -97,17 +99,17 @@ def test_labels_and_axes_of_an_equivalent_cancel_out_on_the_flat_cloth():
 @settings(deadline=None, max_examples=10)
 def test_predictions_turn_with_the_cloth(isometry):
     matrix, changed, planned = other(*isometry)
-    predicted, _, shift = pemd.rollout(NET, MESHES, PLAN)
-    again, _, shifted = pemd.rollout(NET, changed(MESHES), planned(PLAN))
+    predicted, found = predicted_by(NET, MESHES, PLAN)
+    again, turned = predicted_by(NET, changed(MESHES), planned(PLAN))
     np.testing.assert_allclose(again.mean, changed(predicted.mean), atol=1e-4)
-    np.testing.assert_allclose(shifted, turn(shift, matrix), atol=1e-4)
+    np.testing.assert_allclose(turned.shifts, turn(found.shifts, matrix), atol=1e-4)
 
 
 def test_a_net_that_is_not_canonical_does_not_know_direction():
     plain = Net(replace(CONFIG, canonical=False), NET.params)
     _, changed, planned = other(1.0, False, 0)
     predicted, again = (
-        pemd.rollout(plain, m, p)[0].mean for m, p in ((MESHES, PLAN), (changed(MESHES), planned(PLAN)))
+        predicted_by(plain, m, p)[0].mean for m, p in ((MESHES, PLAN), (changed(MESHES), planned(PLAN)))
     )
     assert np.abs(again - changed(predicted)).max() > 0.05
 
@@ -115,10 +117,9 @@ def test_a_net_that_is_not_canonical_does_not_know_direction():
 def test_standard_deviations_are_those_along_the_axes():
     """Of samples: drawn in the canonical description, taken back, and measured."""
     mesh = jnp.asarray(MESHES[0])
-    predicted = pemd.decode(NET, pemd.encode(NET, mesh))
-    found = frame(mesh)
-    inner = PEMD(CONFIG).apply({"params": NET.params}, described(mesh, found), method="encode")
-    inner = PEMD(CONFIG).apply({"params": NET.params}, inner, method="decode")
+    predicted = MODEL.decode(NET.params, MODEL.encode(NET.params, mesh))
+    found, bare = frame(mesh), PEMD(CONFIG)
+    inner = bare.decode(NET.params, bare.encode(NET.params, described(mesh, found)))
     samples = inner.mean + inner.std * jax.random.normal(jax.random.key(3), (4000, SIDE, SIDE, 3))
     back = jnp.broadcast_to(found.matrix.T, (4000, 2, 2))
     samples = turn_mesh(samples, back)
@@ -129,37 +130,37 @@ def test_standard_deviations_are_those_along_the_axes():
 
 def test_a_memory_trace_counts_in_its_own_frame_alone():
     mesh, m = jnp.asarray(MESHES[0]), jnp.asarray(PLAN[0, 0])
-    latent = pemd.encode(NET, mesh)
-    after, trace, _ = pemd.step(NET, latent, jnp.zeros_like(latent), m)
-    first = pemd.step(NET, after, jnp.zeros_like(latent), m)[0]
-    assert np.abs(pemd.step(NET, after, trace, m)[0] - first).max() > 1e-3
-    elsewhere = pemd.encode(NET, jnp.asarray(MESHES[1]))
-    without = pemd.step(NET, elsewhere, jnp.zeros_like(latent), m)[0]
-    np.testing.assert_array_equal(pemd.step(NET, elsewhere, trace, m)[0], without)
+    latent = MODEL.encode(NET.params, mesh)
+    after, trace, _ = MODEL.step(NET.params, latent, jnp.zeros_like(latent), m)
+    first = MODEL.step(NET.params, after, jnp.zeros_like(latent), m)[0]
+    assert np.abs(MODEL.step(NET.params, after, trace, m)[0] - first).max() > 1e-3
+    elsewhere = MODEL.encode(NET.params, jnp.asarray(MESHES[1]))
+    without = MODEL.step(NET.params, elsewhere, jnp.zeros_like(latent), m)[0]
+    np.testing.assert_array_equal(MODEL.step(NET.params, elsewhere, trace, m)[0], without)
 
 
-@pytest.mark.parametrize("every", [1, 2, 4, 8])
-def test_thinned_decoding_is_the_decoder_at_these_vertices(every):
-    for net in (NET, Net(replace(CONFIG, canonical=False), NET.params)):
-        latent = pemd.encode(net, MESHES)
-        full, thin = pemd.decode(net, latent), pemd.decode(net, latent, every)
-        assert thin.mean.shape == (8, SIDE // every, SIDE // every, 3)
-        np.testing.assert_allclose(thin.mean, thinned(full.mean, every), rtol=1e-5, atol=1e-5)
-        np.testing.assert_allclose(thin.std, thinned(full.std, every), rtol=1e-4)
+@pytest.mark.parametrize("stride", [1, 2, 4, 8])
+def test_thinned_decoding_is_the_decoder_at_these_vertices(stride):
+    for model in (MODEL, PEMD(CONFIG)):
+        latent = model.encode(NET.params, MESHES)
+        full, thin = model.decode(NET.params, latent), model.decode(NET.params, latent, stride)
+        assert thin.mean.shape == (8, SIDE // stride, SIDE // stride, 3)
+        np.testing.assert_allclose(thin.mean, thinned(full.mean, stride), rtol=1e-5, atol=1e-5)
+        np.testing.assert_allclose(thin.std, thinned(full.std, stride), rtol=1e-4)
 
 
-@pytest.mark.parametrize("every", [2, 4, 8])
-def test_thinning_leaves_the_same_vertices_under_all_labels(every):
+@pytest.mark.parametrize("stride", [2, 4, 8])
+def test_thinning_leaves_the_same_vertices_under_all_labels(stride):
     mesh = MESHES[0]
     for k in range(8):
-        np.testing.assert_array_equal(thinned(relabel(mesh, k), every), relabel(thinned(mesh, every), k))
+        np.testing.assert_array_equal(thinned(relabel(mesh, k), stride), relabel(thinned(mesh, stride), k))
 
 
 def test_training_and_evaluation_see_the_same_errors():
     data = sequences(crumpled(5, 2))
     data = data._replace(vertices=jnp.asarray(lopsided(np.asarray(data.vertices)), jnp.float32))
-    errors = task_errors(PEMD(CONFIG), NET.params, data)
-    predicted, _, _ = pemd.rollout(NET, data.vertices[:, 1], data.manipulation[:, 1:])
+    errors = task_errors(MODEL, NET.params, data)
+    predicted, _ = predicted_by(NET, data.vertices[:, 1], data.manipulation[:, 1:])
     np.testing.assert_allclose(
         errors[jnp.array([TASKS.index((1, 1)), TASKS.index((1, 2))])],
         meshes.error(predicted.mean, np.moveaxis(data.vertices[:, 2:], 1, 0)),
@@ -169,9 +170,11 @@ def test_training_and_evaluation_see_the_same_errors():
 
 def test_augmentation_does_not_show_once_examples_are_described():
     examples = draw(sequences(crumpled(5, 2)), 2, 16, key=jax.random.key(0))
-    examples = examples._replace(mesh=jnp.asarray(lopsided(np.asarray(examples.mesh)), jnp.float32))
-    one, other = (examples_described(e) for e in (examples, augment(examples, noise=0.0, key=jax.random.key(1))))
-    for name in ("mesh", "outcomes", "shifts"):
+    examples = examples._replace(state=jnp.asarray(lopsided(np.asarray(examples.state)), jnp.float32))
+    augmented = augment(examples, noise=0.0, key=jax.random.key(1))
+    (learner, one), (_, other) = (as_shown(MODEL, e) for e in (examples, augmented))
+    assert learner == PEMD(CONFIG)
+    for name in ("state", "outcomes", "shifts"):
         np.testing.assert_allclose(getattr(one, name), getattr(other, name), atol=1e-4)
 
 
@@ -213,19 +216,19 @@ def test_voxels_have_one_description_and_predictions_turn_with_them(k):
     turned_plan = turn(jnp.asarray(PLAN).reshape(8, 2, 3, 2), jnp.broadcast_to(matrix, (8, 2, 3, 2, 2))).reshape(
         8, 2, 6
     )
-    predicted, _, shift = emd_voxel.rollout(VOXEL_NET, VOXELS, PLAN)
-    again, _, shifted = emd_voxel.rollout(VOXEL_NET, shown, turned_plan)
+    predicted, steps = predicted_by(VOXEL_NET, VOXELS, PLAN)
+    again, turned = predicted_by(VOXEL_NET, shown, turned_plan)
     np.testing.assert_allclose(again, relabel(predicted, k), atol=1e-5)
-    np.testing.assert_allclose(shifted, turn(shift, jnp.broadcast_to(matrix, (2, 8, 2, 2))), atol=1e-5)
+    np.testing.assert_allclose(turned.shifts, turn(steps.shifts, jnp.broadcast_to(matrix, (2, 8, 2, 2))), atol=1e-5)
 
 
 def test_training_and_evaluation_see_the_same_voxels():
     data = sequences(crumpled(5, 2))
     data = data._replace(vertices=jnp.asarray(lopsided(np.asarray(data.vertices)), jnp.float32))
-    differences = task_differences(EMDVoxel(VOXEL_CONFIG), VOXEL_NET.params, data)
+    differences = task_differences(forward_model(VOXEL_CONFIG), VOXEL_NET.params, data)
     plan = emd_voxel.cartesian(data.vertices[:, 1:3], data.manipulation[:, 1:])
     seen = voxels.observe(data.vertices)
-    predicted, _, _ = emd_voxel.rollout(VOXEL_NET, seen[:, 1], plan)
-    expected = np.abs(predicted - np.moveaxis(seen[:, 2:], 1, 0)).mean((-3, -2, -1))
+    logits, _ = predicted_by(VOXEL_NET, seen[:, 1], plan)
+    expected = np.abs(jax.nn.sigmoid(logits) - np.moveaxis(seen[:, 2:], 1, 0)).mean((-3, -2, -1))
     chosen = jnp.array([TASKS.index((1, 1)), TASKS.index((1, 2))])
     np.testing.assert_allclose(differences[chosen], expected, atol=1e-5)

@@ -1,6 +1,7 @@
 """The voxel EM*D: table maps, a forward pass by hand, the manipulations that it takes, what it is taught."""
 
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +19,6 @@ from clothkit.models.net import Net
 from clothkit.models.settings import EMDVoxelConfig, PEMDConfig, Start
 from clothkit.training.augment import Examples, turned
 from clothkit.training.emd_voxel import (
-    VoxelExamples,
     augment,
     cross_entropy,
     direction,
@@ -30,6 +30,7 @@ from clothkit.training.emd_voxel import (
 )
 from clothkit.training.pemd import draw, sequences
 from clothkit.training.settings import TrainEMDVoxelConfig, TrainingConfig
+from tests.models import predicted
 from tests.models.conftest import crumpled
 
 TINY = EMDVoxelConfig(latent=3, manipulation=5, width=0.04, encoder=(7, 6), decoder=(4, 8))
@@ -37,7 +38,7 @@ DENSE = replace(TINY, dense=True)
 SEQUENCES = sequences(crumpled(6, 0))
 
 
-rollout, step, encode, logits = map(jax.jit, (emd_voxel.rollout, emd_voxel.step, emd_voxel.encode, emd_voxel.logits))
+predicted_by = jax.jit(predicted.predicted_by)
 
 
 def shapes(config):
@@ -72,24 +73,23 @@ def test_steps_chain_to_a_rollout(config):
     net, rng = random_net(config, 2), np.random.default_rng(3)
     seen = rng.random((2, 32, 32, 16)) < 0.1
     manipulations = rng.uniform(-1, 1, (2, 2, 6)).astype(np.float32)
-    predicted, traces, shifts = rollout(net, seen, manipulations)
-    assert predicted.shape == (2, 2, 32, 32, 16)
-    assert (predicted >= 0).all()
-    assert (predicted <= 1).all()
-    latent, trace = encode(net, seen.astype(np.float32)), np.zeros((2, 3), np.float32)
+    made, found = predicted_by(net, seen, manipulations)
+    assert made.shape == (2, 2, 32, 32, 16)
+    model = EMDVoxel(config)
+    step, encode, decode = (jax.jit(partial(part, net.params)) for part in (model.step, model.encode, model.decode))
+    latent, trace = encode(seen.astype(np.float32)), np.zeros((2, 3), np.float32)
     for i in range(2):
-        latent, trace, shift = step(net, latent, trace, manipulations[:, i])
-        np.testing.assert_allclose(emd_voxel.decode(net, latent), predicted[i], atol=1e-5)
-        np.testing.assert_allclose(jax.nn.sigmoid(logits(net, latent)), predicted[i], atol=1e-5)
-        np.testing.assert_allclose(shift, shifts[i], atol=1e-4)
+        latent, trace, shift = step(latent, trace, manipulations[:, i])
+        np.testing.assert_allclose(jax.nn.sigmoid(decode(latent)), jax.nn.sigmoid(made[i]), atol=1e-5)
+        np.testing.assert_allclose(shift, found.shifts[i], atol=1e-4)
     # It goes on from the trace that it is given.
-    resumed, left, shift = rollout(net, seen, manipulations[:, 1:], traces[0])
-    latent, trace, moved = step(net, encode(net, seen), traces[0], manipulations[:, 1])
-    np.testing.assert_allclose(resumed[0], emd_voxel.decode(net, latent), atol=1e-5)
-    np.testing.assert_allclose(left[0], trace, atol=1e-5)
-    np.testing.assert_allclose(shift[0], moved, atol=1e-4)
-    _, forgetful, _ = rollout(net, seen, manipulations[:, 1:])
-    assert np.abs(forgetful - left).max() > 0.01
+    resumed, again = predicted_by(net, seen, manipulations[:, 1:], found.traces[0])
+    latent, trace, moved = step(encode(seen), found.traces[0], manipulations[:, 1])
+    np.testing.assert_allclose(jax.nn.sigmoid(resumed[0]), jax.nn.sigmoid(decode(latent)), atol=1e-5)
+    np.testing.assert_allclose(again.traces[0], trace, atol=1e-5)
+    np.testing.assert_allclose(again.shifts[0], moved, atol=1e-4)
+    _, forgetful = predicted_by(net, seen, manipulations[:, 1:])
+    assert np.abs(forgetful.traces - again.traces).max() > 0.01
 
 
 def test_the_dense_variant_is_the_forward_pass_by_hand():
@@ -100,12 +100,14 @@ def test_the_dense_variant_is_the_forward_pass_by_hand():
         layer = net.params["E"][name]
         units = units @ layer["kernel"] + layer["bias"]
         units = np.tanh(units) if name != "latent" else units
-    np.testing.assert_allclose(encode(net, seen), units, rtol=1e-4, atol=1e-5)
+    model = EMDVoxel(DENSE)
+    latent = model.encode(net.params, seen)
+    np.testing.assert_allclose(latent, units, rtol=1e-4, atol=1e-5)
     for name in ("layer_1", "layer_2", "voxels"):
         layer = net.params["D"][name]
         units = units @ layer["kernel"] + layer["bias"]
         units = np.tanh(units) if name != "voxels" else units
-    np.testing.assert_allclose(logits(net, encode(net, seen)).ravel(), units, atol=1e-4)
+    np.testing.assert_allclose(model.decode(net.params, latent).ravel(), units, atol=1e-4)
 
 
 @pytest.mark.parametrize("config", [TINY, DENSE])
@@ -115,7 +117,8 @@ def test_logits_start_at_their_bias_and_a_loaded_net_keeps_it(config, tmp_path):
     store.save(tmp_path / "net", net, store.pd.DataFrame({"score": [0.1]}), {"validation_score": 0.1})
     loaded = store.load(tmp_path / "net")
     assert loaded.config == config
-    found = logits(loaded, encode(loaded, np.zeros((32, 32, 16), bool)))
+    model, params = EMDVoxel(config), loaded.params
+    found = jax.jit(lambda seen: model.decode(params, model.encode(params, seen)))(np.zeros((32, 32, 16), bool))
     np.testing.assert_allclose(found, -3.0, atol=1e-3)
 
 
@@ -159,7 +162,7 @@ def test_voxels_and_grasp_points_turn_with_the_cloth(quarters, mirrored):
         return np.rot90(seen[..., ::-1, :, :] if mirrored else seen, quarters, axes=(-3, -2))
 
     # A few points lie on the border of two voxels, where rounding decides.
-    assert np.mean(rotated(plain.voxels) != after.voxels) < 1e-4
+    assert np.mean(rotated(plain.state) != after.state) < 1e-4
     assert np.mean(rotated(plain.outcomes) != after.outcomes) < 1e-4
     whole = np.asarray(matrix[0])
     for i in (0, 2, 4):
@@ -173,12 +176,12 @@ def test_targets_are_occluded_voxels_of_the_states_and_noise_is_on_the_input_alo
     clean, noisy = (augment(before, noise=noise, noise_z=0.2 * noise, key=jax.random.key(1)) for noise in (0.0, 0.025))
     np.testing.assert_array_equal(clean.outcomes, noisy.outcomes)
     np.testing.assert_array_equal(clean.manipulations, noisy.manipulations)
-    assert (clean.voxels != noisy.voxels).any()
-    for seen in (clean.voxels, clean.outcomes, noisy.voxels):
+    assert (clean.state != noisy.state).any()
+    for seen in (clean.state, clean.outcomes, noisy.state):
         np.testing.assert_array_equal(voxels.occlude(seen), seen)
     plain = voxelised(before, noise=0.0, noise_z=0.0, key=jax.random.key(0))
     np.testing.assert_array_equal(plain.outcomes[1, 0], voxels.observe(before.outcomes[1, 0]))
-    np.testing.assert_array_equal(plain.voxels, voxels.observe(before.mesh))
+    np.testing.assert_array_equal(plain.state, voxels.observe(before.state))
 
 
 def test_both_orders_of_the_grasp_points_occur():
@@ -203,14 +206,14 @@ def voxel_examples(n=2):
 
 def test_losses_sum_over_steps_and_average_over_the_batch():
     batch, net = voxel_examples(), random_net(DENSE, 0)
-    predicted, _, shifts = rollout(net, batch.voxels, batch.manipulations)
-    p = np.clip(np.asarray(jnp.moveaxis(predicted, 0, 1), np.float64), 1e-12, 1 - 1e-7)
+    made, steps = predicted_by(net, batch.state, batch.manipulations)
+    p = np.clip(np.asarray(jnp.moveaxis(jax.nn.sigmoid(made), 0, 1), np.float64), 1e-12, 1 - 1e-7)
     likelihood = np.where(batch.outcomes, np.log(p), np.log(1 - p))
     expected = -likelihood.mean((2, 3, 4)).sum(1).mean()
     assert float(jax.jit(loss_shape, static_argnums=0)(EMDVoxel(DENSE), net.params, batch)) == pytest.approx(
         expected, rel=1e-3
     )
-    misses = np.asarray(jnp.moveaxis(shifts, 0, 1) - batch.shifts)
+    misses = np.asarray(jnp.moveaxis(steps.shifts, 0, 1) - batch.shifts)
     assert float(jax.jit(loss_position, static_argnums=0)(EMDVoxel(DENSE), net.params, batch)) == pytest.approx(
         np.mean(misses**2), rel=1e-5
     )
@@ -236,8 +239,9 @@ def test_the_score_is_the_mean_voxel_difference_over_the_tasks():
     # One of them by hand: from state 1, two manipulations (task 4 of TASKS).
     seen, truth = (voxels.observe(SEQUENCES.vertices[2, i]) for i in (1, 3))
     manipulations = cartesian(SEQUENCES.vertices[2, 1:3], SEQUENCES.manipulation[2, 1:3])
-    predicted, _, _ = rollout(net, seen, manipulations)
-    assert float(found[4, 2]) == pytest.approx(float(np.abs(np.asarray(predicted[-1]) - truth).mean()), rel=1e-4)
+    made, _ = predicted_by(net, seen, manipulations)
+    occupancy = np.asarray(jax.nn.sigmoid(made[-1]))
+    assert float(found[4, 2]) == pytest.approx(float(np.abs(occupancy - truth).mean()), rel=1e-4)
     settings = TrainEMDVoxelConfig(net=DENSE, training=TrainingConfig(recipe="paper"))
     scores = problem(settings, SEQUENCES).validate(net.params)
     assert scores["score"] == pytest.approx(float(found.mean()), rel=1e-5)
@@ -248,15 +252,14 @@ def test_voxel_examples_have_no_labels():
     """All eight labellings of a stretch are one example."""
     one = draw(SEQUENCES, 1, 1, key=jax.random.key(4))
     all_eight = Examples(
-        mesh=equivalents(one.mesh)[:, 0],
+        state=equivalents(one.state)[:, 0],
         manipulations=equivalents_of_manipulation(one.manipulations)[:, 0],
         outcomes=equivalents(one.outcomes)[:, 0],
         shifts=jnp.repeat(one.shifts, 8, axis=0),
     )
     found = voxelised(all_eight, noise=0.0, noise_z=0.0, key=jax.random.key(0))
-    assert isinstance(found, VoxelExamples)
     np.testing.assert_allclose(found.manipulations, jnp.repeat(found.manipulations[:1], 8, axis=0), atol=1e-5)
-    assert np.mean(np.asarray(found.voxels) != found.voxels[:1]) < 1e-4
+    assert np.mean(np.asarray(found.state) != found.state[:1]) < 1e-4
     assert np.mean(np.asarray(found.outcomes) != found.outcomes[:1]) < 1e-4
 
 

@@ -12,10 +12,13 @@ from clothkit.cloth.equivalents import equivalents, relabel_batch
 from clothkit.cloth.grid import SIDE, flat
 from clothkit.cloth.mesh import distance
 from clothkit.models import pemd, store, vtm
+from clothkit.models.forward import forward_model
 from clothkit.models.net import Net
 from clothkit.models.settings import PEMDConfig, Start, VtMConfig
+from tests.models.predicted import predicted_by
 
 TINY = PEMDConfig(latent=3, encoder=(7, 6), manipulation=5, decoder=(4, 8))
+MODEL = forward_model(TINY)
 
 
 def sizes(config):
@@ -77,31 +80,32 @@ def test_rollout_is_the_forward_pass_by_hand():
     net, rng = random_net(TINY, 0), np.random.default_rng(1)
     mesh = rng.uniform(-0.05, 0.05, (2, SIDE, SIDE, 3)).astype(np.float32)
     manipulations = rng.uniform(-1, 1, (2, 3, 6)).astype(np.float32)
-    predicted, traces, shifts = pemd.rollout(net, mesh, manipulations)
+    predicted, found = predicted_by(net, mesh, manipulations)
     for example in range(2):
         mean, std, trace, shift = by_hand(net.params, mesh[example], manipulations[example], TINY.latent)
         np.testing.assert_allclose(predicted.mean[:, example], mean, atol=2e-4)
         np.testing.assert_allclose(predicted.std[:, example], std, rtol=2e-4)
-        np.testing.assert_allclose(traces[:, example], trace, atol=2e-4)
-        np.testing.assert_allclose(shifts[:, example], shift, atol=2e-4)
+        np.testing.assert_allclose(found.traces[:, example], trace, atol=2e-4)
+        np.testing.assert_allclose(found.shifts[:, example], shift, atol=2e-4)
 
 
 def test_steps_chain_to_a_rollout_and_a_rollout_goes_on_from_its_trace():
     net, rng = random_net(TINY, 2), np.random.default_rng(3)
     mesh = rng.uniform(-0.05, 0.05, (SIDE, SIDE, 3)).astype(np.float32)
     manipulations = rng.uniform(-1, 1, (2, 6)).astype(np.float32)
-    predicted, traces, shifts = pemd.rollout(net, mesh, manipulations)
-    latent, trace = pemd.encode(net, mesh), np.zeros(TINY.latent, np.float32)
+    predicted, found = predicted_by(net, mesh, manipulations)
+    latent, trace = MODEL.encode(net.params, mesh), np.zeros(TINY.latent, np.float32)
     for i in range(2):
-        latent, trace, shift = pemd.step(net, latent, trace, manipulations[i])
-        np.testing.assert_allclose(pemd.decode(net, latent).mean, predicted.mean[i], atol=1e-5)
-        np.testing.assert_allclose(shift, shifts[i], atol=1e-5)
-    resumed, left, shift = pemd.rollout(net, mesh, manipulations[1:], traces[0])
-    mean, std, trace, moved = by_hand(net.params, mesh, manipulations[1:], TINY.latent, np.asarray(traces[0]))
+        latent, trace, shift = MODEL.step(net.params, latent, trace, manipulations[i])
+        np.testing.assert_allclose(latent, found.latents[i], atol=1e-5)
+        np.testing.assert_allclose(MODEL.decode(net.params, latent).mean, predicted.mean[i], atol=1e-5)
+        np.testing.assert_allclose(shift, found.shifts[i], atol=1e-5)
+    resumed, again = predicted_by(net, mesh, manipulations[1:], found.traces[0])
+    mean, std, trace, moved = by_hand(net.params, mesh, manipulations[1:], TINY.latent, np.asarray(found.traces[0]))
     np.testing.assert_allclose(resumed.mean, mean, atol=2e-4)
     np.testing.assert_allclose(resumed.std, std, rtol=2e-4)
-    np.testing.assert_allclose(left, trace, atol=2e-4)
-    np.testing.assert_allclose(shift, moved, atol=2e-4)
+    np.testing.assert_allclose(again.traces, trace, atol=2e-4)
+    np.testing.assert_allclose(again.shifts, moved, atol=2e-4)
     forgetful, _, _, _ = by_hand(net.params, mesh, manipulations[1:], TINY.latent)
     assert np.abs(mean - forgetful).max() > 0.01
 

@@ -2,31 +2,31 @@
 
 import numpy as np
 
-from clothkit.cloth.grid import CLOTH_SIDE, SIDE, flat, triangles
 from clothkit.cloth.silhouette import centred
+from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE
 from clothkit.observation.camera import CameraConfig, DepthImage, render
 
 CLOTH = 0.4
-SCALE = CLOTH / CLOTH_SIDE
+SCALE = CLOTH / CLOTH_LENGTH
 THICKNESS = 0.007  # normalised
 SMALL = CameraConfig(columns=160, rows=120, focal=147.5)
 
 
 def folded(*, along: float = 0.3, angle: float = 0.0) -> np.ndarray:
     """A cloth of which a strip lies on the rest: what is beyond x = `along` is wound over a half circle. Centred."""
-    x = np.linspace(-CLOTH_SIDE / 2, CLOTH_SIDE / 2, SIDE)
+    x = np.linspace(-CLOTH_LENGTH / 2, CLOTH_LENGTH / 2, SQUARE.shape[0])
     radius = 1.5 * THICKNESS
     past = x - along
     bent = np.clip(past / radius, 0, np.pi)
     rest = np.maximum(past - np.pi * radius, 0)
     placed = np.where(past < 0, x, along + radius * np.sin(bent) - rest)
     height = THICKNESS / 2 + radius * (1 - np.cos(bent)) * (past > 0)
-    mesh = flat()
+    mesh = SQUARE.flat()
     mesh[..., 0], mesh[..., 2] = placed[:, None], height[:, None]
     return centred(turned(mesh, angle))[0]
 
 
-def cornered(side: int = SIDE) -> np.ndarray:
+def cornered(side: int = SQUARE.shape[0]) -> np.ndarray:
     """A cloth in metres, `side` vertices a side, of which a corner is folded over an oblique line.
 
     No mirror image of it looks the same. The flat cloth's middle is at (0.1, -0.05).
@@ -49,7 +49,7 @@ def turned(mesh: np.ndarray, angle: float) -> np.ndarray:
 def image_of(mesh: np.ndarray, camera: CameraConfig, *, at: tuple[float, float] = (0.0, 0.0)) -> DepthImage:
     """What the camera sees of a normalised mesh whose centre lies at `at` [m] on the table."""
     metres = mesh.astype(float) * SCALE + [*at, 0.0]
-    return render(metres, triangles(), camera)
+    return render(metres, SQUARE.triangles(), camera)
 
 
 def motion(seed: int) -> tuple[np.ndarray, np.ndarray]:

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from clothkit.cloth.grid import flat, triangles
+from clothkit.cloth.topology import SQUARE
 from clothkit.observation.camera import CameraConfig, back_project, render
 from clothkit.observation.noise import NoiseConfig, incidence, noisy
 from clothkit.observation.zbuffer import topmost
@@ -97,7 +97,7 @@ def test_a_principal_point_beside_the_middle_shifts_the_image() -> None:
 
 
 def test_the_mask_is_the_cloth_and_the_fold_hides_what_is_below() -> None:
-    image = image_of(flat(), SMALL)
+    image = image_of(SQUARE.flat(), SMALL)
     assert image.cloth.sum() == pytest.approx((0.4 * 147.5 / 0.8) ** 2, rel=0.03)
     mesh = folded()
     heights = SMALL.table().heights(image_of(mesh, SMALL).points())
@@ -111,13 +111,13 @@ def test_the_mask_is_the_cloth_and_the_fold_hides_what_is_below() -> None:
 
 
 def test_what_is_behind_the_camera_or_below_the_table_is_not_seen() -> None:
-    above = flat().astype(float) * SCALE + [0, 0, 2.0]
-    assert not render(above, triangles(), SMALL).cloth.any()
-    assert not render(above - [0, 0, 2.1], triangles(), SMALL).cloth.any()
+    above = SQUARE.flat().astype(float) * SCALE + [0, 0, 2.0]
+    assert not render(above, SQUARE.triangles(), SMALL).cloth.any()
+    assert not render(above - [0, 0, 2.1], SQUARE.triangles(), SMALL).cloth.any()
 
 
 def test_no_noise_changes_nothing_and_noise_is_of_the_size_asked_for() -> None:
-    image = image_of(flat(), SMALL)
+    image = image_of(SQUARE.flat(), SMALL)
     np.testing.assert_allclose(noisy(image, SILENT, seed=0).depth, image.depth)
     blurred = noisy(image, NoiseConfig(**{**vars(SILENT), "axial": 0.001, "axial_growth": 0.002}), seed=0)
     assert (blurred.depth - image.depth).std() == pytest.approx(0.001 + 0.002 * 0.8**2, rel=0.03)
@@ -140,7 +140,7 @@ def test_grazing_angles_and_edges_are_lost() -> None:
     grazed = noisy(image, NoiseConfig(**{**vars(SILENT), "grazing": 1.2}), seed=0)
     assert (grazed.depth[angle > 1.21] == 0).all()
     assert (grazed.depth[(angle < 1.19) & (image.depth > 0)] > 0).all()
-    high = render(flat().astype(float) * SCALE + [0, 0, 0.1], triangles(), SMALL)
+    high = render(SQUARE.flat().astype(float) * SCALE + [0, 0, 0.1], SQUARE.triangles(), SMALL)
     cut = noisy(high, NoiseConfig(**{**vars(SILENT), "edge_dropout": 1.0}), seed=0)
     lost = (cut.depth == 0) & (high.depth > 0)
     assert 300 < lost.sum() < 900

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from clothkit.cloth import voxels
-from clothkit.cloth.grid import flat
 from clothkit.cloth.silhouette import silhouette
+from clothkit.cloth.topology import SQUARE
 from clothkit.errors import InputError
 from clothkit.observation.camera import CameraConfig, back_project
 from clothkit.observation.cloud import closed, observe_cloud, smoothed, voxels_of_points
@@ -216,7 +216,9 @@ def test_points_of_a_mesh_cover_its_silhouette() -> None:
     mesh = folded(angle=0.4)
     points = observe_cloud(back_project(image_of(mesh, CAMERA)), cloth_side=CLOTH).points
     assert goal_iou(mesh, points) > 0.95
-    assert goal_iou(flat(), points) == pytest.approx(silhouette(mesh).sum() / silhouette(flat()).sum(), abs=0.08)
+    assert goal_iou(SQUARE.flat(), points) == pytest.approx(
+        silhouette(mesh).sum() / silhouette(SQUARE.flat()).sum(), abs=0.08
+    )
     assert covered(points[:, :2], resolution=64).shape == (64, 64)
 
 

@@ -9,8 +9,8 @@ import trimesh
 import zarr
 
 from clothkit.cloth import voxels
-from clothkit.cloth.grid import flat, geodesic, triangles
 from clothkit.cloth.silhouette import silhouette
+from clothkit.cloth.topology import SQUARE
 from clothkit.dataset import store
 from clothkit.dataset.export import Surface, encode
 from clothkit.errors import InputError
@@ -26,7 +26,11 @@ CORNERS = np.array([[0, 0, 0], [0.4, 0, 0], [0.4, 0.4, 0], [0, 0.4, 0]], np.floa
 
 
 def exported(path: Path, vertices: np.ndarray, faces: np.ndarray) -> Path:
-    uv = np.zeros((len(vertices), 2), np.float32) if len(vertices) != 1024 else (geodesic().reshape(-1, 2) + 1) / 2
+    uv = (
+        np.zeros((len(vertices), 2), np.float32)
+        if len(vertices) != 1024
+        else (SQUARE.geodesic().reshape(-1, 2) + 1) / 2
+    )
     surface = Surface(0, 0, vertices.reshape(-1, 3), faces.astype(np.int32), uv)
     path.write_bytes(encode(surface, path.suffix[1:]))
     return path
@@ -34,7 +38,7 @@ def exported(path: Path, vertices: np.ndarray, faces: np.ndarray) -> Path:
 
 @pytest.mark.parametrize("ending", ["obj", "ply", "glb"])
 def test_our_own_meshes_come_back_with_their_place(tmp_path: Path, ending: str) -> None:
-    state = read(exported(tmp_path / f"cloth.{ending}", PLACED, triangles()))
+    state = read(exported(tmp_path / f"cloth.{ending}", PLACED, SQUARE.triangles()))
     assert isinstance(state, MeshState)
     np.testing.assert_allclose(state.mesh, MESH, atol=2e-3)
     back = state.pose.normalised_to_table(state.mesh.astype(float))
@@ -45,7 +49,7 @@ def test_our_own_meshes_come_back_with_their_place(tmp_path: Path, ending: str) 
 @pytest.mark.parametrize("ending", ["obj", "ply", "glb"])
 def test_any_other_surface_is_seen_from_above(tmp_path: Path, ending: str) -> None:
     # The same surface with one triangle cut in two: no grid any more.
-    faces = triangles()
+    faces = SQUARE.triangles()
     vertices = np.concatenate([PLACED.reshape(-1, 3), PLACED.reshape(-1, 3)[faces[0]].mean(0, keepdims=True)])
     cut = np.stack([faces[0][[0, 1]], faces[0][[1, 2]], faces[0][[2, 0]]])
     faces = np.concatenate([faces[1:], np.column_stack([cut, np.full(3, 1024)])])
@@ -63,7 +67,7 @@ def test_a_surface_of_two_triangles_is_dense(tmp_path: Path) -> None:
     assert isinstance(cloud, PointCloud)
     assert len(cloud.points) == pytest.approx(200**2, rel=0.02)
     seen = observe_cloud(cloud, cloth_side=CLOTH)
-    np.testing.assert_array_equal(seen.voxels, np.asarray(voxels.observe(flat())))
+    np.testing.assert_array_equal(seen.voxels, np.asarray(voxels.observe(SQUARE.flat())))
 
 
 def test_a_ply_of_points_is_a_cloud_with_colours(tmp_path: Path) -> None:
@@ -105,7 +109,7 @@ def test_arrays_are_told_by_their_shape(tmp_path: Path) -> None:
 def meshes(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("store") / "meshes.zarr"
     vertices = np.full((2, 4, 32, 32, 3), np.nan, np.float32)
-    vertices[:, :2], vertices[1, 1] = flat(), MESH
+    vertices[:, :2], vertices[1, 1] = SQUARE.flat(), MESH
     centre = np.zeros((2, 4, 2), np.float32)
     centre[1, 1] = 0.2, -0.1
     small = np.zeros(2, np.int8)
@@ -160,7 +164,7 @@ def written(name: str, content: bytes) -> Callable[[Path], str]:
 
 
 def meshed(vertices: np.ndarray, name: str = "bad.ply") -> Callable[[Path], str]:
-    faces = triangles() if vertices.size == 3072 else np.array([[0, 1, 2], [0, 2, 3]])
+    faces = SQUARE.triangles() if vertices.size == 3072 else np.array([[0, 1, 2], [0, 2, 3]])
     return lambda folder: str(exported(folder / name, vertices.astype(np.float32), faces))
 
 
@@ -229,7 +233,7 @@ def test_files_that_end_too_early_are_told_or_read_but_never_break(tmp_path: Pat
     points = random.uniform(-0.2, 0.2, (60, 3)).astype(np.float32)
     np.savez(tmp_path / "a.npz", points=points)
     np.save(tmp_path / "b.npy", MESH)
-    whole = [exported(tmp_path / f"c.{ending}", PLACED, triangles()) for ending in ("obj", "ply", "glb")]
+    whole = [exported(tmp_path / f"c.{ending}", PLACED, SQUARE.triangles()) for ending in ("obj", "ply", "glb")]
     whole += [written_pcd(tmp_path / f"{data}.pcd", points, data) for data in ("ascii", "binary", "binary_compressed")]
     for file in [*whole, tmp_path / "a.npz", tmp_path / "b.npy"]:
         content = file.read_bytes()

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from clothkit.cloth.grid import SIDE, flat, triangles
+from clothkit.cloth.topology import SQUARE, Topology, rectangle, square
 from clothkit.observation.grids import grid_order, is_grid, welded
 from tests.observation.scenes import cornered
 
@@ -39,8 +39,8 @@ def alike(found: np.ndarray, mesh: np.ndarray) -> bool:
 )
 def test_a_grid_is_found_in_any_order(seed: int, share: float, apart: bool, both_sides: bool, rolled: bool) -> None:
     random = np.random.default_rng(seed)
-    mesh = flat().astype(float) if rolled else MESH
-    faces = random.permutation(sheet(SIDE, SIDE, random.random(961) < share))
+    mesh = SQUARE.flat().astype(float) if rolled else MESH
+    faces = random.permutation(sheet(*SQUARE.shape, random.random(961) < share))
     faces = np.stack([np.roll(face, random.integers(3)) for face in faces])
     if both_sides:
         faces = np.concatenate([faces, faces[:, ::-1]])
@@ -51,14 +51,14 @@ def test_a_grid_is_found_in_any_order(seed: int, share: float, apart: bool, both
     vertices, faces = vertices[order], np.argsort(order)[faces]
     found = grid_order(vertices, faces, tolerance=TOLERANCE)
     assert found is not None
-    assert alike(vertices[found].reshape(SIDE, SIDE, 3), mesh)
+    assert alike(vertices[found].reshape(*SQUARE.shape, 3), mesh)
 
 
 def test_our_own_order_stays() -> None:
     vertices = MESH.reshape(-1, 3)
-    np.testing.assert_array_equal(grid_order(vertices, triangles(), tolerance=TOLERANCE), np.arange(1024))
+    np.testing.assert_array_equal(grid_order(vertices, SQUARE.triangles(), tolerance=TOLERANCE), np.arange(1024))
     # Each vertex once for each triangle, in the triangles' order.
-    apart = vertices[triangles()].reshape(-1, 3)
+    apart = vertices[SQUARE.triangles()].reshape(-1, 3)
     found = grid_order(apart, np.arange(len(apart)).reshape(-1, 3), tolerance=TOLERANCE)
     assert found is not None
     np.testing.assert_array_equal(apart[found], vertices)
@@ -66,18 +66,18 @@ def test_our_own_order_stays() -> None:
 
 def test_layers_that_touch_stay_apart() -> None:
     """Half of the cloth lies on the other half, vertex on vertex."""
-    folded = flat().astype(float)
+    folded = SQUARE.flat().astype(float)
     folded[16:] = folded[15::-1]
     order = np.random.default_rng(1).permutation(1024)
     vertices = folded.reshape(-1, 3)[order]
-    found = grid_order(vertices, np.argsort(order)[triangles()], tolerance=TOLERANCE)
+    found = grid_order(vertices, np.argsort(order)[SQUARE.triangles()], tolerance=TOLERANCE)
     assert found is not None
-    assert alike(vertices[found].reshape(SIDE, SIDE, 3), folded)
+    assert alike(vertices[found].reshape(*SQUARE.shape, 3), folded)
 
 
 def others() -> dict[str, tuple[np.ndarray, np.ndarray]]:
     random = np.random.default_rng(2)
-    vertices, faces = MESH.reshape(-1, 3), triangles()
+    vertices, faces = MESH.reshape(-1, 3), SQUARE.triangles()
     long = np.stack(np.meshgrid(np.arange(16.0), np.arange(64.0), [0.0], indexing="ij"), -1).reshape(-1, 3)
     closed = np.concatenate([faces, [[31, 1023, 0]], [[0, 1023, 992]]])
     twisted = faces.copy()
@@ -104,9 +104,9 @@ def test_anything_else_is_none(name: str) -> None:
 
 
 def test_is_grid_wants_two_triangles_within_each_quad() -> None:
-    assert is_grid(1024, sheet(SIDE, SIDE, np.arange(961) % 2 == 0))
-    assert not is_grid(1024, triangles()[np.r_[0, 0, 2:1922]])
-    assert not is_grid(1025, triangles())
+    assert is_grid(1024, sheet(*SQUARE.shape, np.arange(961) % 2 == 0))
+    assert not is_grid(1024, SQUARE.triangles()[np.r_[0, 0, 2:1922]])
+    assert not is_grid(1025, SQUARE.triangles())
 
 
 @given(st.integers(0, 2**16))
@@ -122,3 +122,37 @@ def test_welding_joins_what_is_near_and_nothing_else(seed: int) -> None:
 
 def test_however_many_vertices_lie_in_one_place() -> None:
     np.testing.assert_array_equal(welded(np.zeros((200_000, 3)), 1e-6), np.zeros(200_000))
+
+
+UNLIKE = [
+    rectangle(1.8, shape=(8, 8)),
+    rectangle(0.6, shape=(8, 8)),
+    rectangle(2.0, shape=(6, 9)),
+    Topology((9, 6), (1.4, 1.0)),
+    square(8),
+]
+
+
+def symmetric(mesh: np.ndarray) -> list[np.ndarray]:
+    """A mesh and its reversals along u, along v and along both."""
+    return [np.flip(mesh, axes) for axes in ((), (0,), (1,), (0, 1))]
+
+
+@pytest.mark.parametrize("topology", UNLIKE, ids=lambda t: f"{t.shape}-{t.sides}")
+def test_rows_run_along_the_cloths_first_side_whatever_the_order_in_the_file(topology: Topology) -> None:
+    mesh = topology.flat().astype(float)
+    mesh[..., 2] = np.random.default_rng(4).normal(size=topology.shape) * 1e-3
+    across = mesh.swapaxes(0, 1)
+    expected = symmetric(mesh) + (symmetric(across) if topology.swaps else [])
+    vertices, faces = mesh.reshape(-1, 3), topology.triangles()
+    np.testing.assert_array_equal(grid_order(vertices, faces, topology, tolerance=TOLERANCE), np.arange(len(vertices)))
+    order = np.random.default_rng(5).permutation(len(vertices))
+    rows, columns = across.shape[:2]
+    written = [
+        (vertices[order], np.argsort(order)[faces]),
+        (across.reshape(-1, 3), sheet(rows, columns, np.ones((rows - 1) * (columns - 1), bool))),
+    ]
+    for points, corners in written:
+        found = grid_order(points, corners, topology, tolerance=TOLERANCE)
+        assert found is not None
+        assert any((points[found].reshape(mesh.shape) == one).all() for one in expected)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from clothkit.cloth.grid import CLOTH_SIDE, flat
+from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE
 from clothkit.cloth.voxels import HEIGHT
 from clothkit.errors import InputError
 from clothkit.observation.cloud import observe_cloud
@@ -28,9 +28,9 @@ def standing(mesh: np.ndarray) -> np.ndarray:
 @given(st.floats(0, np.pi), st.floats(-0.5, 0.5))
 def test_what_lies_passes_and_what_stands_does_not_however_it_is_turned(angle: float, along: float) -> None:
     lying = folded(along=along)
-    check_lying("file", turned(lying, angle).reshape(-1, 3), side=CLOTH_SIDE, remedy=REMEDY)
+    check_lying("file", turned(lying, angle).reshape(-1, 3), side=CLOTH_LENGTH, remedy=REMEDY)
     with pytest.raises(InputError, match=r"^file: the cloth stands upright, .*; turn it$"):
-        check_lying("file", turned(standing(lying), angle).reshape(-1, 3), side=CLOTH_SIDE, remedy=REMEDY)
+        check_lying("file", turned(standing(lying), angle).reshape(-1, 3), side=CLOTH_LENGTH, remedy=REMEDY)
 
 
 def test_a_heap_lies_and_a_strip_on_its_edge_stands() -> None:
@@ -44,13 +44,13 @@ def test_a_heap_lies_and_a_strip_on_its_edge_stands() -> None:
 
 
 def test_a_mesh_that_stands_or_lies_below_its_table_is_refused_with_the_option_that_turns_it() -> None:
-    for mesh in (standing(flat()), standing(folded())):
+    for mesh in (standing(SQUARE.flat()), standing(folded())):
         with pytest.raises(InputError, match=r"stands upright.*--y-up"):
             observe(MeshState(mesh, ZERO, SCALE), cloth_side=CLOTH)
     with pytest.raises(InputError, match=r"lies below its table.*z up"):
         observe(MeshState(folded() * np.float32([1, -1, -1]), ZERO, SCALE), cloth_side=CLOTH)
     # A little is rounding, or a table that is a little off.
-    check_above("file", (folded() - np.float32([0, 0, 0.005])).reshape(-1, 3), side=CLOTH_SIDE, remedy=REMEDY)
+    check_above("file", (folded() - np.float32([0, 0, 0.005])).reshape(-1, 3), side=CLOTH_LENGTH, remedy=REMEDY)
 
 
 def test_voxels_that_reach_the_top_are_told_and_a_wall_is_refused() -> None:

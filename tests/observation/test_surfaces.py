@@ -11,8 +11,8 @@ import pytest
 import trimesh
 
 from clothkit.cloth import voxels
-from clothkit.cloth.grid import SIDE, triangles
 from clothkit.cloth.silhouette import centred
+from clothkit.cloth.topology import SQUARE
 from clothkit.errors import InputError
 from clothkit.observation.observe import observe
 from clothkit.observation.settings import CloudConfig
@@ -22,8 +22,8 @@ from tests.observation.scenes import CLOTH, SCALE, cornered
 from tests.observation.test_grids import sheet
 
 MESH = cornered()
-V, T = MESH.reshape(-1, 3), triangles()
-INDEX = np.arange(1024).reshape(SIDE, SIDE)
+V, T = MESH.reshape(-1, 3), SQUARE.triangles()
+INDEX = np.arange(1024).reshape(*SQUARE.shape)
 QUADS = np.stack([INDEX[:-1, :-1], INDEX[1:, :-1], INDEX[1:, 1:], INDEX[:-1, 1:]], -1).reshape(-1, 4)
 APART = V[T].reshape(-1, 3)
 ORDER = np.random.default_rng(0).permutation(1024)
@@ -153,7 +153,7 @@ def ply(
     return path
 
 
-MIXED: list[list[int]] = [*QUADS[:400].tolist(), *sheet(SIDE, SIDE, np.ones(961, bool))[800:].tolist()]
+MIXED: list[list[int]] = [*QUADS[:400].tolist(), *sheet(*SQUARE.shape, np.ones(961, bool))[800:].tolist()]
 
 # Of each second pair of quads a triangle and a pentagon: as many bytes as quads.
 EVEN: list[list[int]] = []

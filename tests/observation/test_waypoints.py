@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from clothkit.cloth.grid import flat
 from clothkit.cloth.silhouette import centred
+from clothkit.cloth.topology import SQUARE
 from clothkit.observation.pose import Pose
 from clothkit.observation.waypoints import (
     HandPaths,
@@ -23,7 +23,7 @@ HALF = np.array([1.0, -1.0, 1.0, 1.0, -1.4, 0.0], np.float32)
 
 
 def test_a_half_fold_in_metres_and_seconds() -> None:
-    paths = hand_paths(HALF, flat(), POSE, MotionConfig(waypoints=41))
+    paths = hand_paths(HALF, SQUARE.flat(), POSE, MotionConfig(waypoints=41))
     assert paths.points.shape == (2, 41, 3)
     # From the corners x = +0.2 m to the corners x = -0.2 m, which are 0.2 normalised higher.
     np.testing.assert_allclose(paths.points[0, 0], [0.7, -0.1, 0.0], atol=1e-6)
@@ -44,13 +44,13 @@ def test_a_half_fold_in_metres_and_seconds() -> None:
 
 def test_one_hand_none_and_short_moves() -> None:
     single = np.array([1, 1, 1, 1, -0.6, 0.0], np.float32)
-    paths = hand_paths(single, flat(), POSE)
+    paths = hand_paths(single, SQUARE.flat(), POSE)
     assert paths.points.shape == (1, 21, 3)
     assert paths.points[0, -1, 2] == pytest.approx(0.2 * SCALE, abs=1e-6)
-    assert hand_paths(single, flat(), POSE, MotionConfig(hand_speed=9.0)).times[-1] == pytest.approx(0.4)
+    assert hand_paths(single, SQUARE.flat(), POSE, MotionConfig(hand_speed=9.0)).times[-1] == pytest.approx(0.4)
     null = np.array([1, 1, 1, 1, -0.3, 0.3], np.float32)
-    assert hand_paths(null, flat(), POSE).points.shape == (0, 21, 3)
-    lifted = hand_paths(single, flat() + np.float32([0, 0, 0.1]), POSE)
+    assert hand_paths(null, SQUARE.flat(), POSE).points.shape == (0, 21, 3)
+    lifted = hand_paths(single, SQUARE.flat() + np.float32([0, 0, 0.1]), POSE)
     np.testing.assert_allclose(
         lifted.points - paths.points, np.broadcast_to([0, 0, 0.1 * SCALE], (1, 21, 3)), atol=1e-6
     )
@@ -58,7 +58,7 @@ def test_one_hand_none_and_short_moves() -> None:
 
 @pytest.mark.parametrize("angle", [0.0, 0.3, -1.0])
 def test_a_flat_cloth_has_eight_symmetries_however_it_lies(angle: float) -> None:
-    mesh = turned_mesh(flat(), angle)
+    mesh = turned_mesh(SQUARE.flat(), angle)
     found = symmetries(mesh)
     assert len(found) == 8
     np.testing.assert_array_equal(found[0], np.eye(2))
@@ -76,7 +76,7 @@ def test_a_folded_cloth_has_its_mirror_alone() -> None:
 
 
 def test_crumpled_cloth_is_not_turned() -> None:
-    bent = flat().copy()
+    bent = SQUARE.flat().copy()
     bent[20:, 12:, :2] -= [0.4, 0.1]
     assert len(symmetries(centred(bent)[0])) == 1
 

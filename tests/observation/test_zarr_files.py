@@ -10,7 +10,7 @@ import pytest
 import zarr
 
 from clothkit.cloth import voxels
-from clothkit.cloth.grid import flat
+from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.store import save
 from clothkit.errors import InputError
 from clothkit.observation.files import read
@@ -38,13 +38,13 @@ def first_chunk(store: Path) -> Path:
 
 
 def damaged(folder: Path) -> Path:
-    store = array(folder, flat(), (32, 32, 3))
+    store = array(folder, SQUARE.flat(), (32, 32, 3))
     first_chunk(store).write_bytes(b"\x28\xb5\x2f\xfd chunk")
     return store
 
 
 def missing(folder: Path) -> Path:
-    store = array(folder, flat(), (16, 32, 3))
+    store = array(folder, SQUARE.flat(), (16, 32, 3))
     first_chunk(store).unlink()
     return store
 
@@ -102,9 +102,9 @@ def test_a_fault_is_one_sentence(tmp_path: Path, make_one: Callable[[Path], Any]
 
 def test_what_is_healthy_is_read(tmp_path: Path) -> None:
     assert isinstance(read(f"{meshes(tmp_path)}:1/2"), MeshState)
-    assert isinstance(read(array(tmp_path / "mesh", flat(), (16, 16, 3))), MeshState)
+    assert isinstance(read(array(tmp_path / "mesh", SQUARE.flat(), (16, 16, 3))), MeshState)
     assert isinstance(read(array(tmp_path / "points", np.ones((10, 3)), (4, 3))), PointCloud)
-    seen = np.asarray(voxels.observe(flat()))
+    seen = np.asarray(voxels.observe(SQUARE.flat()))
     store = array(tmp_path / "voxels", seen, (8, 8, 4))
     # Zarr writes no chunk of empty voxels.
     assert 0 < sum(path.is_file() for path in (store / "c").rglob("*")) < 4**3

@@ -1,5 +1,6 @@
 """From ARCSim's runs to the report, in one process and with nets that learn nothing: short sequences break no stage."""
 
+from functools import partial
 from pathlib import Path
 
 import jax
@@ -11,7 +12,6 @@ from clothkit.dataset.augment import AugmentConfig, augment
 from clothkit.dataset.regularise import RegulariseConfig, assign_splits, regularise
 from clothkit.episodes import record
 from clothkit.episodes.evaluate import evaluate
-from clothkit.episodes.rows import rows
 from clothkit.estimation.refine import RefineConfig
 from clothkit.evaluation import (
     arrays,
@@ -26,18 +26,21 @@ from clothkit.evaluation import (
 )
 from clothkit.evaluation.camera_settings import Condition, EvaluateCameraConfig
 from clothkit.evaluation.comparisons import of_predictions
+from clothkit.evaluation.diagnosis import diagnosed
+from clothkit.evaluation.session_rows import rows
 from clothkit.evaluation.settings import EvaluateEstimationConfig, EvaluatePredictionConfig
 from clothkit.manipulation.candidates import CandidateConfig
+from clothkit.models.ensemble import Ensemble
 from clothkit.models.net import Net
 from clothkit.models.settings import EMDVoxelConfig, PEMDConfig, VtMConfig
 from clothkit.observation.picture import PictureConfig
-from clothkit.planning.forward import MESH
-from clothkit.planning.loss import Weights
+from clothkit.planning.mesh_representation import MESH
 from clothkit.planning.normalisation import normalise
+from clothkit.planning.objective import Weights
+from clothkit.planning.perception import Estimation
 from clothkit.planning.planner import Planner
 from clothkit.planning.search import SearchConfig
 from clothkit.planning.settings import NormaliseConfig, PlanConfig
-from clothkit.planning.sight import MeshSight
 from clothkit.planning.systems import system
 from clothkit.report.build import build
 from clothkit.report.inputs import Inputs
@@ -105,47 +108,61 @@ def test_the_chain_runs_on_from_arcsims_runs(tmp_path: Path) -> None:
     store.save(tmp_path / "augmented.zarr", augment(dataset.of_split("train"), AugmentConfig()), {})
     training, validation = store.load(tmp_path / "augmented.zarr"), dataset.of_split("validation")
 
-    nets, histories = {}, {}
-    for k, name in enumerate("ab"):
-        (tmp_path / name).mkdir()
-        trained = train_pemd(PEMD, training, validation, work=tmp_path / name, key=jax.random.key(k))
-        nets[name], histories[name] = Net(PEMD.net, trained.params), trained.history
+    nets, histories = [], {}
+    for member in range(2):
+        work = tmp_path / f"pemd_{member}"
+        work.mkdir()
+        trained = train_pemd(PEMD, training, validation, work=work, key=jax.random.key(member))
+        nets.append(Net(PEMD.net, trained.params))
+        histories[str(member)] = trained.history
+    both = tuple(nets)
     (tmp_path / "voxel").mkdir()
     trained = train_emd_voxel(VOXEL, training, validation, work=tmp_path / "voxel", key=jax.random.key(3))
     voxel_net = Net(VOXEL.net, trained.params)
     (tmp_path / "vtm").mkdir()
     trained = train_vtm(VTM, dataset.of_split("train"), validation, work=tmp_path / "vtm", key=jax.random.key(2))
-    vtm, histories["vtm"] = Net(VTM.net, trained.params), trained.history
+    vtm, vtm_history = Net(VTM.net, trained.params), trained.history
 
     found = estimation.estimates(dataset, vtm, EvaluateEstimationConfig(refine=REFINE, batch=4))
     arrays.save(tmp_path / "estimates.zarr", found.arrays(), {})
     estimates = arrays.load(tmp_path / "estimates.zarr", arrays.ESTIMATES)
     settings = EvaluatePredictionConfig(batch=4, stored=3)
     given = prediction.starts(dataset, estimates)
-    arrays.save(tmp_path / "predictions.zarr", prediction.stored(dataset, given, nets["a"], settings), {})
-    normalisation = normalise(MESH, (nets["a"], nets["b"]), validation, NormaliseConfig(draws=1))
-    weights, candidates = Weights(1.0, 5.0, 1.25), CandidateConfig()
-    both = (nets["a"], nets["b"])
-    sight = MeshSight(vtm, PLAN.refine)
-    planner = Planner(system("main"), sight, both, 0, normalisation, weights, PLAN, candidates)
-    pieces, _ = evaluate(dataset, planner, toy.execute, work=tmp_path / "plan")
+    arrays.save(tmp_path / "predictions.zarr", prediction.stored(dataset, given, nets[0], settings), {})
+    both = (nets[0], nets["b"])
+    planner = Planner(
+        system("main"),
+        representation=MESH,
+        model=model,
+        members=(0, 1),
+        nets=weights,
+        best=0,
+        perception=Estimation(vtm, PLAN.refine),
+        normalisation=normalise(model, MESH, weights, validation, NormaliseConfig(draws=1)),
+        weights=Weights(1.0, 5.0, 1.25),
+        settings=PLAN,
+        grasping=CandidateConfig(),
+    )
+    annotate = partial(diagnosed, planner=planner)
+    pieces, _ = evaluate(dataset, planner, toy.execute, work=tmp_path / "plan", annotate=annotate)
     sessions = pieces.whole()
 
     seen = camera.estimation(dataset, vtm, CAMERA, REFINE, work=tmp_path / "states")
     arrays.save(tmp_path / "pictures.zarr", seen.arrays, {})
     before = camera_planning.planning(dataset, planner, toy.execute, sessions, CAMERA, work=tmp_path / "camera")
 
-    of_meshes = prediction.rows(dataset, given, nets, "a", settings)
-    of_voxels = voxel_prediction.rows(dataset, given.sequence, {"a": voxel_net}, "a", settings)
+    of_meshes = prediction.rows(dataset, given, Ensemble((0, 1), both), settings)
+    of_voxels = voxel_prediction.rows(dataset, given.sequence, Ensemble((0,), (voxel_net,)), settings)
     predicted = pd.concat([of_meshes, of_voxels], ignore_index=True)
     planned = rows(sessions, "main").merge(viewport.rows(sessions, "main"), validate="one_to_one")
     inputs = Inputs(
         dataset=dataset,
         attempts=pd.read_parquet(tmp_path / "raw/attempts.parquet"),
-        histories=histories,
+        forward_histories=histories,
+        vtm_history=vtm_history,
         estimation=estimation.rows(dataset, found),
         prediction=predicted,
-        calibration=calibration.rows(dataset, given, nets["a"], estimates, settings),
+        calibration=calibration.rows(dataset, given, nets[0], estimates, settings),
         comparisons=of_predictions(predicted),
         planning=planned,
         planning_comparisons=planning.comparisons(planned),

@@ -17,7 +17,7 @@ import pytest
 from ruamel.yaml import YAML
 
 ROOT = Path(__file__).parents[2]
-LONG_STAGES = ("simulate", "train_pemd@a", "train_vtm", "plan@main")
+LONG_STAGES = ("simulate", "train_pemd@0", "train_vtm", "plan@main")
 
 
 class Checkout:
@@ -195,7 +195,7 @@ def wait_for_pieces(folder: Path, process: subprocess.Popen[str], seconds: float
         ("truncated parquet", "regularise", "data/raw/manipulations.parquet: can't be read as parquet"),
         ("other grid", "augment", "data/meshes.zarr: vertices has shape"),
         ("nan", "augment", "data/meshes.zarr: vertices of sequence 1, state 2 is not finite"),
-        ("truncated net", "normalise mesh", "data/nets/pemd_a"),
+        ("truncated net", "normalise mesh", "data/nets/pemd/0"),
     ],
 )
 def test_bad_artifacts_end_in_one_sentence(
@@ -220,7 +220,7 @@ def spoil(data: Path, damage: str) -> None:
     import zarr
 
     if damage.startswith("truncated"):
-        file = data / "raw/manipulations.parquet" if "parquet" in damage else data / "nets/pemd_a/net.msgpack"
+        file = data / "raw/manipulations.parquet" if "parquet" in damage else data / "nets/pemd/0/net.msgpack"
         content = file.read_bytes()
         file.unlink()  # outs may be links into the cache
         file.write_bytes(content[: len(content) // 2])

@@ -12,9 +12,10 @@ from scipy.stats import norm
 
 from clothkit.errors import InputError
 from clothkit.planning import normalisation
+from clothkit.planning.mesh_representation import MESH
 from clothkit.planning.normalisation import load, normalise, save
 from clothkit.planning.settings import NormaliseConfig
-from tests.episodes.test_session import dataset
+from tests.episodes.test_sessions import dataset
 from tests.planning import toy
 
 
@@ -53,7 +54,7 @@ def test_medians_and_moments_by_hand() -> None:
         return jnp.asarray(drawn[-1])
 
     with mock.patch.object(normalisation, "random_manipulations", draw):
-        found = normalise(toy.FORWARD, toy.NETS, data, NormaliseConfig(draws=2))
+        found = normalise(toy.MODEL, MESH, toy.NETS, data, NormaliseConfig(draws=2))
     for length in (1, 2):
         tasks = [(d, i) for d in range(len(data)) for i in range(4 - length)]
         ends = [(data.vertices[d, i], data.vertices[d, i + length]) for d, i in tasks]
@@ -82,7 +83,7 @@ def test_reference_values_end_with_the_longest_sequence(tmp_path: Path) -> None:
     data.length[:] = [2, 1]
     data.vertices[[0, 1, 1], [3, 2, 3]] = np.nan
     data.manipulation[[0, 1, 1], [2, 1, 2]] = np.nan
-    found = normalise(toy.FORWARD, toy.NETS, data, NormaliseConfig(draws=2))
+    found = normalise(toy.MODEL, MESH, toy.NETS, data, NormaliseConfig(draws=2))
     assert len(found.mu) == len(found.sigma) == len(found.low[0]) == len(found.high[1]) == 2
     save(tmp_path / "mesh.json", found, {})
     assert load(tmp_path / "mesh.json") == found
@@ -109,6 +110,44 @@ def test_files(tmp_path: Path) -> None:
         load(tmp_path / "no.json")
     with pytest.raises(InputError, match="the same"):
         dataclasses.replace(toy.NORMALISATION, sigma=(0.0, 1.0, 1.0))
+
+
+def test_a_single_net_differs_from_none(tmp_path: Path) -> None:
+    data = dataset()
+    data.length[:] = 1
+    alone = normalise(toy.FORWARD, toy.NETS[1:], data, NormaliseConfig(draws=1))
+    both = normalise(toy.FORWARD, toy.NETS, data, NormaliseConfig(draws=1))
+    assert (alone.mu, alone.sigma) == ((), ())
+    np.testing.assert_allclose([alone.low[0], alone.high[0]], [both.low[1], both.high[1]], rtol=1e-5)
+    save(tmp_path / "mesh.json", alone, {})
+    assert load(tmp_path / "mesh.json") == alone
+    reference = alone.reference(1)
+    assert len(reference.spans) == 1
+    assert reference.spread.mean.shape == reference.spread.std.shape == (0,)
+    with pytest.raises(InputError, match="plans of 2 manipulations, found them for up to 1"):
+        alone.reference(2)
+    with pytest.raises(InputError, match="no mu and no sigma for a single net"):
+        dataclasses.replace(alone, mu=(0.1,), sigma=(0.1,))
+
+
+def test_three_nets_differ_by_the_mean_over_their_pairs() -> None:
+    data = dataset()
+    data.length[:] = 1
+    three = (*toy.NETS, jnp.float32(0.95))
+    found = normalise(toy.FORWARD, three, data, NormaliseConfig(draws=1))
+    assert len(found.low) == len(found.high) == 3
+    apart = []
+    for vertices, plan in zip(data.vertices, data.manipulation, strict=True):
+        start, move = jnp.asarray(vertices[0]), jnp.asarray(plan[0])
+        moved = [np.asarray(toy.dragged(start, move, net)) for net in three]
+        ends = [whitened(mesh, np.full_like(mesh, 0.015)) for mesh in moved]
+        differences = [
+            (((a[0] - b[0]) ** 2).mean() + ((a[1] - b[1]) ** 2).mean()) / 2
+            for a, b in ((ends[0], ends[1]), (ends[0], ends[2]), (ends[1], ends[2]))
+        ]
+        apart.append(np.mean(differences))
+    assert found.mu == (pytest.approx(np.mean(apart), rel=1e-2),)
+    assert found.sigma == (pytest.approx(max(np.std(apart), 0.01 * np.mean(apart)), rel=1e-2),)
 
 
 @pytest.mark.parametrize(

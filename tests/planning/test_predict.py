@@ -6,7 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from clothkit.cloth.equivalents import COUNT, relabel_manipulation
-from clothkit.planning.predict import expect
+from clothkit.cloth.mesh import whiten_probabilistic
+from clothkit.planning.mesh_representation import MESH
+from clothkit.planning.predict import differences, predict
 from tests.planning import toy
 
 PLAN = np.array([[-1.0, 0.5, 1.0, 0.2, 0.3, 0.6], [0.1, 0.5, 0.1, 0.5, -0.6, 0.2]], np.float32)
@@ -18,7 +20,7 @@ def noting(net: Any, latent: Any, trace: Any, manipulation: Any) -> Any:
     return latent, trace + manipulation[..., :1], shift
 
 
-NOTING = toy.FORWARD._replace(step=noting)
+NOTING = toy.MODEL._replace(step=noting)
 
 
 def test_expectations_are_those_of_the_plan_after_what_is_remembered() -> None:
@@ -28,7 +30,7 @@ def test_expectations_are_those_of_the_plan_after_what_is_remembered() -> None:
     counts = np.array([np.arange(COUNT), 2.0 * np.arange(COUNT)])[:, None] + np.array([0, 10])[:, None]
     traces = tuple(np.repeat(count[..., None], 3072, axis=-1).astype(np.float32) for count in counts)
     plans = np.stack([PLAN, -PLAN])
-    found = expect(NOTING, toy.NETS, states, traces, plans, common)
+    found = predict(NOTING, MESH, toy.NETS, states, traces, plans, common)
     for net, expected, count in zip(toy.NETS, found, counts, strict=True):
         assert expected.states.mean.shape == (2, 2, 32, 32, 3)
         for task in range(2):
@@ -40,3 +42,19 @@ def test_expectations_are_those_of_the_plan_after_what_is_remembered() -> None:
         # Only the first manipulation will be executed, in whichever equivalent the next plan is found.
         grasped = [[float(relabel_manipulation(plan[0], k)[0]) for k in range(COUNT)] for plan in plans]
         np.testing.assert_allclose(expected.traces[..., 0], count + grasped, atol=1e-5)
+
+
+def test_differences_are_means_over_all_pairs_of_nets() -> None:
+    """Of three nets, by hand: the mean of eq. (15)'s diff between nets 0 and 1, 0 and 2, 1 and 2."""
+    state, plans = toy.bent()[None], PLAN[None]
+    nets = tuple(jnp.float32(strength) for strength in (1.0, 1.1, 0.7))
+    traces = tuple(np.zeros((1, COUNT, 3072), np.float32) for _ in nets)
+    found = predict(toy.MODEL, MESH, nets, state, traces, plans, np.array([0]))
+    apart = differences(MESH, found)
+    whitened = [whiten_probabilistic(of_net.states) for of_net in found]
+    pairs = [
+        np.mean((np.concatenate(a, axis=-1) - np.concatenate(b, axis=-1)) ** 2, axis=(-3, -2, -1))
+        for a, b in ((whitened[0], whitened[1]), (whitened[0], whitened[2]), (whitened[1], whitened[2]))
+    ]
+    np.testing.assert_allclose(apart, np.mean(pairs, axis=0), rtol=1e-4)
+    assert differences(MESH, found[:1]) is None

@@ -1,7 +1,6 @@
 """The search finds manipulations that are known, whatever the labels of estimate and goal."""
 
 import dataclasses
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -10,27 +9,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clothkit.cloth.equivalents import COUNT, INVERSE, compose, equivalents, inverse, relabel, relabel_manipulation
-from clothkit.cloth.mesh import error, whiten
+from clothkit.cloth.mesh import ProbabilisticMesh, error, nll, whiten, whiten_probabilistic
 from clothkit.cloth.silhouette import pixel_centres
 from clothkit.manipulation.geometry import release_points, to_cartesian
 from clothkit.manipulation.vector import is_null
-from clothkit.planning.draw import EXTENT, FOLD_POINT, RASTER, Candidates
-from clothkit.planning.loss import Weights, accuracy, diff, uncertainty
-from clothkit.planning.search import (
-    UNKNOWN,
-    Fixed,
-    Found,
-    Problem,
-    SearchConfig,
-    _Best,
-    _least,
-    _move,
-    _some_near,
-    _start,
-    _Strains,
-    planning_loss,
-    search,
-)
+from clothkit.planning.initial import EXTENT, FOLD_POINT, RASTER
+from clothkit.planning.mesh_representation import MESH
+from clothkit.planning.objective import Accuracy, Fixed, Objective, Range, Weights, evaluate, objective_of
+from clothkit.planning.search import SearchConfig, _Best, _least, _move, _some_near, _start, _Strains, search
+from clothkit.planning.types import UNKNOWN, Candidates, Found, Problem
+from clothkit.planning.uncertainty import uncertainty
 from tests.planning import toy
 
 CORNERS = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]], np.float32)
@@ -71,9 +59,14 @@ def find(
     missing = toy.BATCH - len(problems)
     stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *problems, *problems[-1:] * missing)
     keys = jnp.stack([jax.random.key(seed) for seed in (*seeds, *seeds[-1:] * missing)])
-    reference = toy.NORMALISATION.reference(length)
-    of = {"length": length, "settings": size, "explicit": True, "keys": keys}
-    return jax.tree.map(np.asarray, search(toy.FORWARD, toy.NETS, stacked, reference, weights, **of))
+    objective = objective_of(2, toy.NORMALISATION.reference(length), weights)
+    of = {"length": length, "settings": size, "keys": keys}
+    return jax.tree.map(np.asarray, search(toy.MODEL, MESH, toy.NETS, stacked, objective, **of))
+
+
+def accuracy(goal: jax.Array, outcome: ProbabilisticMesh, span: Range) -> jax.Array:
+    """An accuracy term of eq. (13), for a whitened goal."""
+    return (nll(goal, whiten_probabilistic(outcome)) - span.low) / (span.high - span.low)
 
 
 def first(found: Found) -> Found:
@@ -131,8 +124,8 @@ def test_restarts_near_the_best_plan() -> None:
     # Only one strain's plan is any good, and it is not the first.
     plans = jnp.where((jnp.arange(count) == 5)[:, None, None], plans, 9.0)
     best = _Best(plans, labels, labels, jnp.where(jnp.arange(count) == 5, 0.1, 1.0))
-    drawn = _start(toy.FORWARD, asked, 2, size, key=jax.random.key(0))
-    got = _some_near(toy.FORWARD, best, drawn, asked, size, key=jax.random.key(1))
+    drawn = _start(MESH, asked, 2, size, key=jax.random.key(0))
+    got = _some_near(MESH, best, drawn, asked, size, key=jax.random.key(1))
     assert (got.common == drawn.common).all()
     of_state = np.asarray(jax.vmap(relabel_manipulation)(got.plan, jnp.asarray(INVERSE)[got.common]))
     as_drawn = np.abs(np.asarray(got.plan - drawn.plan)).max((1, 2)) == 0
@@ -151,7 +144,7 @@ def test_restarts_near_the_best_plan() -> None:
     np.testing.assert_allclose(grasps[:, 0], wanted, atol=1e-5)
     # Nothing is near a best plan that there isn't.
     none = best._replace(loss=jnp.full(count, jnp.inf))
-    same = _some_near(toy.FORWARD, none, drawn, asked, size, key=jax.random.key(1))
+    same = _some_near(MESH, none, drawn, asked, size, key=jax.random.key(1))
     jax.tree.map(np.testing.assert_array_equal, same, drawn)
 
 
@@ -183,8 +176,9 @@ def test_the_loss_is_the_same_in_every_common_equivalent() -> None:
     labels = jnp.arange(COUNT)
     plans = jnp.stack([relabel_manipulation(plan, k) for k in range(COUNT)])
     reference = SURE.reference(2)
-    loss_of = jax.jit(partial(planning_loss, toy.FORWARD, explicit=True), static_argnames="every")
-    loss, terms, _ = loss_of(toy.NETS, fixed, reference, toy.WEIGHTS, plans, labels, jnp.full(8, inverse(3)))
+    objective = objective_of(2, reference, toy.WEIGHTS)
+    loss_of = jax.jit(lambda *of: evaluate(objective, toy.MODEL, MESH, toy.NETS, fixed, plans, labels, *of))
+    loss, terms, _ = loss_of(jnp.full(8, inverse(3)))
     np.testing.assert_allclose(loss, loss[0], rtol=1e-3)
     # Eq. (13), spelled out in the labels of the mesh.
     chains = (_chain(net, mesh, plan, before=count) for net, count in zip(toy.NETS, (3, 5), strict=True))
@@ -192,8 +186,9 @@ def test_the_loss_is_the_same_in_every_common_equivalent() -> None:
     outcomes = [jax.tree.map(lambda part: part[-1], state) for state in states]
     aimed = whiten(relabel(goal, inverse(3)))
     scores = [accuracy(aimed, outcome, span) for outcome, span in zip(outcomes, reference.spans, strict=True)]
-    u = uncertainty(diff(*states), reference.spread, beta=5.0, gamma=1.25)
-    np.testing.assert_allclose(terms[0], jnp.stack([*scores, u]), rtol=1e-3)
+    u = uncertainty(MESH.difference(*states), reference.spread, beta=5.0, gamma=1.25)
+    np.testing.assert_allclose(terms["accuracy"][0], jnp.stack(scores), rtol=1e-3)
+    np.testing.assert_allclose(terms["uncertainty"][0], u, rtol=1e-3)
     assert u > 1
     np.testing.assert_allclose(loss[0], sum(scores) + 0.25 * u, rtol=1e-3)
     # A labelling that is not known is that of the least accuracy terms, whatever the common equivalent.
@@ -201,13 +196,15 @@ def test_the_loss_is_the_same_in_every_common_equivalent() -> None:
         sum(accuracy(whiten(relabel(goal, k)), o, s) for o, s in zip(outcomes, reference.spans, strict=True))
         for k in range(8)
     ]
-    best, _, relative = loss_of(toy.NETS, fixed, reference, toy.WEIGHTS, plans, labels, jnp.full(8, UNKNOWN))
+    best, _, relative = loss_of(jnp.full(8, UNKNOWN))
     assert (relative == int(np.argmin(least))).all()
     np.testing.assert_allclose(best, min(map(float, least)) + 0.25 * u, rtol=1e-3)
     # One net plans with the plain NLL.
     one = Fixed(fixed.latents[:1], fixed.traces[:1], fixed.goals)
-    loss, _, _ = loss_of(toy.NETS[:1], one, reference, toy.WEIGHTS, plans, labels, jnp.full(8, inverse(3)))
-    np.testing.assert_allclose(loss, accuracy(aimed, outcomes[0]), rtol=1e-3)
+    plain = objective_of(1, reference, toy.WEIGHTS)
+    alone = evaluate(plain, toy.MODEL, MESH, toy.NETS[:1], one, plans, labels, jnp.full(8, inverse(3)))
+    np.testing.assert_allclose(alone.loss, nll(aimed, whiten_probabilistic(outcomes[0])), rtol=1e-3)
+    assert list(alone.terms) == ["accuracy"]
 
 
 def test_a_goal_that_is_foreseen_exactly_is_not_missed_by_thinned_vertices_either() -> None:
@@ -217,10 +214,8 @@ def test_a_goal_that_is_foreseen_exactly_is_not_missed_by_thinned_vertices_eithe
     outcome = jax.tree.map(lambda part: part[0], toy.decode(net[0], _chain(net[0], mesh, plan), 4))
     whole = toy.decode(net[0], _chain(net[0], mesh, plan), 1).mean[0]
     fixed = Fixed((toy.encode(net[0], equivalents(mesh)),), (jnp.zeros((COUNT, 3072)),), equivalents(whole))
-    loss, _, _ = planning_loss(
-        toy.FORWARD, net, fixed, toy.NORMALISATION.reference(1), toy.WEIGHTS, plan[None], jnp.array([0]),
-        jnp.array([0]), explicit=False, every=4,
-    )  # fmt: skip
+    plain, first = Objective(Accuracy(()), {}), jnp.array([0])
+    loss = evaluate(plain, toy.MODEL, MESH, net, fixed, plan[None], first, first, stride=4).loss
     std = np.asarray(outcome.std / jnp.maximum(outcome.mean.std((0, 1)), 0.005))
     np.testing.assert_allclose(loss[0], np.mean(np.log(std)) + np.log(2 * np.pi) / 2, rtol=1e-3)
 
@@ -305,11 +300,11 @@ def test_the_best_plan_is_the_one_that_had_the_lowest_loss() -> None:
     outcomes = [toy.decode(toy.NETS[0], mesh.reshape(-1), 1) for mesh in after]
     spans = toy.NORMALISATION.reference(1).spans
     by_hand = [accuracy(whiten(goal), outcome, span) for outcome, span in zip(outcomes, spans, strict=True)]
-    np.testing.assert_allclose(found.terms[:2], by_hand, rtol=1e-3)
+    np.testing.assert_allclose(found.terms["accuracy"], by_hand, rtol=1e-3)
     # Eq. (13): alpha weighs u.
     wary = toy.WEIGHTS._replace(gamma=-1.5)
     unsure = first(find(problem(mesh, goal, relative=np.int32(0)), size=ONE_LOOK, weights=wary))
-    a, b, u = unsure.terms
+    (a, b), u = unsure.terms["accuracy"], unsure.terms["uncertainty"]
     assert u > 10
     np.testing.assert_allclose(unsure.loss, a + b + 0.25 * u, rtol=1e-4)
     np.testing.assert_allclose(unsure.loss, unsure.losses.min(), rtol=1e-4)

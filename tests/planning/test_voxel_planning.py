@@ -1,37 +1,42 @@
 """Planning in voxels: its losses by hand, and a session from voxels to a simulated outcome."""
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from clothkit.clock import clock
 from clothkit.cloth import voxels
 from clothkit.dataset.tasks import Task
-from clothkit.episodes.rows import rows
-from clothkit.episodes.session import run_sessions
+from clothkit.episodes.sessions import run_sessions
+from clothkit.evaluation.diagnosis import diagnosed
+from clothkit.evaluation.session_rows import rows
 from clothkit.manipulation.candidates import CandidateConfig
 from clothkit.models.emd_voxel import EMDVoxelConfig, initial
-from clothkit.models.net import Net
-from clothkit.planning.loss import Range, Weights
+from clothkit.models.forward import forward_model
 from clothkit.planning.normalisation import normalise
+from clothkit.planning.objective import Accuracy, Range, Weights
+from clothkit.planning.perception import ObservedVoxels
 from clothkit.planning.planner import Planner
-from clothkit.planning.recorded import in_voxels
 from clothkit.planning.search import SearchConfig
 from clothkit.planning.settings import NormaliseConfig, PlanConfig
-from clothkit.planning.sight import VoxelSight
 from clothkit.planning.systems import system
-from clothkit.planning.voxel_forward import VOXEL, accuracy, accuracy_of_each, diff
-from tests.episodes.test_session import MANIPULATIONS, dataset, tasks
+from clothkit.planning.voxel_representation import VOXEL, VoxelRepresentation
+from tests.episodes.test_sessions import MANIPULATIONS, dataset, tasks
 from tests.planning import toy
 
 RANDOM = np.random.default_rng(0)
 
 
-def nets() -> tuple[Net, Net]:
-    config = EMDVoxelConfig(latent=8, manipulation=8, width=0.05)
-    a, b = (Net(config, initial(config, key=jax.random.key(seed))) for seed in (0, 1))
+CONFIG = EMDVoxelConfig(latent=8, manipulation=8, width=0.05)
+MODEL = forward_model(CONFIG)
+
+
+def nets() -> tuple[Any, Any]:
+    a, b = (initial(CONFIG, key=jax.random.key(seed)) for seed in (0, 1))
     return a, b
 
 
@@ -41,14 +46,15 @@ def test_losses_by_hand() -> None:
     p = 1 / (1 + np.exp(-logits.astype(np.float64)))
     expected = -np.stack([(g * np.log(p) + (1 - g) * np.log(1 - p)).mean((1, 2, 3)) for g in goals], axis=-1)
     logits, goals = jnp.asarray(logits), jnp.asarray(goals)
-    np.testing.assert_allclose(accuracy_of_each(goals, logits), expected, rtol=1e-5)
-    np.testing.assert_allclose(accuracy(goals[1], logits, Range(0.2, 0.7)), (expected[:, 1] - 0.2) / 0.5, rtol=1e-4)
-    np.testing.assert_allclose(diff(logits, -logits), ((2 * p - 1) ** 2).mean((1, 2, 3)), rtol=1e-5)
+    np.testing.assert_allclose(VOXEL.accuracy_of_each(goals, logits), expected, rtol=1e-5)
+    term = Accuracy((Range(0.2, 0.7),)).of_net(VOXEL.accuracy(goals[1], logits), 0)
+    np.testing.assert_allclose(term, (expected[:, 1] - 0.2) / 0.5, rtol=1e-4)
+    np.testing.assert_allclose(VOXEL.difference(logits, -logits), ((2 * p - 1) ** 2).mean((1, 2, 3)), rtol=1e-5)
 
 
 def test_recorded_manipulations_are_cartesian() -> None:
     data = dataset(1)
-    recorded = in_voxels(data.vertices[:, :2], data.manipulation[:, :1])
+    recorded = VOXEL.recorded(data.vertices[:, :2], data.manipulation[:, :1])
     corner = data.vertices[0, 0, 0, 0, :2]
     np.testing.assert_allclose(recorded.plan[0, 0], [*corner, *corner, *MANIPULATIONS[0, 4:]], atol=1e-5)
     np.testing.assert_array_equal(recorded.start[0], voxels.observe(data.vertices[0, 0]))
@@ -57,21 +63,25 @@ def test_recorded_manipulations_are_cartesian() -> None:
 @pytest.mark.parametrize("name", ["b4", "b5"])
 def test_a_session_in_voxels(name: str) -> None:
     chosen = system(name)
-    both = nets()
+    both, count = nets(), 1 if chosen.single else 2
     data = dataset()
     data.length[:] = 2
-    reference = normalise(VOXEL, both, data, NormaliseConfig(draws=1), recorded=in_voxels)
+    reference = normalise(MODEL, VOXEL, both, data, NormaliseConfig(draws=1))
     search = SearchConfig(strains=8, base_iterations=4, iterations_per_step=2)
     settings = PlanConfig(test=2, train=0, search=SearchConfig(), voxel_search=search, together=1).of(chosen)
     planner = Planner(
         chosen,
-        VoxelSight(),
-        both[: chosen.nets],
-        0,
-        reference,
-        Weights(1.0, 5.0, 1.25),
-        settings,
-        CandidateConfig(),
+        representation=VOXEL,
+        model=MODEL,
+        members=(0, 1)[:count],
+        nets=both[:count],
+        best=0,
+        perception=ObservedVoxels(),
+        normalisation=reference,
+        weights=Weights(1.0, 5.0, 1.25),
+        settings=settings,
+        grasping=CandidateConfig(),
+        labelled=True,
     )
     grasped = []
 
@@ -80,16 +90,18 @@ def test_a_session_in_voxels(name: str) -> None:
         return toy.execute(meshes, grasps, *rest)
 
     # Untrained nets hold everything for useless: the check is out of the way.
-    def hopeful(self: VoxelSight, states: np.ndarray, goals: np.ndarray) -> np.ndarray:
+    def hopeful(self: VoxelRepresentation, states: np.ndarray, goals: np.ndarray) -> np.ndarray:
         return np.full(len(states), float(states.dtype == bool or bool(np.isin(states, (0, 1)).all())))
 
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(VoxelSight, "misses", hopeful)
-        sessions, clock = run_sessions(tasks(Task(0, 0, 1), Task(1, 1, 2)), planner, execute)
+        patched.setattr(VoxelRepresentation, "distance", hopeful)
+        given = tasks(Task(0, 0, 1), Task(1, 1, 2))
+        with clock() as times:
+            sessions = diagnosed(run_sessions(given, planner, execute), given, planner)
     assert sessions.estimate.shape[2:] == voxels.RESOLUTION
     np.testing.assert_array_equal(sessions.estimate[0, 0], voxels.observe(sessions.state[0, 0]))
     assert sessions.prediction_std.size == sessions.refined.size == 0
-    predicted = sessions.prediction_mean[1, 0, :2, : chosen.nets]
+    predicted = sessions.prediction_mean[1, 0, :2, :count]
     assert ((predicted >= 0) & (predicted <= 1)).all()
     # Grasp points are relative to the centre, and candidates.
     for task in range(2):
@@ -104,7 +116,7 @@ def test_a_session_in_voxels(name: str) -> None:
     assert np.isfinite(tidy[["error", "voxel_error", "loss", "loss_recorded"]]).all(axis=None)
     assert tidy[["expected", "estimate_error"]].isna().all(axis=None)
     assert tidy.grasp_offered.all()
-    assert sum(count for count, _ in clock["2"]) == 1
+    assert sum(count for count, _ in times["2"]) == 1
     assert dataclasses.asdict(settings)["batch"] == 1
 
 

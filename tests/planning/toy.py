@@ -4,6 +4,9 @@ It treats all equivalents alike, and serves both as a net and as what the net pr
 manipulations that were executed: the more there were, the farther it expects vertices to follow a hand.
 """
 
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -13,13 +16,13 @@ from clothkit.cloth.grid import SIDE, flat, geodesic, thinned
 from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.manipulation.candidates import CandidateConfig
 from clothkit.manipulation.geometry import to_geodesic
-from clothkit.planning.forward import Forward
-from clothkit.planning.loss import Weights
+from clothkit.planning.mesh_representation import MESH
 from clothkit.planning.normalisation import Normalisation
+from clothkit.planning.objective import Weights
+from clothkit.planning.perception import KnownMeshes
 from clothkit.planning.planner import Planner
 from clothkit.planning.search import SearchConfig
 from clothkit.planning.settings import PlanConfig
-from clothkit.planning.sight import MeshSight
 from clothkit.planning.systems import system
 
 NETS = (jnp.float32(1.0), jnp.float32(1.03))
@@ -53,12 +56,20 @@ def step(net: Array, latent: Array, trace: Array, manipulation: Array) -> tuple[
     return mesh.reshape(latent.shape), trace + 1, manipulation[..., :2]
 
 
-def decode(net: Array, latent: Array, every: int) -> ProbabilisticMesh:
-    mesh = thinned(latent.reshape(*latent.shape[:-1], SIDE, SIDE, 3), every)
+def decode(net: Array, latent: Array, stride: int = 1) -> ProbabilisticMesh:
+    mesh = thinned(latent.reshape(*latent.shape[:-1], SIDE, SIDE, 3), stride)
     return ProbabilisticMesh(mesh, jnp.full_like(mesh, 0.015))
 
 
-FORWARD = Forward(encode, step, decode)
+class Model(NamedTuple):
+    """The toy's forward model; tests replace its parts."""
+
+    encode: Callable[..., Any] = encode
+    step: Callable[..., Any] = step
+    decode: Callable[..., Any] = decode
+
+
+MODEL = Model()
 
 
 def bent(k: int = 0) -> np.ndarray:
@@ -86,6 +97,17 @@ def planner(name: str) -> Planner:
     """A planner of the toy world."""
     plan = PlanConfig(test=2, train=0, search=SEARCH, together=1, batch=BATCH)
     chosen = system(name)
-    nets = NETS[: chosen.nets]
-    sight = MeshSight(None, plan.refine, forward=FORWARD)
-    return Planner(chosen, sight, nets, 0, NORMALISATION, WEIGHTS, plan, CANDIDATES)
+    return Planner(
+        chosen,
+        representation=MESH,
+        model=MODEL,
+        members=(0, 1)[: 1 if chosen.single else 2],
+        nets=NETS[: 1 if chosen.single else 2],
+        best=0,
+        perception=KnownMeshes(),
+        normalisation=NORMALISATION,
+        weights=WEIGHTS,
+        settings=plan,
+        grasping=CANDIDATES,
+        labelled=True,
+    )

@@ -33,23 +33,23 @@ def tidy_tasks(systems: tuple[str, ...], *, sequences: int = 4, seed: int = 0) -
                 "split": split,
                 "system": system,
                 "net": net,
-                "better": net == "a",
+                "better": net == "0",
                 "sequence": sequence,
                 "start": start,
                 "length": length,
-                "error": rng.uniform(0.01, 0.1) + (net == "b"),
+                "error": rng.uniform(0.01, 0.1) + (net == "1"),
                 "error_no_action": 0.2 + 0.01 * sequence + 0.1 * length,
                 "sigma_ratio": 0.7 + 0.01 * sequence,
-                "position_error": 0.01 * (sequence + length) + (net == "b"),
+                "position_error": 0.01 * (sequence + length) + (net == "1"),
                 "position_no_action": 0.1 * length,
-                "voxel_error": rng.uniform(0.01, 0.02) + 0.5 * (net == "b"),
+                "voxel_error": rng.uniform(0.01, 0.02) + 0.5 * (net == "1"),
                 "voxel_error_no_action": 0.05 + 0.01 * (system in VOXEL_SYSTEMS),
-                "voxel_error_025": rng.uniform(0.005, 0.01) + 0.5 * (net == "b"),
+                "voxel_error_025": rng.uniform(0.005, 0.01) + 0.5 * (net == "1"),
                 "voxel_error_025_no_action": 0.025,
             }
             for split in ("test", "train")
             for system in systems
-            for net in ("a", "b")
+            for net in ("0", "1")
             for sequence in range(sequences)
             for start, length in TASKS
         ]

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from clothkit.errors import InputError
-from clothkit.models.settings import PEMDConfig
+from clothkit.models.settings import EnsembleConfig, PEMDConfig
 from clothkit.report import run_settings
 from clothkit.report.budgets import budgets, differ, difference, difference_of_training
 from tests.report.contents import LAPTOP
@@ -21,7 +21,7 @@ def times(**cpu_seconds: float) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["stage", "cpu_seconds"])
 
 
-TIMES = times(train_pemd__a=600, train_pemd__b=660, train_emd_voxel__a=300, train_emd_voxel__b=330, plan__b4=9)
+TIMES = times(train_pemd__0=600, train_pemd__1=660, train_emd_voxel__0=300, train_emd_voxel__1=330, plan__b4=9)
 TABLE = budgets(RUN, TIMES, ["main", "b2", "b4", "b5"])
 
 
@@ -41,6 +41,18 @@ def test_budgets_by_hand() -> None:
     assert paper["parameters"] == pytest.approx(43.1e6, rel=1e-3)
     assert math.isnan(row("clothkit", "vtm")["training_cpu_minutes"])
     assert pd.isna(row("clothkit", "vtm")["evaluations_1"])
+
+
+def test_an_ensembles_budget_is_that_of_its_members() -> None:
+    """Not of nets that were trained for another ensemble; of older reports it is that of all."""
+    of_three = dataclasses.replace(RUN, ensemble=EnsembleConfig(members=(0, 1, 3)))
+    notes = times(train_pemd__0=60, train_pemd__1=60, train_pemd__2=6000, train_pemd__3=120)
+    of = budgets(of_three, notes, ["main", "b2"]).set_index(["source", "system"])
+    assert (of.loc[("clothkit", "main"), "nets"], of.loc[("clothkit", "b2"), "nets"]) == (3, 1)
+    assert of.loc[("clothkit", "main"), "training_cpu_minutes"] == 4
+    assert of.loc[("paper", "main"), "nets"] == 2
+    before = budgets(RUN, times(train_pemd__a=600, train_pemd__b=660), ["main"])
+    assert before["training_cpu_minutes"].iloc[0] == 21
 
 
 def test_parameters_of_a_small_net_by_hand() -> None:
@@ -71,7 +83,7 @@ def test_unequal_means_are_told_apart() -> None:
     same = dataclasses.replace(RUN, voxel_search=RUN.search)
     assert not differ(budgets(same, None, ["main", "b4"]), "main", "b4")
     for minutes, apart in ((10.4, False), (11, True)):
-        trained = times(train_pemd__a=600, train_emd_voxel__a=60 * minutes)
+        trained = times(train_pemd__0=600, train_emd_voxel__0=60 * minutes)
         assert differ(budgets(same, trained, ["main", "b4"]), "main", "b4") == apart
     assert "an unknown time" in difference_of_training(budgets(same, None, ["main", "b4"]), "a2's")
 

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
-from clothkit.cloth import grid
+from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.store import Dataset
 from clothkit.dataset.tasks import TASKS, Task
 from clothkit.episodes.record import Sessions, Sizes, blank, tasks_of_dataset
@@ -37,7 +37,7 @@ def dataset() -> Dataset:
     shrink = np.array([1, 0.9, 0.8, 0.7], np.float32)[:, None, None, None]
     manipulation = np.array([-1, -1, 1, -1, 0.1, 0.8], np.float32)
     return Dataset(
-        np.stack([grid.flat() * shrink] * 2),
+        np.stack([SQUARE.flat() * shrink] * 2),
         np.zeros((2, 4, 2), np.float32),
         np.broadcast_to(manipulation, (2, 3, 6)).copy(),
         np.full((2, 3), 2, np.int8),
@@ -75,9 +75,9 @@ def inputs(dataset: Dataset) -> Inputs:
     planned = planning_rows(SETTINGS.planners, sequences=2, splits=("test",))
     prediction = pd.DataFrame(
         [
-            {**common, **shift, **in_voxels, **task, "system": system, "net": net, "better": net == "b"}
+            {**common, **shift, **in_voxels, **task, "system": system, "net": net, "better": net == "1"}
             for system in ("main", "a1", *VOXEL_SYSTEMS)
-            for net in ("a", "b")
+            for net in ("0", "1")
             for task in tasks
         ]
     )
@@ -97,7 +97,8 @@ def inputs(dataset: Dataset) -> Inputs:
     return Inputs(
         dataset=dataset,
         attempts=pd.DataFrame({"accepted": [True, False], "reason": ["", "height"]}),
-        histories={"a": by_task, "b": history, "vtm": by_state},
+        forward_histories={"0": by_task, "1": history},
+        vtm_history=by_state,
         estimation=estimation,
         calibration=pd.concat(
             [

@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from clothkit.cloth.grid import geodesic, triangles
+from clothkit.cloth.topology import SQUARE
 from clothkit.report.card import tables
 from clothkit.report.card.build import build
 from clothkit.report.card.inputs import MEASURED, read
@@ -57,7 +57,7 @@ def raw(tmp_path_factory: pytest.TempPathFactory) -> Path:
         attempts[name] = list(np.where(until, measured[..., k], np.float32(np.nan)))
     attempts["settle_time"] = list(np.where(until[:, 1:], settle, np.float32(np.nan)))
     write(folder / "attempts.parquet", attempts)
-    material = (geodesic().reshape(-1, 2) + 1) * 0.2
+    material = (SQUARE.geodesic().reshape(-1, 2) + 1) * 0.2
     states, steps = [], []
     for sequence, attempt in enumerate((0, 2, 4)):
         for state in range(4):
@@ -72,7 +72,7 @@ def raw(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write(folder / "states/0000.parquet", pd.DataFrame(states[:8]))
     write(folder / "states/0001.parquet", pd.DataFrame(states[8:]))
     write(folder / "manipulations.parquet", pd.DataFrame(steps))
-    topology = {"topology": [0], "material": [material.ravel()], "triangles": [triangles().ravel()]}
+    topology = {"topology": [0], "material": [material.ravel()], "triangles": [SQUARE.triangles().ravel()]}
     write(folder / "topologies.parquet", pd.DataFrame(topology))
     return folder
 

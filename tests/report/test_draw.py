@@ -5,10 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clothkit.cloth import grid, voxels
-from clothkit.cloth.equivalents import relabel
+from clothkit.cloth import voxels
+from clothkit.cloth.symmetry import relabel
+from clothkit.cloth.topology import SQUARE, Topology, rectangle
 from clothkit.report import panels
 from clothkit.report.draw import EXTENT, Texture, draw, draw_heights, draw_silhouette
+from clothkit.report.figures.equivalents import equivalents
 
 PIXELS = 84
 
@@ -26,7 +28,7 @@ def is_front(colour: np.ndarray) -> bool:
 
 def half_folded() -> np.ndarray:
     """The flat cloth with the half x > 0 folded over onto the other."""
-    mesh = grid.flat()
+    mesh = SQUARE.flat()
     right = mesh[..., 0] > 0
     mesh[..., 2] = np.where(right, 0.02, 0)
     mesh[..., 0] = -np.abs(mesh[..., 0])
@@ -34,7 +36,7 @@ def half_folded() -> np.ndarray:
 
 
 def test_a_flat_cloth_fills_its_square_and_shows_its_front() -> None:
-    picture = draw(grid.flat(), pixels=PIXELS)
+    picture = draw(SQUARE.flat(), pixels=PIXELS)
     assert picture.shape == (PIXELS, PIXELS, 3)
     assert is_front(picture[pixel(0.6, 0.6)])
     assert is_front(picture[pixel(-0.6, 0.6)])
@@ -42,7 +44,7 @@ def test_a_flat_cloth_fills_its_square_and_shows_its_front() -> None:
 
 
 def test_mirrored_labels_show_the_other_side() -> None:
-    picture = draw(np.asarray(relabel(grid.flat(), 1)), pixels=PIXELS)
+    picture = draw(np.asarray(relabel(SQUARE.flat(), 1)), pixels=PIXELS)
     assert not is_front(picture[pixel(0, 0)])
 
 
@@ -53,7 +55,7 @@ def test_the_upper_layer_hides_the_lower() -> None:
 
 
 def test_spread_is_lilac_around_the_cloth() -> None:
-    mesh = grid.flat()
+    mesh = SQUARE.flat()
     plain = draw(mesh, pixels=PIXELS).astype(int)
     spread = draw(mesh, std=np.full_like(mesh, 0.1), pixels=PIXELS).astype(int)
     beside = pixel(0.8, 0)
@@ -63,14 +65,36 @@ def test_spread_is_lilac_around_the_cloth() -> None:
     assert spread[inside][0] > plain[inside][0]
 
 
+def test_the_spread_does_not_depend_on_how_a_rectangle_is_divided_into_quads() -> None:
+    fine, coarse = rectangle(1.75), rectangle(1.75, shape=(32, 16))
+    one, other = (draw(t.flat(), std=np.full_like(t.flat(), 0.1), pixels=PIXELS, topology=t) for t in (fine, coarse))
+    beside = pixel(0.8, 0)
+    np.testing.assert_allclose(one[beside].astype(int), other[beside].astype(int), atol=6)
+    # A vertex of a square represents more cloth.
+    denser = draw(fine.flat(), std=np.full_like(fine.flat(), 0.1), pixels=PIXELS)
+    assert denser[beside][1] < one[beside][1] - 10
+
+
+@pytest.mark.parametrize(("topology", "panels_drawn"), [(SQUARE, (2, 4)), (rectangle(1.5), (2, 2))])
+def test_a_sheet_has_a_panel_for_each_equivalent(
+    topology: Topology, panels_drawn: tuple[int, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sheets = []
+    monkeypatch.setattr(panels, "save", lambda figure, path: sheets.append(figure))
+    equivalents(topology.flat(), tmp_path / "equivalents.png", topology)
+    rows, columns = panels_drawn
+    assert len(sheets[0].axes) == rows * columns
+    assert len([axis for axis in sheets[0].axes if axis.images]) == topology.count
+
+
 def test_the_table_may_be_coloured() -> None:
-    picture = draw(grid.flat(), table=panels.GOAL, pixels=PIXELS)
+    picture = draw(SQUARE.flat(), table=panels.GOAL, pixels=PIXELS)
     np.testing.assert_allclose(picture[2, 2] / 255, panels.GOAL, atol=0.01)
 
 
 def test_height_map_is_darker_where_it_is_higher() -> None:
     picture = draw_heights(np.asarray(voxels.observe(half_folded())), pixels=PIXELS)
-    flat = draw_heights(np.asarray(voxels.observe(grid.flat())), pixels=PIXELS)
+    flat = draw_heights(np.asarray(voxels.observe(SQUARE.flat())), pixels=PIXELS)
     spot = pixel(-0.4, 0.1)
     assert picture[spot][0] < flat[spot][0] < 255
     assert picture[pixel(0.5, 0.1)][0] == 255
@@ -115,7 +139,7 @@ def test_paths_are_cut_at_the_border(
 def test_a_hand_that_leaves_the_panel_ends_in_an_arrow_at_its_border(along: float, leaves: bool) -> None:
     _, axes = panels.sheet([1.0], [1.0])
     axis = axes[0, 0]
-    panels.manipulate(axis, grid.flat(), np.array([-1, 0, -1, 0, along, 0.0], np.float32))
+    panels.manipulate(axis, SQUARE.flat(), np.array([-1, 0, -1, 0, along, 0.0], np.float32))
     assert all((np.abs(np.asarray(line.get_xydata())) <= EXTENT + 1e-6).all() for line in axis.lines)
     crosses = [line.get_xydata()[0] for line in axis.lines if line.get_marker() == "x"]
     tips = [text.xy for text in axis.texts if getattr(text, "arrow_patch", None) is not None]
@@ -128,7 +152,7 @@ def test_the_centre_shift_stands_beside_the_cloth_and_to_scale(shift: tuple[floa
     _, axes = panels.sheet([1.0], [1.0])
     axis = axes[0, 0]
     # A cloth that leaves room at the upper right alone.
-    mesh = grid.flat() + np.array([-0.3, -0.3, 0], np.float32)
+    mesh = SQUARE.flat() + np.array([-0.3, -0.3, 0], np.float32)
     panels.centre_shift(axis, np.array(shift), mesh)
     (arrow,) = axis.texts
     tip, tail = np.array(arrow.xy), np.array(arrow.xyann)
@@ -141,13 +165,13 @@ def test_the_centre_shift_stands_beside_the_cloth_and_to_scale(shift: tuple[floa
 
 def test_a_shift_too_short_for_an_arrow_is_a_dot() -> None:
     _, axes = panels.sheet([1.0], [1.0])
-    panels.centre_shift(axes[0, 0], np.array([0.01, 0.0]), grid.flat())
+    panels.centre_shift(axes[0, 0], np.array([0.01, 0.0]), SQUARE.flat())
     assert not axes[0, 0].texts
     assert len(axes[0, 0].lines) == 1
 
 
 def test_textures_tell_places_on_the_cloth() -> None:
-    plain, lined, hues = (draw(grid.flat(), texture=texture, pixels=420).astype(int) for texture in TEXTURES)
+    plain, lined, hues = (draw(SQUARE.flat(), texture=texture, pixels=420).astype(int) for texture in TEXTURES)
     # A line of the grid runs through the middle, none midway to the next; it is the same colour, darker.
     centre, beside = (210, 210), (210 - 18, 210 + 18)
     assert lined[centre].sum() < 0.8 * plain[centre].sum()
@@ -156,7 +180,7 @@ def test_textures_tell_places_on_the_cloth() -> None:
     apart = [np.abs(a - b).max() for i, a in enumerate(corners) for b in corners[:i]]
     assert min(apart) > 40
     # Under other labels the same shape has its colours elsewhere.
-    mirrored = draw(np.asarray(relabel(grid.flat(), 2)), texture="geodesic", pixels=420).astype(int)
+    mirrored = draw(np.asarray(relabel(SQUARE.flat(), 2)), texture="geodesic", pixels=420).astype(int)
     assert np.abs(mirrored[90, 90] - hues[90, 330]).max() < 60 < np.abs(mirrored[90, 90] - hues[90, 90]).max()
 
 

@@ -138,7 +138,12 @@ def test_the_better_figure_is_marked() -> None:
     ]
     mean = ("mean", [["clothkit: ●0.0300 (better)"], ["paper: ●0.0400 (better)"], []])
     spread = ("st.dev.", [[], [], []])
-    assert [name for name, _ in rows] == ["main sees voxels only; two mesh nets", "mean", "st.dev.", "95 % of mean"]
+    assert [name for name, _ in rows] == [
+        "main sees voxels only; an ensemble of mesh nets",
+        "mean",
+        "st.dev.",
+        "95 % of mean",
+    ]
     # Equal as printed is neither; a spread is neither better nor worse.
     assert rows[1:3] == [mean, spread]
     assert "0.0200 to0.0400" in table.all("tbody")[0].text

@@ -22,7 +22,7 @@ def planned() -> pd.DataFrame:
 def drawn(planned: pd.DataFrame) -> dict[str, pd.DataFrame]:
     histories = {
         name: pd.DataFrame({"iteration": [10, 20], "score": [0.4, score], "1/0": [0.3, 0.2]})
-        for name, score in (("a", 0.1), ("b", 0.2), ("vtm", 0.3))
+        for name, score in (("pemd_0", 0.1), ("pemd_1", 0.2), ("vtm", 0.3))
     }
     z = pd.DataFrame({"z": [2.0, 1.0], "expected": [0.954, 0.683], "coverage": [0.9, 0.6]})
     calibration = pd.concat(
@@ -41,7 +41,7 @@ def drawn(planned: pd.DataFrame) -> dict[str, pd.DataFrame]:
 
 def test_learning_has_a_line_per_net(drawn: dict[str, pd.DataFrame]) -> None:
     last = drawn["learning"].query("iteration == 20").set_index("line")["error"]
-    assert last.to_dict() == {"pemd_a": 0.1, "pemd_b": 0.2, "vtm": 0.3}
+    assert last.to_dict() == {"pemd_0": 0.1, "pemd_1": 0.2, "vtm": 0.3}
     assert len(drawn["learning"]) == 6
 
 

@@ -10,7 +10,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
-from clothkit.cloth.grid import geodesic
+from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.regularise import RegulariseConfig, interpolation, regularise
 from clothkit.errors import InputError
 from clothkit.simulation import arcsim
@@ -72,7 +72,7 @@ def test_a_linear_map_comes_through_to_the_last_digit(two: Path, tmp_path: Path)
     mesh = interpolation(row["material"].reshape(-1, 2), row["triangles"].reshape(-1, 3))(
         states["vertices"][1].reshape(-1, 3)
     )
-    expected = runs.sheared((geodesic().astype(float).reshape(-1, 2) + 1) / 2 * runs.SIDE)
+    expected = runs.sheared((SQUARE.geodesic().astype(float).reshape(-1, 2) + 1) / 2 * runs.SIDE)
     np.testing.assert_allclose(mesh.reshape(-1, 3), expected, atol=2e-7)
 
 
@@ -158,7 +158,7 @@ def test_short_sequences_end_in_missing_states(tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.isnan(dataset.manipulation).all(2), ~present[:, 1:])
     assert (dataset.hands == 2 * present[:, 1:]).all()
     # Every state but the flat one is the same linear map of the material, normalised and centred.
-    expected = SCALE * runs.sheared((geodesic().astype(float) + 1) / 2 * runs.SIDE)
+    expected = SCALE * runs.sheared((SQUARE.geodesic().astype(float) + 1) / 2 * runs.SIDE)
     for sequence, state in ((0, 1), (1, 2), (2, 3)):
         moved = dataset.vertices[sequence, state] + np.append(dataset.centre[sequence, state], 0)
         np.testing.assert_allclose(moved, expected, atol=1e-6)

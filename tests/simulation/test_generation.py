@@ -8,7 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from clothkit.cloth.grid import CLOTH_SIDE, triangles
+from clothkit.cloth.topology import CLOTH_LENGTH, Topology, rectangle, triangles
+from clothkit.dataset.raw import Topologies
+from clothkit.dataset.regularise import Mesher
 from clothkit.errors import InputError
 from clothkit.simulation import generation, world
 from clothkit.simulation.attempts import Attempts, folds, to_metres
@@ -25,7 +27,7 @@ SIMULATION = SimulationConfig(side=SIDE)
 # Folds of so coarse a cloth are bulky and tangled: only those that never came to rest are rejected.
 LIMITS = Limits(height=1.0, intersections=10**6, gap=0.0, strain_p99=1.0, strain_worst=2.0)
 SETTINGS = SimulateConfig(sequences=3, seed=4, block=1, workers=1, simulation=SIMULATION, limits=LIMITS)
-SCALE = SIMULATION.cloth_side / CLOTH_SIDE
+SCALE = SIMULATION.cloth_side / CLOTH_LENGTH
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -40,6 +42,25 @@ def record(folder: Path, settings: SimulateConfig) -> Path:
 @pytest.fixture(scope="module")
 def raw(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return record(tmp_path_factory.mktemp("simulate"), SETTINGS)
+
+
+def test_a_rectangle_is_recorded_and_read_back_as_its_own_grid(tmp_path: Path) -> None:
+    topology = rectangle(1.6, shape=(12, 10))
+    (tmp_path / "work").mkdir()
+    settings = dataclasses.replace(SETTINGS, sequences=1)
+    generate(tmp_path / "raw", settings, work=tmp_path / "work", attributes={}, topology=topology)
+    states = pd.read_parquet(tmp_path / "raw" / "states")
+    assert pd.read_parquet(tmp_path / "raw" / "attempts.parquet")["area"][0][0] == pytest.approx(1, abs=0.03)
+    mesher = Mesher(Topologies(tmp_path / "raw"), topology)
+    meshes = [mesher("here", 0, vertices) for vertices in states["vertices"]]
+    np.testing.assert_allclose(meshes[0][..., :2], topology.flat()[..., :2], atol=1e-6)
+    for mesh, vertices in zip(meshes, states["vertices"], strict=True):
+        np.testing.assert_allclose(mesh * SCALE, vertices.reshape(12, 10, 3), atol=1e-6)
+    # A hand takes a vertex, whose geodesic coordinates are written.
+    moves = pd.read_parquet(tmp_path / "raw" / "manipulations.parquet")
+    for name, last in (("u1", 11), ("v1", 9), ("u2", 11), ("v2", 9)):
+        place = (moves[name].to_numpy() + 1) / 2 * last
+        np.testing.assert_allclose(place, np.rint(place), atol=1e-5)
 
 
 def test_the_artifacts_hold_what_the_design_says(raw: Path) -> None:
@@ -58,7 +79,7 @@ def test_the_artifacts_hold_what_the_design_says(raw: Path) -> None:
     topologies = pd.read_parquet(raw / "topologies.parquet")
     material = topologies["material"][0].reshape(-1, 2)
     assert np.ptp(material, axis=0) == pytest.approx([0.4, 0.4])
-    np.testing.assert_array_equal(topologies["triangles"][0].reshape(-1, 3), triangles(SIDE))
+    np.testing.assert_array_equal(topologies["triangles"][0].reshape(-1, 3), triangles((SIDE, SIDE)))
     tried = pd.read_parquet(raw / "attempts.parquet")
     assert tried["accepted"].sum() == 3
     assert tried["accepted"].iloc[-1]
@@ -85,13 +106,13 @@ def test_an_interrupted_run_goes_on(raw: Path, tmp_path: Path, monkeypatch: pyte
     stopped: list[bool] = []
     attempt_sequences = generation.attempt_sequences
 
-    def interrupted(numbers: range, settings: SimulateConfig) -> generation.Attempts:
+    def interrupted(numbers: range, settings: SimulateConfig, topology: Topology) -> generation.Attempts:
         if len(attempted) == 2 and not stopped:
             stopped.append(True)
             attempted.clear()
             raise KeyboardInterrupt
         attempted.append(numbers[0])
-        return attempt_sequences(numbers, settings)
+        return attempt_sequences(numbers, settings, topology)
 
     monkeypatch.setattr(generation, "attempt_sequences", interrupted)
     with pytest.raises(KeyboardInterrupt):
@@ -133,7 +154,7 @@ def test_execution_does_not_depend_on_workers(raw: Path) -> None:
 def test_a_hand_takes_the_topmost_vertex_and_keeps_it() -> None:
     mesh = flat_state(SIMULATION)
     mesh[3, 3] = [mesh[8, 8, 0] + 0.004, mesh[8, 8, 1], 0.005]
-    within = SIMULATION.spacing / 2
+    within = SIMULATION.spacing(SIMULATION.topology)[0] / 2
     taken = grasp(mesh, mesh[8, 8, :2], within=within)
     assert taken == 3 * SIDE + 3
     assert grasp(mesh, mesh[3, 3, :2], within=within) == taken
@@ -159,7 +180,7 @@ def made_up(monkeypatch: pytest.MonkeyPatch, accepted: Callable[[int], bool]) ->
     """Attempts take no time, and are accepted as told. Returns where the numbers of those that were made are added."""
     made: list[int] = []
 
-    def attempt(numbers: range, settings: SimulateConfig) -> Attempts:
+    def attempt(numbers: range, settings: SimulateConfig, topology: Topology) -> Attempts:
         made.extend(numbers)
         found = np.array([accepted(number) for number in numbers])
         one = {name: np.repeat(array[:1], len(numbers), axis=0) for name, array in attempts(1)._asdict().items()}

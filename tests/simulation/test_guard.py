@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import warp as wp
 
-from clothkit.cloth.grid import CLOTH_SIDE
+from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.manipulation.candidates import CandidateConfig
 from clothkit.manipulation.sampling import SamplingConfig, draw_hands, sample
 from clothkit.simulation.executor import perform
@@ -66,7 +66,7 @@ def test_no_crossings_in_a_flat_cloth() -> None:
 
 def fold(change: Callable[[Solver], None]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Crossings, returns and crossings let be, of random folds by a solver with changed settings."""
-    scale = SETTINGS.cloth_side / CLOTH_SIDE
+    scale = SETTINGS.cloth_side / CLOTH_LENGTH
     flat = flat_state(SETTINGS)
     drawn = []
     for seed in range(10):
@@ -87,7 +87,7 @@ def fold(change: Callable[[Solver], None]) -> tuple[np.ndarray, np.ndarray, np.n
 
 def unwatched(solver: Solver) -> None:
     """Hardly an edge within the cloth is watched: they cross others at will."""
-    solver.bend_feature = 0.02
+    solver.bend_u.feature = solver.bend_v.feature = solver.twist_feature = 0.02
 
 
 def unguarded(solver: Solver) -> None:

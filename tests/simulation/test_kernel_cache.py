@@ -10,9 +10,9 @@ MEASURES = """
 import os
 import numpy as np
 import warp
-from clothkit.cloth.grid import flat
+from clothkit.cloth.topology import SQUARE
 from clothkit.simulation.quality import gaps
-print(warp.config.kernel_cache_dir, os.environ["WARP_CACHE_PATH"], gaps(flat()[None], reach=0.01))
+print(warp.config.kernel_cache_dir, os.environ["WARP_CACHE_PATH"], gaps(SQUARE.flat()[None], reach=0.01))
 """
 
 

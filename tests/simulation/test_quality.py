@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from clothkit.cloth.grid import edges, triangles
+from clothkit.cloth.topology import Topology, edges, rectangle, square, triangles
 from clothkit.simulation.quality import Quality, gaps, intersections, measure, reason
 from clothkit.simulation.settings import SimulateConfig, SimulationConfig
 from clothkit.simulation.solver import flat_state
@@ -13,11 +13,11 @@ from clothkit.simulation.world import Outcome
 SETTINGS = SimulationConfig(side=8)
 
 
-def crumpled(seed: int, side: int) -> np.ndarray:
+def crumpled(seed: int, topology: Topology) -> np.ndarray:
     """A grid with smooth noise large enough to tangle it."""
     rng = np.random.default_rng(seed)
-    grid = flat_state(SimulationConfig(side=side))
-    steps = rng.normal(size=(2, side, side, 3)) * 0.3 * 0.4 / (side - 1)
+    grid = flat_state(SETTINGS, topology)
+    steps = rng.normal(size=(2, *topology.shape, 3)) * 0.3 * 0.4 / (max(topology.shape) - 1)
     return (grid * 0.4 + steps[0].cumsum(0) + steps[1].cumsum(1)).astype(np.float32)
 
 
@@ -25,8 +25,8 @@ def pierced_pairs(mesh: np.ndarray) -> int:
     """Pairs of edge and triangle: solve for the crossing of line and plane, then for barycentric coordinates."""
     x = mesh.reshape(-1, 3).astype(float)
     count = 0
-    for i, j in edges(mesh.shape[0]):
-        for a, b, c in triangles(mesh.shape[0]):
+    for i, j in edges(mesh.shape[:2]):
+        for a, b, c in triangles(mesh.shape[:2]):
             if {i, j} & {a, b, c}:
                 continue
             matrix = np.stack([x[j] - x[i], x[a] - x[b], x[a] - x[c]], axis=1)
@@ -35,9 +35,9 @@ def pierced_pairs(mesh: np.ndarray) -> int:
     return count
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_intersections_by_brute_force(seed: int) -> None:
-    mesh = crumpled(seed, 8)
+@pytest.mark.parametrize(("seed", "topology"), [(0, square(8)), (1, square(8)), (2, rectangle(1.5, shape=(9, 7)))])
+def test_intersections_by_brute_force(seed: int, topology: Topology) -> None:
+    mesh = crumpled(seed, topology)
     expected = pierced_pairs(mesh)
     assert expected > 0
     assert intersections(mesh[None])[0] == expected
@@ -58,13 +58,15 @@ def test_flat_cloth_has_none() -> None:
     assert intersections(flat_state(SETTINGS)[None])[0] == 0
 
 
-def test_gaps_by_minimisation() -> None:
-    mesh = crumpled(5, 8)
+@pytest.mark.parametrize("topology", [square(8), rectangle(1.5, shape=(9, 6))])
+def test_gaps_by_minimisation(topology: Topology) -> None:
+    mesh = crumpled(5, topology)
+    n = topology.shape[1]
     x = mesh.reshape(-1, 3).astype(float)
     best = np.inf
     for i in range(len(x)):
-        for corners in triangles(8):
-            if any(max(abs(i // 8 - k // 8), abs(i % 8 - k % 8)) <= 2 for k in corners):
+        for corners in topology.triangles():
+            if any(max(abs(i // n - k // n), abs(i % n - k % n)) <= 2 for k in corners):
                 continue
             a, b, c = x[corners]
             best = min(best, distance(x[i], a, b, c, best))
@@ -128,3 +130,15 @@ def test_a_state_that_is_not_finite() -> None:
     mesh = flat_state(SETTINGS)
     mesh[1, 1, 1] = np.nan
     assert not measure(mesh[None], SETTINGS).finite[0]
+
+
+def test_strains_are_those_of_each_direction_of_a_rectangle() -> None:
+    """Its spacings differ: 0.4 m over 9 rows and 0.2 m over 11 columns."""
+    topology = rectangle(2.0, shape=(9, 11))
+    mesh = flat_state(SETTINGS, topology)
+    assert measure(mesh[None], SETTINGS, topology).strain_worst[0] == pytest.approx(0, abs=1e-5)
+    mesh[-1, :, 0] += 0.005
+    assert measure(mesh[None], SETTINGS, topology).strain_worst[0] == pytest.approx(0.005 / (0.4 / 8), rel=1e-4)
+    mesh[-1, :, 0] -= 0.005
+    mesh[:, 0, 1] -= 0.003
+    assert measure(mesh[None], SETTINGS, topology).strain_worst[0] == pytest.approx(0.003 / (0.2 / 10), rel=1e-4)

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
+from clothkit.cloth.topology import Topology, rectangle, square
 from clothkit.errors import InputError
 from clothkit.params import load_params
 from clothkit.simulation.settings import LEAST_SPACING, SimulateConfig, SimulationConfig
@@ -98,4 +99,23 @@ def test_they_are_told_in_one_sentence(tmp_path: Path) -> None:
 
 def test_the_finest_grid_is_told_by_the_thickness() -> None:
     config = SimulationConfig(side=63)
-    assert config.spacing / config.material.thickness > LEAST_SPACING
+    assert min(config.spacing(config.topology)) / config.material.thickness > LEAST_SPACING
+
+
+@pytest.mark.parametrize(
+    ("topology", "told"),
+    [
+        (square(65), "65 x 65 vertices, expected 8 to 64"),
+        (rectangle(1.5, shape=(32, 7)), "32 x 7 vertices, expected 8 to 64"),
+        (rectangle(3.0, shape=(32, 64)), "is 0.0021 m, expected at least 0.003 m"),
+    ],
+)
+def test_cloths_that_the_solver_can_not_simulate_are_refused(topology: Topology, told: str) -> None:
+    with pytest.raises(ValueError, match=told):
+        SimulationConfig().check(topology)
+
+
+def test_spacings_are_those_of_the_longer_side() -> None:
+    config = SimulationConfig(cloth_side=0.5)
+    assert config.spacing(rectangle(0.5 / 0.3, shape=(32, 24))) == pytest.approx((0.5 / 31, 0.3 / 23))
+    assert config.spacing(rectangle(0.3 / 0.5)) == pytest.approx((0.3 / 31, 0.5 / 31))

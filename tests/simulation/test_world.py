@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.cloth.silhouette import silhouette
-from clothkit.simulation.executor import layers_below, place_hands
+from clothkit.cloth.topology import CLOTH_LENGTH, REVERSE_V, Topology, rectangle
+from clothkit.simulation.executor import execute, layers_below, place_hands
 from clothkit.simulation.kernels.state import PATH
 from clothkit.simulation.quality import measure, reason
 from clothkit.simulation.settings import Settling, SimulateConfig, SimulationConfig
@@ -50,10 +50,10 @@ def run(state: np.ndarray, motion: Motion, settings: SimulationConfig = SETTINGS
 
 def area(state: np.ndarray) -> float:
     """Of the silhouette, as a share of the flat cloth's."""
-    mesh = state / np.float32(SETTINGS.cloth_side / CLOTH_SIDE)
+    mesh = state / np.float32(SETTINGS.cloth_side / CLOTH_LENGTH)
     middle = (mesh.max((0, 1)) + mesh.min((0, 1))) / 2
     covered = silhouette((mesh - middle).astype(np.float32), resolution=256, extent=1.1)
-    return float(covered.sum()) * (2.2 / 256) ** 2 / CLOTH_SIDE**2
+    return float(covered.sum()) * (2.2 / 256) ** 2 / CLOTH_LENGTH**2
 
 
 def distance(a: np.ndarray, b: np.ndarray) -> float:
@@ -61,9 +61,9 @@ def distance(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.linalg.norm(a - b, axis=-1).mean())
 
 
-def is_clean(state: np.ndarray, settings: SimulationConfig) -> None:
+def is_clean(state: np.ndarray, settings: SimulationConfig, topology: Topology | None = None) -> None:
     """Nothing is pierced, squeezed or stretched, and nothing is below the table."""
-    quality = measure(state[None], settings)
+    quality = measure(state[None], settings, topology)
     assert quality.finite[0]
     assert quality.intersections[0] == 0
     assert quality.gap[0] >= 0.5 * settings.material.thickness
@@ -191,7 +191,7 @@ def test_hands_follow_the_arc() -> None:
     start = flat[0, 0].astype(float)
     k = np.hypot(*(release - start[:2]))
     # The circle through (0, 0) and (k, h), centred at height 0, by its perpendicular bisector.
-    h = min(SETTINGS.highest_lift * SETTINGS.cloth_side / CLOTH_SIDE, k / 2)
+    h = min(SETTINGS.highest_lift * SETTINGS.cloth_side / CLOTH_LENGTH, k / 2)
     centre = k / 2 + h**2 / (2 * k)
     sweep = np.pi - np.arctan2(h, k - centre)
     assert motion.seconds[0] == pytest.approx(max(centre * sweep / SETTINGS.hand_speed, SETTINGS.shortest_move))
@@ -221,7 +221,7 @@ def test_held_columns_follow_waypoints(folded: Outcome) -> None:
     """Any path that is given as points at equal times; what a hand holds keeps its places relative to the first."""
     state = folded.states[0]
     top = SIDE + 3  # near the corner of the upper layer
-    column = [top, *layers_below(state, top, within=SETTINGS.spacing / 2)]
+    column = [top, *layers_below(state, top, within=SETTINGS.spacing(SETTINGS.topology)[0] / 2)]
     assert len(column) == 2
     vertices = state.reshape(-1, 3)
     offsets = np.array([[0, 0, 0], [0.01, 0.0, 0.04], [-0.02, 0.03, 0.06], [0.0, 0.05, 0.03]])
@@ -316,3 +316,59 @@ def test_motions_without_end_are_not_begun(monkeypatch: pytest.MonkeyPatch, seco
     found = worlds.execute(flat[None], NOTHING._replace(seconds=np.array([seconds])))
     assert found.spent.tolist() == [True]
     np.testing.assert_array_equal(found.states[0], flat)
+
+
+STRIP = Topology((16, 32), (0.6, CLOTH_LENGTH), (0, REVERSE_V))
+"""A strip that is none of the package's cloths: longer along v, with fewer vertices along u and two symmetries."""
+
+
+def fold_across(topology: Topology, axis: int) -> Outcome:
+    """The half fold of a flat cloth along an axis: two hands bring one of its edges short of the other."""
+    flat = flat_state(SETTINGS, topology)
+    rows, columns = topology.shape
+    corners = [0, columns - 1] if axis == 0 else [0, (rows - 1) * columns]
+    releases = flat.reshape(-1, 3)[corners, :2]
+    releases[:, axis] += np.ptp(flat[..., axis]) - 0.03
+    motion = of_columns(flat, [[corner] for corner in corners], releases, SETTINGS)
+    return Worlds(1, SETTINGS, topology).execute(flat[None], motion)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("topology", [rectangle(1.8), rectangle(1.8, shape=(16, 16)), STRIP], ids=str)
+def test_cloths_that_are_no_squares_fold_and_keep_their_lengths(topology: Topology, axis: int) -> None:
+    outcome = fold_across(topology, axis)
+    state = np.moveaxis(outcome.states[0], axis, 0)
+    assert outcome.rested[0]
+    is_clean(outcome.states[0], SETTINGS, topology)
+    # One layer over the other, but for the ridge, in which the rows in the middle lie.
+    quarter = topology.shape[axis] // 4
+    upper, lower = state[1:quarter, :, 2], state[::-1][1:quarter, :, 2]
+    np.testing.assert_allclose(lower, THICKNESS / 2, atol=1e-4)
+    assert (upper - lower).mean() == pytest.approx(THICKNESS, rel=0.15)
+
+
+def test_a_grid_with_two_spacings_folds_as_one_with_equal_spacings() -> None:
+    """Stretch, shear, bending, mass and viscosity of a cloth do not depend on how it is divided into quads."""
+    ratio = 23 / 12
+    even, uneven = (fold_across(rectangle(ratio, shape=shape), 0).states[0] for shape in ((24, 13), (24, 25)))
+    assert distance(even, uneven[:, ::2]) < 1e-3
+
+
+def test_u_and_v_are_alike() -> None:
+    lengthwise, across = (
+        fold_across(rectangle(ratio, shape=(16, 16)), axis) for ratio, axis in ((1.5, 0), (1 / 1.5, 1))
+    )
+    assert distance(lengthwise.states[0], across.states[0].swapaxes(0, 1)[..., [1, 0, 2]]) < 5e-4
+
+
+def test_a_rectangle_is_executed_by_its_grasp_points_on_workers_as_here() -> None:
+    topology = rectangle(1.6, shape=(16, 16))
+    meshes = np.stack([topology.flat()] * 4)
+    grasps = np.repeat(np.array([[[-0.7, -0.7 / 1.6], [-0.7, 0.7 / 1.6]]]), 4, axis=0)
+    moves = np.array([[1.2, 0.0], [0.6, 0.0], [0.8, 0.1], [1.0, -0.1]])
+    single = np.zeros(4, bool)
+    found = [execute(meshes, grasps, moves, single, SETTINGS, workers=workers, topology=topology) for workers in (1, 2)]
+    np.testing.assert_array_equal(*found)
+    # The edge is let go where eq. (1) says, close to where it then lies.
+    np.testing.assert_allclose(found[0][0, 0, [0, -1], 0], 0.5, atol=0.1)
+    np.testing.assert_allclose(found[0][0, -1], topology.flat()[-1], atol=0.02)

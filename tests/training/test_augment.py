@@ -29,9 +29,9 @@ def test_release_points_turn_with_the_cloth_whatever_its_labels(angle, mirrored)
     before = Examples(*(jnp.repeat(a[:1], 8, axis=0) for a in examples()))
     matrix = np.asarray(planar(jnp.float32(angle), jnp.array(mirrored)))
     after = relabelled(turned(before, jnp.broadcast_to(matrix, (8, 2, 2))), jnp.arange(8))
-    expected = releases(before.mesh[0], before.manipulations[0, 0]) @ matrix.T
+    expected = releases(before.state[0], before.manipulations[0, 0]) @ matrix.T
     for k in range(8):
-        np.testing.assert_allclose(releases(after.mesh[k], after.manipulations[k, 0]), expected, atol=2e-5)
+        np.testing.assert_allclose(releases(after.state[k], after.manipulations[k, 0]), expected, atol=2e-5)
     np.testing.assert_allclose(after.shifts, before.shifts @ matrix.T, atol=1e-6)
 
 
@@ -55,7 +55,7 @@ def test_noise_has_its_standard_deviation_and_is_on_the_input_alone():
     clean, noisy = (augment(examples(batch=64), noise=s, key=jax.random.key(2)) for s in (0.0, 0.025))
     np.testing.assert_array_equal(clean.outcomes, noisy.outcomes)
     np.testing.assert_array_equal(clean.manipulations, noisy.manipulations)
-    assert abs(float(jnp.std(noisy.mesh - clean.mesh)) - 0.025) < 2e-4
+    assert abs(float(jnp.std(noisy.state - clean.state)) - 0.025) < 2e-4
 
 
 def test_both_orders_of_the_grasp_points_and_all_turns_occur():

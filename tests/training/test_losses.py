@@ -11,9 +11,8 @@ from scipy.stats import norm
 from clothkit.cloth.equivalents import equivalents
 from clothkit.cloth.grid import SIDE
 from clothkit.cloth.mesh import ProbabilisticMesh
-from clothkit.models import pemd
+from clothkit.models.forward import predict
 from clothkit.models.layers import probabilistic_mesh
-from clothkit.models.net import Net
 from clothkit.models.pemd import PEMD, initial
 from clothkit.models.settings import PEMDConfig
 from clothkit.training import pemd as pemd_training
@@ -38,9 +37,9 @@ def test_sigma_is_never_below_the_least_that_the_config_names(least_std):
     config = dataclasses.replace(NET, least_std=least_std)
     certain = jax.tree.map(jnp.zeros_like, initial(config, key=jax.random.key(0)))
     certain["D"]["mesh"]["bias"] -= 50.0
-    stds = pemd.decode(Net(config, certain), jnp.zeros((1, NET.latent))).std
+    stds = PEMD(config).decode(certain, jnp.zeros((1, NET.latent))).std
     np.testing.assert_allclose(stds, least_std, rtol=1e-6)
-    thinned = pemd.decode(Net(config, certain), jnp.zeros((1, NET.latent)), 2).std
+    thinned = PEMD(config).decode(certain, jnp.zeros((1, NET.latent)), stride=2).std
     np.testing.assert_allclose(thinned, least_std, rtol=1e-6)
 
 
@@ -50,12 +49,12 @@ def batch(dataset, n):
 
 def test_loss_s_sums_likelihoods_over_steps_and_loss_p_is_a_mean_square(dataset):
     examples, params = batch(dataset, 2), initial(NET, key=jax.random.key(0))
-    predicted, _, shifts = PEMD(NET).apply({"params": params}, examples.mesh, examples.manipulations)
+    predicted, found = predict(PEMD(NET), params, examples.state, examples.manipulations)
     steps = [
         -norm.logpdf(examples.outcomes[:, i], predicted.mean[i], predicted.std[i]).mean((1, 2, 3)) for i in range(2)
     ]
     np.testing.assert_allclose(loss_shape(PEMD(NET), params, examples), np.mean(steps[0] + steps[1]), rtol=1e-5)
-    misses = [np.asarray(shifts[i]) - np.asarray(examples.shifts[:, i]) for i in range(2)]
+    misses = [np.asarray(found.shifts[i]) - np.asarray(examples.shifts[:, i]) for i in range(2)]
     np.testing.assert_allclose(loss_position(PEMD(NET), params, examples), np.mean(np.square(misses)), rtol=1e-5)
 
 

@@ -18,7 +18,7 @@ COMMANDS = {
 """Help text by command. The command is `command` in the module of that name; help need not import these modules."""
 
 
-class _Told(click.ClickException):
+class _BadInput(click.ClickException):
     """Bad input: its sentence goes to stderr as it is, and the exit status is 1."""
 
     exit_code = 1
@@ -47,14 +47,14 @@ class _Commands(click.Group):
         try:
             return super().invoke(ctx)
         except InputError as error:
-            raise _Told(f"{ctx.invoked_subcommand}: {' '.join(str(error).split())}") from error
+            raise _BadInput(f"{ctx.invoked_subcommand}: {' '.join(str(error).split())}") from error
         except (click.exceptions.Exit, click.Abort):
             raise
         except Exception as error:
             told = untold_error(error)
             if told is None:
                 raise
-            raise _Told(f"{ctx.invoked_subcommand}: {told}") from error
+            raise _BadInput(f"{ctx.invoked_subcommand}: {told}") from error
 
 
 @click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})

@@ -6,15 +6,16 @@ import numpy as np
 from jaxtyping import Float
 
 from clothkit.app import plan_file
-from clothkit.app.explained import Explained
-from clothkit.app.given import Seen
+from clothkit.app.agreement import EstimateAgreement
+from clothkit.app.inputs import Input
 from clothkit.app.plan_file import Plan, plan_of, rounded
-from clothkit.app.planner import Believed, Planned, disagreement, taken
+from clothkit.app.planner import Planned, State, epistemic_uncertainty, usage_of
 from clothkit.cloth.grid import CLOTH_SIDE
-from clothkit.cloth.mesh import ProbabilisticMesh, distance, error
+from clothkit.cloth.mesh import distance
 from clothkit.cloth.silhouette import centred, iou, silhouette
 from clothkit.cloth.voxels import HEIGHT, RESOLUTION
 from clothkit.manipulation.vector import grasp_points, is_null
+from clothkit.models.ensemble import pairs
 from clothkit.observation.pose import Pose
 from clothkit.observation.waypoints import HandPaths, MotionConfig, hand_paths, paths_from
 from clothkit.planning.planner import Planner
@@ -25,12 +26,12 @@ _SURELY = 0.5  # probability from which a voxel counts as cloth
 Frame = Literal["camera", "table"]
 
 
-class Given(NamedTuple):
+class PlanRequest(NamedTuple):
     """The inputs of one planning request."""
 
-    state: Seen
-    goal: Seen
-    wanted: Believed
+    state: Input
+    goal: Input
+    target: State
     """The goal of the search, in the system's representation; turned if the plan was turned."""
     matrix: Float[np.ndarray, "2 2"] | None
     """The matrix that the goal was turned or mirrored by; None: it was not."""
@@ -38,23 +39,21 @@ class Given(NamedTuple):
     """Side of the flat cloth [m]."""
     seed: int
     frame: Frame
-    nets: tuple[str, ...]
-    """Names of the planner's nets: a, b."""
-    explained: tuple[Explained | None, Explained | None] = (None, None)
+    agreements: tuple[EstimateAgreement | None, EstimateAgreement | None] = (None, None)
     """Agreement of the estimates of state and goal with their observations; None: not estimated."""
 
 
-def frame_of(seen: Seen, wanted: Frame) -> Frame:
+def frame_of(source: Input, wanted: Frame) -> Frame:
     """Return the frame of a plan's positions: `wanted` for point clouds; meshes and voxels are in the table's frame."""
-    return wanted if seen.kind == "points" else "table"
+    return wanted if source.kind == "points" else "table"
 
 
 def paths_of(planner: Planner, planned: Planned, pose: Pose, motion: MotionConfig) -> list[HandPaths]:
     """Return the timed paths of the hands in each step, in the table's frame.
 
-    In the first step the hands grasp the state, in later steps the better net's prediction of it.
+    In the first step the hands grasp the state, in later steps the best net's prediction of it.
     """
-    means = planner.sight.means(planned.predictions[planner.better])
+    means = planned.means[planner.best]
     places = poses_of(planned, pose)
     states = [planned.state, *means[:-1]]
     if not planner.system.voxels:
@@ -75,7 +74,7 @@ def poses_of(planned: Planned, pose: Pose) -> list[Pose]:
     return [pose, *(pose.moved(shift) for shift in np.cumsum(planned.shifts, axis=0))]
 
 
-def heights(voxels: Believed, xy: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, " points"]:
+def heights(voxels: State, xy: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, " points"]:
     """Return the cloth's height in the occupied column nearest to each point [normalised]; 0 if none is occupied."""
     columns = np.argwhere((voxels >= _SURELY).any(-1))
     if not len(columns):
@@ -86,37 +85,37 @@ def heights(voxels: Believed, xy: Float[np.ndarray, "points 2"]) -> Float[np.nda
     return (top - 0.5) * (HEIGHT / RESOLUTION[2])
 
 
-def describe(planner: Planner, planned: Planned, paths: list[HandPaths], given: Given) -> Plan:
+def describe(planner: Planner, planned: Planned, paths: list[HandPaths], request: PlanRequest) -> Plan:
     """Return the content of the plan file. `paths` are in the table's frame.
 
     Raises InputError if the plan fails the checks of plan files.
     """
-    real = given.state.pose
+    real = request.state.pose
     # In the table's frame, the conversion from table to camera must change nothing.
-    pose = real if given.frame == "camera" else Pose(np.eye(3), np.zeros(3), real.centre, real.scale)
+    pose = real if request.frame == "camera" else Pose(np.eye(3), np.zeros(3), real.centre, real.scale)
     poses = poses_of(planned, pose)
-    expectation = expected(planner, planned, given)
+    expectation = expected(planner, planned, request)
     content = {
         "format": "clothkit plan",
-        "version": 1,
+        "version": 2,
         "system": planner.system.name,
-        "seed": given.seed,
-        "frame": given.frame,
-        "state": _source(planner, given.state, given.explained[0]),
-        "goal": _source(planner, given.goal, given.explained[1], goal=True),
-        "turned": None if given.matrix is None else rounded(given.matrix, 9),
-        "side_m": given.side,
+        "seed": request.seed,
+        "frame": request.frame,
+        "state": _source(planner, request.state, request.agreements[0]),
+        "goal": _source(planner, request.goal, request.agreements[1], goal=True),
+        "turned": None if request.matrix is None else rounded(request.matrix, 9),
+        "side_m": request.side,
         "metres_per_normalised": pose.scale,
         "table": {"axes": pose.rotation.tolist(), "origin_m": pose.origin.tolist()},
         "start": {"state": _state(planned.state, None, pose), "centre_m": _centre(pose)},
-        "steps": [_step(planner, planned, given.nets, i, path, poses[i + 1]) for i, path in enumerate(paths)],
+        "steps": [_step(planner, planned, i, path, poses[i + 1]) for i, path in enumerate(paths)],
         "expected": expectation,
         "warning": None if expectation["improves"] else plan_file.UNLIKELY,
-        "notices": notices(given),
+        "notices": notices(request),
         "memory": {
             "common": planned.common,
             "relative": planned.relative,
-            "better": planner.better,
+            "best": planner.best,
             "traces_before": [[rounded(label, 7) for label in trace] for trace in planned.traces]
             if any(trace.any() for trace in planned.traces)
             else None,
@@ -125,51 +124,49 @@ def describe(planner: Planner, planned: Planned, paths: list[HandPaths], given: 
     return plan_of(content)
 
 
-def notices(given: Given) -> list[str]:
+def notices(request: PlanRequest) -> list[str]:
     """Return sentences on how state and goal were read and observed, and on estimates that do not explain them."""
-    said = [*given.state.notices, *given.goal.notices]
-    said += [found.words for found in given.explained if found is not None and not found.explains]
+    sentences = [*request.state.notices, *request.goal.notices]
+    sentences += [found.sentence for found in request.agreements if found is not None and not found.explains]
     # State and goal may be one file.
-    return list(dict.fromkeys(said))
+    return list(dict.fromkeys(sentences))
 
 
-def expected(planner: Planner, planned: Planned, given: Given) -> dict[str, Any]:
+def expected(planner: Planner, planned: Planned, request: PlanRequest) -> dict[str, Any]:
     """Return the fields of `plan_file.Expectation`, from the mean of the nets' predictions after the last step.
 
-    Mesh errors are aligned, and the smallest over the goal's Cartesian equivalents.
+    Errors are those by which the agent decides whether a plan is useless: in the labelling that the search found.
     """
-    means = [planner.sight.means(prediction) for prediction in planned.predictions]
-    outcome = np.mean([mean[-1] for mean in means], axis=0)
+    outcome = np.mean(planned.means[:, -1], axis=0)
     fields: dict[str, Any] = dict.fromkeys(
         ("error_cloth_lengths", "error_m", "error_no_action_cloth_lengths", "error_no_action_m")
     )
     fields |= dict.fromkeys(("voxel_error", "voxel_error_no_action"))
-    errors = []
-    for name, state in (("", outcome), ("_no_action", planned.state)):
+    for name, state, error in (
+        ("", outcome, planned.expected),
+        ("_no_action", planned.state, planned.expected_no_action),
+    ):
         if planner.system.voxels:
-            errors.append(float(planner.sight.misses(state[None], given.wanted[None])[0]))
-            fields[f"voxel_error{name}"] = errors[-1]
+            fields[f"voxel_error{name}"] = error
         else:
-            errors.append(float(error(state.astype(np.float32), given.wanted, aligned=True)))
-            fields[f"error{name}_cloth_lengths"], fields[f"error{name}_m"] = errors[-1], errors[-1] * given.side
-        fields[f"silhouette_iou{name}"] = iou(covered(state), covered(given.wanted))
-    acts = not all(bool(is_null(manipulation)) for manipulation in planned.plan)
+            fields[f"error{name}_cloth_lengths"], fields[f"error{name}_m"] = error, error * request.side
+        fields[f"silhouette_iou{name}"] = iou(covered(state), covered(request.target))
     return {
         **fields,
-        "epistemic_uncertainty": disagreement(planner, planned),
+        "epistemic_uncertainty": epistemic_uncertainty(planner, planned),
         "loss": planned.loss,
-        "improves": acts and errors[0] < errors[1],
+        "improves": planned.improves,
     }
 
 
-def covered(state: Believed) -> np.ndarray:
+def covered(state: State) -> np.ndarray:
     """Return the mask of the silhouette of a mesh, centred, or of the voxel columns that hold cloth."""
     if state.shape == RESOLUTION:
         return np.asarray((state >= _SURELY).any(-1))
     return silhouette(centred(state.astype(np.float32))[0])
 
 
-def _source(planner: Planner, seen: Seen, found: Explained | None, *, goal: bool = False) -> dict[str, Any]:
+def _source(planner: Planner, source: Input, found: EstimateAgreement | None, *, goal: bool = False) -> dict[str, Any]:
     agreement = None
     if found is not None:
         agreement = {
@@ -177,18 +174,16 @@ def _source(planner: Planner, seen: Seen, found: Explained | None, *, goal: bool
             "height_iou": round(found.height_iou, 4),
             "explains": found.explains,
         }
-    how = taken(planner.system, seen, goal=goal)
-    return {"file": seen.file, "kind": seen.kind, "taken": how, "agreement": agreement}
+    usage = usage_of(planner.system, source, goal=goal)
+    return {"file": source.file, "kind": source.kind, "taken": usage, "agreement": agreement}
 
 
-def _step(
-    planner: Planner, planned: Planned, nets: tuple[str, ...], i: int, path: HandPaths, after: Pose
-) -> dict[str, Any]:
-    states = [_of_step(prediction, i) for prediction in planned.predictions]
-    means = [planner.sight.means(state) for state in states]
+def _step(planner: Planner, planned: Planned, i: int, path: HandPaths, after: Pose) -> dict[str, Any]:
+    means = planned.means[:, i]
+    stds = [None] * len(means) if planned.stds is None else planned.stds[:, i]
     apart = None
     if len(means) > 1 and not planner.system.voxels:
-        apart = float(distance(means[0], means[1])) * CLOTH_SIDE * after.scale
+        apart = float(np.mean([float(distance(a, b)) for a, b in pairs(list(means))])) * CLOTH_SIDE * after.scale
     points = after.table_to_camera(path.points)
     hands = [
         {
@@ -206,24 +201,15 @@ def _step(
         "null": bool(is_null(planned.plan[i])),
         "hands": hands,
         "predictions": [
-            {
-                "net": net,
-                "state": _state(mean, np.asarray(state.std) if isinstance(state, ProbabilisticMesh) else None, after),
-            }
-            for net, mean, state in zip(nets, means, states, strict=True)
+            {"net": net, "state": _state(mean, std, after)}
+            for net, mean, std in zip(planner.members, means, stds, strict=True)
         ],
         "centre_m": _centre(after),
         "disagreement_m": apart,
     }
 
 
-def _of_step(prediction: Any, i: int) -> Any:
-    if isinstance(prediction, ProbabilisticMesh):
-        return ProbabilisticMesh(prediction.mean[i], prediction.std[i])
-    return prediction[i]
-
-
-def _state(mean: Believed, std: np.ndarray | None, pose: Pose) -> dict[str, Any]:
+def _state(mean: State, std: np.ndarray | None, pose: Pose) -> dict[str, Any]:
     if mean.shape == RESOLUTION:
         return {"kind": "voxels", "occupancy": rounded(mean, 3)}
     return {

@@ -22,16 +22,16 @@ _ERASE = "\r\x1b[K"
 @contextlib.contextmanager
 def part(what: str) -> Iterator[None]:
     """Print on stderr how long a block took and, on a terminal, its name `what` while it runs."""
-    started, watched = time.monotonic(), sys.stderr.isatty()
-    if watched:
+    started, terminal = time.monotonic(), sys.stderr.isatty()
+    if terminal:
         click.echo(f"{what} ..", nl=False, err=True)
     try:
         yield
     except BaseException:
         # The error message must start on a line of its own.
-        click.echo(_ERASE if watched else "", nl=False, err=True)
+        click.echo(_ERASE if terminal else "", nl=False, err=True)
         raise
-    click.echo(f"{_ERASE if watched else ''}{what}: {time.monotonic() - started:.1f} s", err=True)
+    click.echo(f"{_ERASE if terminal else ''}{what}: {time.monotonic() - started:.1f} s", err=True)
 
 
 def check_target(path: Path, endings: tuple[str, ...]) -> None:

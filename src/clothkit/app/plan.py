@@ -7,17 +7,35 @@ from typing import Any
 import click
 import numpy as np
 
-from clothkit.app.describe import Frame, Given, describe, frame_of, paths_of
-from clothkit.app.explained import of_goal, of_state, warn
-from clothkit.app.given import Seen, keep_compiled_programs, look, looking, reach_of, seeing, settings
+from clothkit.app.agreement import compare_goal, compare_state, warn
+from clothkit.app.describe import Frame, PlanRequest, describe, frame_of, paths_of
+from clothkit.app.inputs import (
+    Input,
+    keep_compiled_programs,
+    load_settings,
+    observation_options,
+    reach_of,
+    read_input,
+    with_observation_options,
+)
 from clothkit.app.output import check_target, part
+from clothkit.app.plan_arrays import check_nets, check_steps_left, memory_of, side_of, traces_before
 from clothkit.app.plan_file import Plan, Source, read_plan, write_plan
-from clothkit.app.planner import Planned, believed, find_plan, goal_of, planner_of, turned_goal, turned_plan
-from clothkit.app.recall import check_nets, past_of, side_of
+from clothkit.app.planner import (
+    Planned,
+    State,
+    begin,
+    decide,
+    goal_of,
+    load_planner,
+    observation_of,
+    turned_goal,
+    turned_plan,
+)
 from clothkit.errors import InputError
 from clothkit.observation.waypoints import HandPaths, MotionConfig, ReachConfig, beyond, symmetries
-from clothkit.planning.planner import Planner, artifacts
-from clothkit.planning.systems import SYSTEMS, System, better_net, system
+from clothkit.planning.planner import Planner
+from clothkit.planning.systems import SYSTEMS, System, system
 
 
 @click.command(short_help="A plan that brings a cloth into a given shape.")
@@ -35,9 +53,9 @@ from clothkit.planning.systems import SYSTEMS, System, better_net, system
     "--system",
     "name",
     type=click.Choice(list(SYSTEMS)),
-    help="What plans: main estimates a mesh from what a camera sees; b1 takes a mesh as it is; b2 plans with one net; "
-    "b3 does not mind uncertainty; b4, b5 plan in voxels, with two nets and one; unrefined takes estimates as they "
-    "come. [default: b1 for a mesh [32, 32, 3], main for all else]",
+    help="What plans: main estimates a mesh from what a camera sees; b1 takes a mesh as it is; b2 plans with the best "
+    "net alone; b3 does not mind uncertainty; b4, b5 plan in voxels, with all nets and one; unrefined takes estimates "
+    "as they come. [default: b1 for a mesh [32, 32, 3], main for all else]",
 )
 @click.option(
     "--data",
@@ -64,7 +82,7 @@ from clothkit.planning.systems import SYSTEMS, System, better_net, system
     help="Low and high corner of the box that the hands reach, metres in the table's frame. A plan that leaves it is "
     "turned by right angles or mirrored, where this cloth looks the same turned; its goal turns along.",
 )
-@looking
+@with_observation_options
 def command(
     *,
     state: str,
@@ -78,7 +96,7 @@ def command(
     frame: Frame,
     reach: tuple[float, ...] | None,
     mask: str | None,
-    **options: Any,
+    **values: Any,
 ) -> None:
     """Plan how two hands bring a cloth into a given shape.
 
@@ -87,7 +105,7 @@ def command(
     its cloth from the table: a mask, the table's colour, or its plane if nothing but the cloth is there.
 
     The plan is JSON (docs/plan.schema.json): for each step grasp and release points and timed waypoints of each hand,
-    the predicted states of both nets, the expected error and how unsure the nets are. If nothing is expected to come
+    the predicted states of each net, the expected error and how unsure the nets are. If nothing is expected to come
     of it, it says so.
 
     A plan is made once, from one observation. Cloths do not do quite what nets predict: execute the first step,
@@ -97,80 +115,84 @@ def command(
     clothkit plan --state cloud.ply --goal goal.obj --steps 2 --table 0 0 -1 -0.8
     clothkit plan --state cloud2.ply --goal goal.obj --after plan.json --out plan2.json --table 0 0 -1 -0.8
     """
-    given = settings()
+    settings = load_settings()
     check_target(out, ("json",))
     # Path.resolve fails where links lead in a circle.
     if after and os.path.realpath(out) == os.path.realpath(after):
         raise InputError(f"--out: {out} is what --after reads, expected another file")
-    before = read_plan(after) if after else None
-    if before and after:
-        options["side"] = side_of(before, options["side"], after)
-    how, box = seeing(given.app, **options), reach_of(given.app, reach)
-    length = _length(steps, before, after)
+    previous = read_plan(after) if after else None
+    if previous and after:
+        values["side"] = side_of(previous, values["side"], after)
+    options, box = observation_options(settings.app, **values), reach_of(settings.app, reach)
+    length = _length(steps, previous, after)
     keep_compiled_programs()
-    with part("look"):
-        seen, wanted = look(state, how, mask=mask), look(goal, how)
-    chosen = _system(name, seen, before, after)
+    with part("observe"):
+        start, goal_input = read_input(state, options, mask=mask), read_input(goal, options)
+    chosen = _system(name, start, previous, after)
     with part("load nets"):
-        planner = planner_of(chosen, data, given)
-        if before and after:
-            check_nets(before, planner, data, after)
-        past = past_of(before, planner, after) if before and after else None
+        planner = load_planner(chosen, data, settings)
+        if previous and after:
+            check_nets(previous, planner, data, after)
+            check_steps_left(previous, after)
+            traces = traces_before(previous, planner, after)
     with part("estimate"):
-        cloth = believed(chosen, seen, data, given, expected=past.expected if past else None)
-        target, matrix = goal_of(chosen, wanted, data, given), None
-        found = (of_state(chosen, seen, cloth, given), of_goal(chosen, wanted, target, given))
-        if before and before.turned and not chosen.voxels:
-            matrix = np.array(before.turned)
+        observation, matrix = observation_of(planner, start, data, settings), None
+        target = goal_of(chosen, goal_input, data, settings)
+        goal_agreement = compare_goal(chosen, goal_input, target, settings)
+        if previous and previous.turned and not chosen.voxels:
+            matrix = np.array(previous.turned)
             target = turned_goal(target, matrix)
+        memory = begin(planner, target, length)
+        if previous and after:
+            memory = memory_of(previous, planner, memory, traces)
     with part(f"search, {planner.settings.search.strains} strains"):
-        planned = find_plan(planner, cloth, target, length, seed=seed, past=past)
-        planned, paths, turn = reached(planner, planned, seen, given.app.motion, box)
+        planned, _ = decide(planner, observation, memory, seed=seed)
+        found = (compare_state(chosen, start, planned.state, settings), goal_agreement)
+        planned, paths, turn = reached(planner, planned, target, start, settings.app.motion, box)
         if turn is not None:
             target, matrix = turned_goal(target, turn), turn if matrix is None else turn @ matrix
-    nets = ("a", "b") if chosen.nets == 2 else (better_net({n: artifacts(chosen, data)[n] for n in ("a", "b")}),)
     for estimate in found:
         warn(estimate)
-    about = Given(seen, wanted, target, matrix, how.side, seed, frame_of(seen, frame), nets, found)
-    plan = describe(planner, planned, paths, about)
+    request = PlanRequest(start, goal_input, target, matrix, options.side, seed, frame_of(start, frame), found)
+    plan = describe(planner, planned, paths, request)
     write_plan(out, plan)
     click.echo(summary(plan, out))
 
 
-def _length(steps: int | None, before: Plan | None, after: Path | None) -> int:
-    if before is None:
+def _length(steps: int | None, previous: Plan | None, after: Path | None) -> int:
+    if previous is None:
         if steps is None:
             raise click.UsageError("Missing option '--steps': how many manipulations, 1 to 3.")
         return steps
-    left = len(before.steps) - 1
+    left = len(previous.steps) - 1
     if steps not in (None, left):
         raise InputError(f"--steps: expected {left}, what is left of {after}, found {steps}")
     return left
 
 
-def _system(name: str | None, seen: Seen, before: Plan | None, after: Path | None) -> System:
-    if before is not None:
-        if name not in (None, before.system):
-            raise InputError(f"--system: expected {before.system}, with which {after} was planned, found {name}")
-        name = before.system
-    return system(name or ("b1" if seen.kind == "mesh" else "main"))
+def _system(name: str | None, start: Input, previous: Plan | None, after: Path | None) -> System:
+    if previous is not None:
+        if name not in (None, previous.system):
+            raise InputError(f"--system: expected {previous.system}, with which {after} was planned, found {name}")
+        name = previous.system
+    return system(name or ("b1" if start.kind == "mesh" else "main"))
 
 
 def reached(
-    planner: Planner, planned: Planned, seen: Seen, motion: MotionConfig, box: ReachConfig | None
+    planner: Planner, planned: Planned, goal: State, start: Input, motion: MotionConfig, box: ReachConfig | None
 ) -> tuple[Planned, list[HandPaths], np.ndarray | None]:
     """Return a form of the plan whose paths stay in the box, those paths, and the matrix that turned the plan.
 
     The plan itself is tried first (matrix: None), then its turned and mirrored forms by the symmetries of the state.
     Raises InputError when none stays in the box. Plans in voxels are not turned: symmetries are known for meshes only.
     """
-    paths = paths_of(planner, planned, seen.pose, motion)
+    paths = paths_of(planner, planned, start.pose, motion)
     if box is None or beyond(paths, box) == 0:
         return planned, paths, None
     nearest = beyond(paths, box)
     for matrix in [] if planner.system.voxels else symmetries(planned.state)[1:]:
-        turned = turned_plan(planner, planned, matrix)
-        paths = paths_of(planner, turned, seen.pose, motion)
+        turned = turned_plan(planner, planned, goal, matrix)
+        paths = paths_of(planner, turned, start.pose, motion)
         outside = beyond(paths, box)
         if outside == 0:
             return turned, paths, matrix
@@ -183,46 +205,46 @@ def reached(
 
 def summary(plan: Plan, path: Path) -> str:
     """Return the lines that the command prints about a plan."""
-    said = [f"{path}: {len(plan.steps)} step{'s' if len(plan.steps) > 1 else ''}, in the {plan.frame}'s frame"]
+    lines = [f"{path}: {len(plan.steps)} step{'s' if len(plan.steps) > 1 else ''}, in the {plan.frame}'s frame"]
     for number, step in enumerate(plan.steps, start=1):
         if step.null:
-            said.append(f"  step {number}: nothing to do")
+            lines.append(f"  step {number}: nothing to do")
             continue
         moves = [f"{_point(hand.grasp_m)} -> {_point(hand.release_m)}" for hand in step.hands]
-        said.append(f"  step {number}: {', '.join(moves)} m in {step.hands[0].waypoints[-1].time_s:.1f} s")
-    said += [f"{source.file}: {_taken(source)}" for source in (plan.state, plan.goal)]
+        lines.append(f"  step {number}: {', '.join(moves)} m in {step.hands[0].waypoints[-1].time_s:.1f} s")
+    lines += [f"{source.file}: {_usage_in_words(source)}" for source in (plan.state, plan.goal)]
     for what, source in (("state", plan.state), ("goal", plan.goal)):
         if source.agreement is not None:
-            said.append(
+            lines.append(
                 f"the {what}'s estimate {'explains' if source.agreement.explains else 'does not explain'} what was "
                 f"seen: silhouette IoU {source.agreement.silhouette_iou:.2f}, height IoU "
                 f"{source.agreement.height_iou:.2f}"
             )
     expected = plan.expected
     if expected.error_m is not None and expected.error_no_action_m is not None:
-        said.append(
+        lines.append(
             f"expected error {expected.error_m * 1000:.0f} mm ({expected.error_cloth_lengths:.3f} cloth lengths), "
             f"{expected.error_no_action_m * 1000:.0f} mm if nothing is done"
         )
     else:
-        said.append(
+        lines.append(
             f"expected voxel error {expected.voxel_error:.4f}, {expected.voxel_error_no_action:.4f} if nothing is done"
         )
-    said.append(
+    lines.append(
         f"silhouette IoU {expected.silhouette_iou:.2f}, {expected.silhouette_iou_no_action:.2f} if nothing is done"
     )
     if expected.epistemic_uncertainty is not None:
         apart = [step.disagreement_m for step in plan.steps if step.disagreement_m is not None]
         in_metres = f", the nets differ by {', '.join(f'{1000 * d:.0f}' for d in apart)} mm" if apart else ""
-        said.append(f"epistemic uncertainty u = {expected.epistemic_uncertainty:.3g}{in_metres}")
+        lines.append(f"epistemic uncertainty u = {expected.epistemic_uncertainty:.3g}{in_metres}")
     if plan.turned:
-        said.append("the plan was turned or mirrored to be in reach, and so is the shape that it leads to")
+        lines.append("the plan was turned or mirrored to be in reach, and so is the shape that it leads to")
     if plan.warning:
-        said.append(plan.warning)
-    return "\n".join(said)
+        lines.append(plan.warning)
+    return "\n".join(lines)
 
 
-def _taken(source: Source) -> str:
+def _usage_in_words(source: Source) -> str:
     """Say whether the plan uses a file's content as it is or an estimate of it."""
     if source.taken == "estimated":
         return f"its mesh is estimated from {'its voxels' if source.kind == 'voxels' else 'what is seen of it'}"

@@ -10,9 +10,9 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import pydantic
-from annotated_types import Ge, Gt, Le, Len
+from annotated_types import Ge, Gt, Le, Len, Lt
 
-from clothkit.app.given import Kind, Taken
+from clothkit.app.inputs import Kind, Usage
 from clothkit.app.output import unfinished
 from clothkit.app.plan_checks import check_axes, check_hand, check_plan, check_step
 from clothkit.cloth.grid import SIDE
@@ -28,6 +28,9 @@ _SHORT = 100
 
 WITHIN = 100.0
 """Limit of each coordinate in `frame` [m]: a larger value is a mistake, for example millimetres."""
+
+MOST_NETS = 64
+"""Limit of the number of nets."""
 
 LONGEST = 8.0
 """Limit of a displacement along x or y [normalised]. A search starts at 2.6 or less, and moves by 0.05 an iteration."""
@@ -72,7 +75,7 @@ class Source(Part):
     file: str
     kind: Kind
     """mesh: [32, 32, 3]; voxels: [32, 32, 16]; points: a cloud, or a surface seen from above."""
-    taken: Taken | None = None
+    taken: Usage | None = None
     """Whether the plan starts from (or leads to) what the file holds, or an estimate of it; null: an older version."""
     agreement: Agreement | None = None
     """Of the estimate with what the file shows; null: nothing was estimated, or the file is of an older version."""
@@ -148,7 +151,8 @@ class Hand(Part):
 class Prediction(Part):
     """What one net expects after a step."""
 
-    net: Literal["a", "b"]
+    net: Annotated[int, Ge(0)]
+    """The member of the ensemble."""
     state: State
 
 
@@ -161,11 +165,12 @@ class Step(Part):
     null: bool
     """Whether the displacement is too short for anything to be done; then there are no hands."""
     hands: Annotated[list[Hand], Len(0, 2)]
-    predictions: Annotated[list[Prediction], Len(1, 2)]
+    predictions: Annotated[list[Prediction], Len(1, MOST_NETS)]
     centre_m: Point
     """Where the cloth's centre is expected afterwards, on the table, in `frame`."""
     disagreement_m: NotNegative | None
-    """Mean distance between the vertices that the two nets predict; null: there is one net, or it predicts voxels."""
+    """Distance between the vertices that two nets predict, the mean over vertices and pairs of nets; null: there is one
+    net, or it predicts voxels."""
 
     @pydantic.model_validator(mode="after")
     def _agrees(self) -> "Step":
@@ -177,8 +182,8 @@ class Expectation(Part):
     """What the plan is expected to come to, by the mean of the nets' predictions."""
 
     error_cloth_lengths: NotNegative | None
-    """Mean distance of the outcome's vertices to the goal's, moved to fit, as a share of the cloth's side; null where
-    the system plans in voxels."""
+    """Mean distance of the outcome's vertices to the goal's in the labels that the search found, moved to fit, as a
+    share of the cloth's side; null where the system plans in voxels."""
     error_m: NotNegative | None
     error_no_action_cloth_lengths: NotNegative | None
     """The same of the state as it is."""
@@ -194,7 +199,8 @@ class Expectation(Part):
     loss: float
     """The planning loss, eq. (13)."""
     improves: bool
-    """Whether the outcome is expected to be nearer to the goal than the state is."""
+    """Whether the plan does anything, and its outcome is not expected to be farther from the goal than the state is; of
+    a turned plan, whether that was so before."""
 
 
 class Memory(Part):
@@ -204,8 +210,8 @@ class Memory(Part):
     """The Cartesian equivalent in which the plan was found."""
     relative: Annotated[int, Ge(0), Le(7)]
     """The relabelling that brings the goal under the state's labels."""
-    better: Annotated[int, Ge(0), Le(1)]
-    """Which of the predictions is the better net's."""
+    best: Annotated[int, Ge(0), Lt(MOST_NETS)]
+    """Which of the predictions is that of the net with the best validation score."""
     traces_before: list[list[list[_Unit]]] | None
     """[net][label][unit]: memory traces before the plan; null: none, the session begins."""
 
@@ -214,7 +220,8 @@ class Plan(Part):
     """A plan: from one observation, what to do in one to three steps."""
 
     format: Literal["clothkit plan"]
-    version: Literal[1]
+    version: Literal[2]
+    """Files of version 1, whose nets are called a and b, are read, too."""
     system: str
     """How it was planned: main, b1, .."""
     seed: Annotated[int, Ge(0)]
@@ -240,6 +247,11 @@ class Plan(Part):
     """What was not seen of state or goal, and whether their estimates fail to explain what was."""
     memory: Memory
 
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _upgrade(cls, content: Any) -> Any:
+        return _of_version_2(content)
+
     @pydantic.model_validator(mode="after")
     def _agrees(self) -> "Plan":
         check_plan(self, system(self.system))
@@ -251,6 +263,31 @@ class Plan(Part):
         still = Pose(axes, origin, np.zeros(2), self.metres_per_normalised)
         centre = still.camera_to_table(np.array(centre_m, float))[:2]
         return Pose(axes, origin, centre, self.metres_per_normalised)
+
+
+_MEMBERS = {"a": 0, "b": 1}
+"""Members of the ensemble by their names in version 1."""
+
+
+def _of_version_2(content: Any) -> Any:
+    """The content of a plan file of version 1, as version 2 has it; anything else unchanged."""
+    if not isinstance(content, dict) or content.get("version") != 1 or isinstance(content["version"], bool):
+        return content
+
+    def prediction(old: Any) -> Any:
+        named = isinstance(old, dict) and isinstance(old.get("net"), str)
+        return {**old, "net": _MEMBERS.get(old["net"], old["net"])} if named else old
+
+    def step(old: Any) -> Any:
+        listed = isinstance(old, dict) and isinstance(old.get("predictions"), list)
+        return {**old, "predictions": [prediction(one) for one in old["predictions"]]} if listed else old
+
+    memory, steps = content.get("memory"), content.get("steps")
+    if isinstance(memory, dict) and "best" not in memory:
+        memory = {"best" if name == "better" else name: value for name, value in memory.items()}
+    steps = [step(one) for one in steps] if isinstance(steps, list) else steps
+    changed = {"version": 2, "memory": memory, "steps": steps}
+    return {**content, **{name: value for name, value in changed.items() if name in content}}
 
 
 def schema() -> dict[str, Any]:

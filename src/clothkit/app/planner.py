@@ -1,249 +1,252 @@
-"""One plan from one observation: a step of a session (section 5.1) for a cloth whose true state is not known."""
+"""The agent's decisions for one cloth, as the command line and the viewer need them: files in, a plan out."""
 
-from collections.abc import Callable
-from functools import partial
+import dataclasses
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, PRNGKeyArray, Shaped
+from jaxtyping import Float, Shaped
 
-from clothkit.app.given import Seen, Settings, Taken
+from clothkit.app.inputs import Input, Settings, Usage
 from clothkit.cloth.equivalents import compose, inverse, relabel, relabel_manipulation
-from clothkit.cloth.mesh import best_label, distance
-from clothkit.episodes.session import no_traces
+from clothkit.cloth.mesh import distance
 from clothkit.errors import InputError
-from clothkit.estimation.estimate import Estimate, estimate, estimate_unrefined
+from clothkit.estimation.estimate import Estimate, estimate
 from clothkit.manipulation.turns import turn_manipulation, turn_mesh
+from clothkit.manipulation.vector import is_null
 from clothkit.models import store
 from clothkit.models.net import Net
-from clothkit.planning.draw import Candidates
-from clothkit.planning.forward import Forward
-from clothkit.planning.loss import uncertainty
+from clothkit.planning import agent
+from clothkit.planning.batches import take
+from clothkit.planning.perception import Estimation, KnownMeshes
 from clothkit.planning.planner import Planner, artifacts, assemble
-from clothkit.planning.predict import expect
-from clothkit.planning.search import UNKNOWN, Found, Problem
+from clothkit.planning.predict import Prediction, differences, predict
 from clothkit.planning.systems import System
+from clothkit.planning.types import Memory, Observation, Plan
+from clothkit.planning.uncertainty import uncertainty
 
-Traces = tuple[Float[np.ndarray, "labels latent"], ...]
-Believed = Shaped[np.ndarray, "*state"]
+State = Shaped[np.ndarray, "*state"]
 """A state as a system represents it: a mesh [u v 3], normalised and centred, or voxels [x y z]."""
 
+Traces = tuple[Float[np.ndarray, "labels latent"], ...]
+"""For each net, the memory traces of one cloth for all common equivalents of its state."""
 
-class Past(NamedTuple):
-    """What the next search needs of an earlier plan whose first manipulation was executed (section 5.1)."""
 
-    expected: Believed
-    """The better net's mean prediction of the current state."""
-    traces: Traces
-    relative: int
-    rest: Float[np.ndarray, "n 6"]
-    """The manipulations of the earlier plan after its first."""
+VTM = Path("nets/vtm")
+"""Place of the net that estimates meshes, under the folder of all artifacts."""
 
 
 class Planned(NamedTuple):
-    """A plan and the nets' predictions for it, in the labels of the state."""
+    """A plan for one cloth and the nets' predictions for it, in the labels of the state."""
 
-    state: Believed
+    state: State
     plan: Float[np.ndarray, "n 6"]
     common: int
     """The Cartesian equivalent in which the plan was found, 0..7 (0 for voxels)."""
     relative: int
     """The relabelling that brings the goal under the state's labels."""
-    predictions: tuple[Any, ...]
-    """Each net's predicted states after each manipulation."""
+    means: Shaped[np.ndarray, "net n *state"]
+    """Each net's predicted means after each manipulation; for voxels, the predicted occupancy 0..1."""
+    stds: Float[np.ndarray, "net n *state"] | None
+    """The standard deviations of the predictions; None for voxels."""
     shifts: Float[np.ndarray, "n 2"]
-    """Shift of the cloth's centre by each manipulation, as the better net predicts it [normalised]."""
+    """Shift of the cloth's centre by each manipulation, as the best net predicts it [normalised]."""
+    differences: Float[np.ndarray, " n"] | None
+    """diff of eq. (15) after each manipulation; None if there is only one net."""
     traces: Traces
     """Each net's memory traces before the plan."""
     loss: float = np.nan
+    expected: float = np.nan
+    """Distance of the nets' mean predicted outcome from the goal, in the labelling that was found and the measure of
+    the null check: aligned [cloth length], or the mean difference of voxels."""
+    expected_no_action: float = np.nan
+    """The same of the state."""
+    useless: bool = False
+    """Whether the agent found that the plan is not expected to bring the state nearer to its goal."""
+
+    @property
+    def improves(self) -> bool:
+        """Whether the plan is expected to improve the state: it is not useless, and does something."""
+        return not self.useless and not bool(np.all(is_null(self.plan)))
 
 
-def planner_of(system: System, data: Path, settings: Settings) -> Planner:
-    """Load the planner of a system with its nets. Raises InputError that names a missing or broken artifact."""
-    found = artifacts(system, data)
+def load_planner(system: System, data: Path, settings: Settings) -> Planner:
+    """Load the planner of a system, for one cloth whose labels are not those of its goal.
+
+    Raises InputError that names a missing or broken artifact.
+    """
+    found = artifacts(system, data, settings.members)
     for name, path in found.items():
         if not path.exists():
             raise InputError(f"{path}: not found, system {system.name} plans with it; dvc repro makes it")
         if name != "reference":
             store.description(path)
-    return assemble(system, data, settings.weights, settings.plan, settings.grasping)
+    return for_one_cloth(assemble(system, data, settings.weights, settings.plan, settings.grasping, settings.members))
 
 
-def vtm_of(data: Path, settings: Settings) -> Net:
+def for_one_cloth(planner: Planner) -> Planner:
+    """The planner for one cloth at a time, whose labels are not those of its goal."""
+    perception = planner.perception
+    if isinstance(perception, Estimation):
+        perception = dataclasses.replace(perception, batch=1)
+    elif isinstance(perception, KnownMeshes):
+        perception = KnownMeshes(labelled=False)
+    one = dataclasses.replace(planner.settings, batch=1)
+    return dataclasses.replace(planner, perception=perception, settings=one, labelled=planner.system.voxels)
+
+
+def load_vtm(data: Path, settings: Settings) -> Net:
     """Load VtM, the net that estimates meshes from voxels.
 
     Raises InputError if it is missing or broken, or if its voxels have another height than `app.cloud.height`.
     """
-    path = data / "nets/vtm"
+    path = data / VTM
     if not path.exists():
         raise InputError(f"{path}: not found, it sees meshes in voxels; dvc repro makes it")
-    vtm, height = store.load(path, "vtm"), settings.app.cloud.height
-    if height != vtm.config.height:
-        raise InputError(f"app.cloud.height: is {height}, but {path} knows voxels up to {vtm.config.height}")
+    vtm = store.load(path, "vtm")
+    _check_height(path, vtm, settings)
     return vtm
 
 
-def estimated(vtm: Net, seen: Seen, settings: Settings, *, expected: Believed | None = None) -> Estimate:
-    """Estimate the mesh of one cloth, as a batch of one; labels and refinement follow `expected`, if that is given."""
-    predicted = None if expected is None else expected[None].astype(np.float32)
-    return estimate(vtm, seen.observation.voxels[None], settings.plan.refine, predicted=predicted)
+def _check_height(path: Path, vtm: Net, settings: Settings) -> None:
+    height = settings.app.cloud.height
+    if height != vtm.config.height:
+        raise InputError(f"app.cloud.height: is {height}, but {path} knows voxels up to {vtm.config.height}")
 
 
-def believed(
-    system: System, seen: Seen, data: Path, settings: Settings, *, expected: Believed | None = None
-) -> Believed:
-    """Return the state that the system plans from: voxels, the file's mesh, or an estimate.
+def estimate_mesh(vtm: Net, source: Input, settings: Settings) -> Estimate:
+    """Estimate the mesh of one cloth of which nothing is expected yet, as a batch of one."""
+    return estimate(vtm, source.observation.voxels[None], settings.plan.refine)
 
-    A mesh has the labels of `expected`, if that is given. Raises InputError when the system needs a mesh and the file
-    holds none.
+
+def observation_of(planner: Planner, source: Input, data: Path, settings: Settings) -> Observation:
+    """What a planner observes of a file's content, as a batch of one.
+
+    Raises InputError when its system needs a mesh and the file holds none, and when its net in `data` that estimates
+    meshes takes voxels of another height than `app.cloud.height`.
     """
-    if system.voxels:
-        return seen.observation.voxels
-    if system.true_meshes:
-        mesh = mesh_of(seen)
-        if mesh is None:
-            raise InputError(
-                f"{seen.file}: holds {seen.kind}, but system {system.name} plans from a mesh [32, 32, 3]; "
-                "system main estimates it"
-            )
-        return mesh if expected is None else like(mesh, expected)
-    vtm = vtm_of(data, settings)
-    if not system.refine:
-        predicted = None if expected is None else expected[None].astype(np.float32)
-        return np.asarray(estimate_unrefined(vtm, seen.observation.voxels[None], predicted)[0])
-    return np.asarray(estimated(vtm, seen, settings, expected=expected).mesh[0])
+    system, perception = planner.system, planner.perception
+    if isinstance(perception, Estimation):
+        _check_height(data / VTM, perception.vtm, settings)
+    if not system.true_meshes:
+        return Observation(voxels=source.observation.voxels[None])
+    mesh = mesh_of(source)
+    if mesh is None:
+        raise InputError(
+            f"{source.file}: holds {source.kind}, but system {system.name} plans from a mesh [32, 32, 3]; "
+            "system main estimates it"
+        )
+    return Observation(meshes=mesh[None].astype(np.float32))
 
 
-def goal_of(system: System, seen: Seen, data: Path, settings: Settings) -> Believed:
+def goal_of(system: System, source: Input, data: Path, settings: Settings) -> State:
     """Return a goal in the system's representation: voxels, the file's mesh, or an estimate if there is no mesh."""
     if system.voxels:
-        return seen.observation.voxels
-    mesh = mesh_of(seen)
-    return np.asarray(estimated(vtm_of(data, settings), seen, settings).mesh[0]) if mesh is None else mesh
+        return source.observation.voxels
+    mesh = mesh_of(source)
+    return np.asarray(estimate_mesh(load_vtm(data, settings), source, settings).mesh[0]) if mesh is None else mesh
 
 
-def taken(system: System, seen: Seen, *, goal: bool = False) -> Taken:
+def usage_of(system: System, source: Input, *, goal: bool = False) -> Usage:
     """Return whether a system plans from (or for) a file's content as it is, or an estimate of it."""
-    as_it_is = system.voxels or (mesh_of(seen) is not None and (goal or system.true_meshes))
+    as_it_is = system.voxels or (mesh_of(source) is not None and (goal or system.true_meshes))
     return "as it is" if as_it_is else "estimated"
 
 
-def mesh_of(seen: Seen) -> Float[np.ndarray, "u v 3"] | None:
+def mesh_of(source: Input) -> Float[np.ndarray, "u v 3"] | None:
     """The mesh that a file holds [normalised, centred], None if it holds anything else."""
-    return getattr(seen.state, "mesh", None)
+    return getattr(source.state, "mesh", None)
 
 
-def like(mesh: Float[np.ndarray, "u v 3"], expected: Float[np.ndarray, "u v 3"]) -> Float[np.ndarray, "u v 3"]:
-    """Return the Cartesian equivalent of a mesh that is nearest to `expected`."""
-    return np.asarray(relabel(mesh, best_label(expected.astype(np.float32), mesh, aligned=True)))
+def begin(planner: Planner, goal: State, length: int) -> Memory:
+    """The memory before the first decision, a batch of one. For every system a goal is reached in any of its labels."""
+    return agent.begin(planner, goal[None], np.array([length]))
 
 
-def find_plan(
-    planner: Planner, state: Believed, goal: Believed, length: int, *, seed: int, past: Past | None = None
-) -> Planned:
-    """Search for a plan of `length` manipulations, and return the best one.
+def decide(planner: Planner, observation: Observation, memory: Memory, *, seed: int) -> tuple[Planned, Memory]:
+    """The agent's decision for one cloth: the plan, and the memory after its first manipulation.
 
-    For every system the goal may have any labels: it is reached when any of its equivalents is. Raises InputError when
-    the nets have no reference values for plans of that length.
+    Raises InputError when the nets have no reference values for plans of that length.
     """
-    problem = problem_of(planner, state, goal, length, past=past)
-    found = find(planner.finder(length), problem, jax.random.key(seed))
-    return planned_of(planner, problem, found)
+    plan, later = agent.decide(planner, observation, memory, key=jax.random.key(seed).reshape(1))
+    return planned_of(planner, plan, memory), later
 
 
-def problem_of(planner: Planner, state: Believed, goal: Believed, length: int, *, past: Past | None = None) -> Problem:
-    """Build a search's input. Raises InputError when the nets have no reference values for plans of that length."""
-    planner.normalisation.reference(length)
-    grasps = planner.sight.grasps(state, planner.grasping)
-    points = np.zeros((planner.grasping.most, 2), np.float32)
-    points[: len(grasps)] = grasps
-    voxels, traces = planner.system.voxels, past.traces if past else first_traces(planner)
-    return Problem(
-        state=state,
-        goal=goal,
-        candidates=Candidates(points, len(grasps)),
-        traces=traces,
-        relative=np.array(past.relative if past else 0 if voxels else UNKNOWN, np.int32),
-        later=np.array(past is not None),
-        carried=past.rest if past else np.zeros((length, 6), np.float32),
-        covered=planner.sight.covered(state) if planner.settings.search.fold else None,
+def planned_of(planner: Planner, plan: Plan, memory: Memory) -> Planned:
+    """The only plan of a batch; `memory` is that before the plan."""
+    one, n = take(plan, 0), int(plan.length[0])
+    goal = planner.representation.relabel(memory.goal, plan.relative)
+    return Planned(
+        state=one.state,
+        plan=one.manipulations[:n],
+        common=int(one.common),
+        relative=int(one.relative),
+        means=np.swapaxes(one.means[:n], 0, 1),
+        stds=None if one.stds is None else np.swapaxes(one.stds[:n], 0, 1),
+        shifts=one.shifts[:n, planner.best],
+        differences=None if one.differences is None else one.differences[:n],
+        traces=take(memory.traces, 0),
+        loss=float(one.loss),
+        expected=float(one.expected),
+        expected_no_action=float(planner.representation.distance(plan.state, goal)[0]),
+        useless=bool(one.useless),
     )
 
 
-def find(finder: Callable[[Problem, jax.Array], Found], problem: Problem, key: PRNGKeyArray) -> Found:
-    """Run one search, and return its result as NumPy arrays."""
-    problems = jax.tree.map(lambda leaf: np.asarray(leaf)[None], problem)
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[0], finder(problems, key.reshape(1)))
-
-
-def planned_of(planner: Planner, problem: Problem, found: Found) -> Planned:
-    """Return the plan that a search found, with the nets' predictions for it."""
-    traces = tuple(np.asarray(trace) for trace in problem.traces)
-    planned = predicted(
-        planner, np.asarray(problem.state), np.asarray(found.plan), common=int(found.common), traces=traces
-    )
-    return planned._replace(relative=int(found.relative), loss=float(found.loss))
-
-
-def first_traces(planner: Planner) -> Traces:
-    """Return the memory traces at the start of a session, t_0, one array per net."""
-    return tuple(trace[0] for trace in no_traces(planner, 1))
-
-
-def predicted(
-    planner: Planner, state: Believed, plan: Float[np.ndarray, "n 6"], *, common: int, traces: Traces
+def predict_plan(
+    planner: Planner, state: State, plan: Float[np.ndarray, "n 6"], *, common: int, traces: Traces
 ) -> Planned:
-    """Predict the states after each manipulation of a plan; the result's `relative` is 0 and its `loss` NaN."""
-    forward, k = planner.sight.forward, np.array([common])
-    each = tuple(trace[None] for trace in traces)
-    expected = expect(forward, planner.nets, state[None], each, plan[None], k)
-    states = tuple(jax.tree.map(lambda leaf: np.asarray(leaf)[0], of_net.states) for of_net in expected)
-    shifts = _centre_shifts(forward, planner.nets[planner.better], state, traces[planner.better], plan, k[0])
-    return Planned(state, plan, common, 0, states, np.asarray(shifts), tuple(traces))
+    """Predict the states after each manipulation of a plan, whatever its goal: `relative` is 0, losses are NaN."""
+    found = _predictions(planner, state, plan, common, traces)
+    representation = planner.representation
+    stds = [std for of_net in found if (std := representation.std(of_net.states)) is not None]
+    apart = differences(representation, found)
+    return Planned(
+        state,
+        plan,
+        common,
+        0,
+        means=np.concatenate([representation.mean(of_net.states) for of_net in found]),
+        stds=np.concatenate(stds) if stds else None,
+        shifts=np.asarray(found[planner.best].shifts[0]),
+        differences=None if apart is None else np.asarray(apart[0]),
+        traces=traces,
+    )
 
 
-def traces_after(planner: Planner, planned: Planned) -> Traces:
+def traces_after(
+    planner: Planner, state: State, plan: Float[np.ndarray, "n 6"], *, common: int, traces: Traces
+) -> Traces:
     """Return each net's memory traces after the first manipulation of a plan."""
-    each = tuple(trace[None] for trace in planned.traces)
-    common = np.array([planned.common])
-    expected = expect(planner.sight.forward, planner.nets, planned.state[None], each, planned.plan[None], common)
-    return tuple(np.asarray(of_net.traces[0]) for of_net in expected)
+    found = _predictions(planner, state, plan, common, traces)
+    return tuple(np.asarray(of_net.traces[0]) for of_net in found)
 
 
-@partial(jax.jit, static_argnames="forward")
-def _centre_shifts(
-    forward: Forward,
-    net: Any,
-    state: Shaped[Array, "*state"],
-    traces: Float[Array, "labels latent"],
-    plan: Float[Array, "n 6"],
-    common: Int[Array, ""],
-) -> Float[Array, "n 2"]:
-    latent, trace = forward.encode(net, forward.equivalents(state))[common], traces[common]
-    shifts = []
-    for manipulation in relabel_manipulation(plan, common):
-        latent, trace, shift = forward.step(net, latent, trace, manipulation)
-        shifts.append(shift)
-    return jnp.stack(shifts)
+def _predictions(
+    planner: Planner, state: State, plan: Float[np.ndarray, "n 6"], common: int, traces: Traces
+) -> tuple[Prediction, ...]:
+    each = tuple(trace[None] for trace in traces)
+    start = np.asarray(state, np.float32)[None]
+    return predict(planner.model, planner.representation, planner.nets, start, each, plan[None], np.array([common]))
 
 
-def disagreement(planner: Planner, planned: Planned) -> float | None:
-    """Return u of eq. (15), the epistemic uncertainty of a plan; None if there is only one net."""
-    if len(planner.nets) == 1:
+def epistemic_uncertainty(planner: Planner, planned: Planned) -> float | None:
+    """Return u of eq. (15) for a plan; None if there is only one net."""
+    if planned.differences is None:
         return None
-    differences = planner.sight.forward.diff(*jax.tree.map(jnp.asarray, planned.predictions))
     spread = planner.normalisation.reference(len(planned.plan)).spread
-    return float(uncertainty(differences, spread, beta=planner.weights.beta, gamma=planner.weights.gamma))
+    apart = jnp.asarray(planned.differences)
+    return float(uncertainty(apart, spread, beta=planner.weights.beta, gamma=planner.weights.gamma))
 
 
-def turned_plan(planner: Planner, planned: Planned, matrix: Float[np.ndarray, "2 2"]) -> Planned:
-    """Return the plan turned or mirrored by `matrix`, a symmetry of the state; its goal is `turned_goal`.
+def turned_plan(planner: Planner, planned: Planned, goal: State, matrix: Float[np.ndarray, "2 2"]) -> Planned:
+    """Return the plan turned or mirrored by `matrix`, a symmetry of the state; its goal is the turned one.
 
-    The state keeps its place and its labels, and only the manipulations turn. The nets' predictions are computed again
-    for the turned plan; the loss is that of the original.
+    The state keeps its place and its labels, and only the manipulations turn. The nets' predictions and what is
+    expected of them are computed again for the turned plan; the loss is that of the original, and so is the decision
+    whether it is useless.
     """
     turn = jnp.asarray(matrix, jnp.float32)
     turns = jnp.broadcast_to(turn, (len(planned.plan), 2, 2))
@@ -251,10 +254,17 @@ def turned_plan(planner: Planner, planned: Planned, matrix: Float[np.ndarray, "2
     k = int(jnp.argmin(jnp.stack([distance(turned, relabel(planned.state, k)) for k in range(8)])))
     plan = relabel_manipulation(turn_manipulation(jnp.asarray(planned.plan), turns), inverse(k))
     common = compose(k, planned.common)
-    found = predicted(planner, planned.state, np.asarray(plan), common=common, traces=planned.traces)
-    return found._replace(relative=compose(planned.relative, inverse(k)), loss=planned.loss)
+    found = predict_plan(planner, planned.state, np.asarray(plan), common=common, traces=planned.traces)
+    relative, representation = compose(planned.relative, inverse(k)), planner.representation
+    labelled = representation.relabel(turned_goal(goal, matrix)[None], np.array([relative]))
+    expected, no_action = (
+        float(representation.distance(state[None], labelled)[0]) for state in (found.means[:, -1].mean(0), found.state)
+    )
+    return found._replace(
+        relative=relative, loss=planned.loss, expected=expected, expected_no_action=no_action, useless=planned.useless
+    )
 
 
-def turned_goal(goal: Believed, matrix: Float[np.ndarray, "2 2"]) -> Believed:
+def turned_goal(goal: State, matrix: Float[np.ndarray, "2 2"]) -> State:
     """Return a goal mesh turned or mirrored by `matrix`."""
     return np.asarray(turn_mesh(jnp.asarray(goal), jnp.asarray(matrix, jnp.float32)))

@@ -6,15 +6,22 @@ from typing import Any
 import click
 import numpy as np
 
+from clothkit.app.agreement import compare_state, warn
 from clothkit.app.describe import poses_of
-from clothkit.app.explained import of_state, warn
-from clothkit.app.given import keep_compiled_programs, look, looking, seeing, settings
+from clothkit.app.inputs import (
+    keep_compiled_programs,
+    load_settings,
+    observation_options,
+    read_input,
+    with_observation_options,
+)
 from clothkit.app.output import check_target, part, write_arrays, write_mesh
+from clothkit.app.plan_arrays import check_nets, manipulations, placed_state, side_of, traces_before
 from clothkit.app.plan_file import read_plan
-from clothkit.app.planner import believed, planner_of, predicted
-from clothkit.app.recall import believed_of, check_nets, manipulations, side_of, traces_before
+from clothkit.app.planner import begin, load_planner, observation_of, predict_plan
 from clothkit.cloth.mesh import distance_aligned
 from clothkit.errors import InputError
+from clothkit.planning import agent
 from clothkit.planning.systems import system
 from clothkit.publish import unfinished_files
 
@@ -26,8 +33,8 @@ from clothkit.publish import unfinished_files
 @click.option(
     "--data", type=click.Path(path_type=Path), default=Path("data"), show_default=True, help="Where nets/ is."
 )
-@looking
-def command(*, state: str, source: Path, out: Path, data: Path, mask: str | None, **options: Any) -> None:
+@with_observation_options
+def command(*, state: str, source: Path, out: Path, data: Path, mask: str | None, **values: Any) -> None:
     """Predict what a plan makes of a cloth: a mesh for each step and net, with how sure the net is.
 
     The folder gets step_N_net_X.obj, in metres in the table's frame, and beside each an NPZ with mean and sigma
@@ -37,40 +44,44 @@ def command(*, state: str, source: Path, out: Path, data: Path, mask: str | None
     \b
     clothkit predict --state start.obj --plan plan.json --out predicted
     """
-    given = settings()
+    settings = load_settings()
     plan = read_plan(source)
-    options["side"] = side_of(plan, options["side"], source)
-    how = seeing(given.app, **options)
+    values["side"] = side_of(plan, values["side"], source)
+    options = observation_options(settings.app, **values)
     chosen = system(plan.system)
     nets = [prediction.net for prediction in plan.steps[0].predictions]
     _check_folder(out, [f"step_{step + 1}_net_{net}" for step in range(len(plan.steps)) for net in nets])
     keep_compiled_programs()
-    with part("look"):
-        seen = look(state, how, mask=mask)
+    with part("observe"):
+        start_input = read_input(state, options, mask=mask)
     with part("load nets"):
-        planner = planner_of(chosen, data, given)
+        planner = load_planner(chosen, data, settings)
         check_nets(plan, planner, data, source)
         traces = traces_before(plan, planner, source)
     with part("predict"):
-        start = believed_of(plan, plan.start)
+        start = placed_state(plan, plan.start)
         # The plan's grasp points are in the labels of its start, so the state needs the same labels.
-        cloth = believed(chosen, seen, data, given, expected=None if chosen.voxels else start)
-        estimate = of_state(chosen, seen, cloth, given)
-        found = predicted(planner, cloth, manipulations(plan), common=plan.memory.common, traces=traces)
+        memory = begin(planner, start, len(plan.steps))
+        if not chosen.voxels:
+            memory = memory._replace(planned=np.ones(1, bool), expected=start[None].astype(np.float32))
+        observation = observation_of(planner, start_input, data, settings)
+        cloth = agent.perceive(planner, observation, memory)[0][0]
+        estimate = compare_state(chosen, start_input, cloth, settings)
+        found = predict_plan(planner, cloth, manipulations(plan), common=plan.memory.common, traces=traces)
     warn(estimate)
     with unfinished_files(out) as unfinished:
-        for step, pose in enumerate(poses_of(found, seen.pose)[1:]):
-            for net, of_net in zip(nets, found.predictions, strict=True):
-                name, mean = f"step_{step + 1}_net_{net}", planner.sight.means(of_net)[step]
-                if chosen.voxels:
+        for step, pose in enumerate(poses_of(found, start_input.pose)[1:]):
+            for number, net in enumerate(nets):
+                name, mean = f"step_{step + 1}_net_{net}", found.means[number, step]
+                if found.stds is None:
                     write_arrays(unfinished / f"{name}.npz", {"occupancy": mean.astype(np.float32)})
                     continue
                 placed = pose.normalised_to_table(mean.astype(float))
-                sigma = np.asarray(of_net.std[step], float) * pose.scale
+                sigma = found.stds[number, step].astype(float) * pose.scale
                 write_mesh(unfinished / f"{name}.obj", placed)
                 arrays = {"mean": placed.astype(np.float32), "sigma": sigma.astype(np.float32)}
                 write_arrays(unfinished / f"{name}.npz", arrays)
-    click.echo(f"{out}: {len(plan.steps)} step{'s' if len(plan.steps) > 1 else ''}, nets {', '.join(nets)}")
+    click.echo(f"{out}: {len(plan.steps)} step{'s' if len(plan.steps) > 1 else ''}, nets {', '.join(map(str, nets))}")
     if not chosen.voxels:
         apart = float(distance_aligned(cloth, start))
         click.echo(f"the state differs by {apart:.3f} cloth lengths from the one that was planned for")

@@ -8,12 +8,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from clothkit.app.explained import explained, warn
-from clothkit.app.given import Seen, keep_compiled_programs, look, looking, seeing, settings
+from clothkit.app.agreement import compare_estimate, warn
+from clothkit.app.inputs import (
+    Input,
+    keep_compiled_programs,
+    load_settings,
+    observation_options,
+    read_input,
+    with_observation_options,
+)
 from clothkit.app.output import check_target, part, write_mesh
+from clothkit.app.plan_arrays import placed_state, side_of
 from clothkit.app.plan_file import Plan, Step, read_plan
-from clothkit.app.planner import estimated, mesh_of, vtm_of
-from clothkit.app.recall import believed_of, side_of
+from clothkit.app.planner import estimate_mesh, load_vtm, mesh_of
 from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.cloth.mesh import error
 from clothkit.cloth.silhouette import centred, iou, silhouette
@@ -62,7 +69,7 @@ class Score(NamedTuple):
 @click.option(
     "--data", type=click.Path(path_type=Path), default=Path("data"), show_default=True, help="Where nets/vtm is."
 )
-@looking
+@with_observation_options
 def command(
     *,
     state: str | None,
@@ -72,7 +79,7 @@ def command(
     out: Path,
     data: Path,
     mask: str | None,
-    **options: Any,
+    **values: Any,
 ) -> None:
     """Simulate a plan: hands grasp where the plan says, in metres, and move as it says, without a look in between.
 
@@ -84,36 +91,36 @@ def command(
     \b
     clothkit simulate --state start.obj --plan plan.json --goal goal.obj --out outcome.glb
     """
-    given = settings()
+    settings = load_settings()
     plan = read_plan(source)
     if steps and steps > len(plan.steps):
         raise InputError(f"--steps: {source} has {len(plan.steps)}, found {steps}")
-    options["side"] = side_of(plan, options["side"], source)
-    how = seeing(given.app, **options)
+    values["side"] = side_of(plan, values["side"], source)
+    options = observation_options(settings.app, **values)
     check_target(out, FORMATS)
     keep_compiled_programs()
-    with part("look"):
-        seen = look(state, how, mask=mask) if state else None
-        wanted = look(goal, how) if goal else None
-    mesh, pose = (mesh_of(seen), seen.pose) if seen else _start(plan, source)
-    if mesh is None and seen:
+    with part("observe"):
+        start = read_input(state, options, mask=mask) if state else None
+        goal_input = read_input(goal, options) if goal else None
+    mesh, pose = (mesh_of(start), start.pose) if start else _start(plan, source)
+    if mesh is None and start:
         with part("estimate"):
-            mesh = np.asarray(estimated(vtm_of(data, given), seen, given).mesh[0])
-        warn(explained(seen, mesh, given))
+            mesh = np.asarray(estimate_mesh(load_vtm(data, settings), start, settings).mesh[0])
+        warn(compare_estimate(start, mesh, settings))
     assert mesh is not None
     # If the cloth is crammed into a point, each vertex touches all others, and one simulation step takes minutes.
     check_grid(state or f"{source}: start.state", mesh * pose.scale, side=plan.side_m, unit="m")
     with part("simulate"):
-        hands = seen.pose if seen and seen.kind == "points" and plan.frame == "camera" else None
-        states = simulated(plan, mesh, pose, given.simulation, steps=steps, hands=hands, name=str(source))
+        hands = start.pose if start and start.kind == "points" and plan.frame == "camera" else None
+        states = simulate_plan(plan, mesh, pose, settings.simulation, steps=steps, hands=hands, name=str(source))
     write_mesh(out, states[-1].astype(float) * pose.scale)
     done = sum(not step.null for step in plan.steps[:steps])
     click.echo(f"{out}: the cloth after {done} manipulation{'' if done == 1 else 's'}")
-    if seen:
-        click.echo(f"{seen.file}: {'taken as it is' if mesh_of(seen) is not None else 'its mesh is estimated'}")
-    if wanted is not None:
+    if start:
+        click.echo(f"{start.file}: {'taken as it is' if mesh_of(start) is not None else 'its mesh is estimated'}")
+    if goal_input is not None:
         matrix = None if plan.turned is None else np.array(plan.turned)
-        before, after = (scored(state, wanted, matrix) for state in (states[0], states[-1]))
+        before, after = (score(state, goal_input, matrix) for state in (states[0], states[-1]))
         if before.error is not None and after.error is not None:
             unit = CLOTH_SIDE * pose.scale * 1000
             expected = plan.expected.error_m if len(states) > len(plan.steps) else None
@@ -125,7 +132,7 @@ def command(
         click.echo(f"silhouette IoU {after.iou:.2f}, before {before.iou:.2f}")
 
 
-def simulated(
+def simulate_plan(
     plan: Plan,
     mesh: Mesh,
     pose: Pose,
@@ -171,13 +178,13 @@ def _grasps(step: Step, pose: Pose) -> Float[np.ndarray, "2 2"]:
 
 def _start(plan: Plan, name: Path) -> tuple[Mesh, Pose]:
     """Return the mesh and the pose of the plan's start. Raises InputError if the start is voxels."""
-    found = believed_of(plan, plan.start)
+    found = placed_state(plan, plan.start)
     if found.ndim != 3 or found.shape[-1] != 3:
         raise InputError(f"{name}: start: holds voxels, give --state with a mesh, or with what one is estimated from")
     return found, plan.pose(plan.start.centre_m)
 
 
-def scored(state: Mesh, goal: Seen, matrix: Float[np.ndarray, "2 2"] | None) -> Score:
+def score(state: Mesh, goal: Input, matrix: Float[np.ndarray, "2 2"] | None) -> Score:
     """Compare a state [normalised] with a goal, turned by `matrix` if that is given."""
     mesh, wanted, points = centred(state)[0], mesh_of(goal), goal.observation.points
     if matrix is not None:

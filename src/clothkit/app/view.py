@@ -17,10 +17,10 @@ import click
 import jax
 import viser
 
-from clothkit.app.given import look, looking, seeing, settings
+from clothkit.app.inputs import load_settings, observation_options, read_input, with_observation_options
 from clothkit.app.viewer.page import build
 from clothkit.app.viewer.recorded import systems_in
-from clothkit.app.viewer.tasks import Ask
+from clothkit.app.viewer.tasks import SessionFiles
 from clothkit.errors import InputError
 from clothkit.planning.planner import artifacts
 from clothkit.planning.systems import SYSTEMS
@@ -53,7 +53,7 @@ from clothkit.planning.systems import SYSTEMS
     "--port", type=click.IntRange(0, 65535), default=8080, show_default=True, help="The next free one from here on."
 )
 @click.option("--no-browser", is_flag=True, help="Only tell the page's address.")
-@looking
+@with_observation_options
 def command(
     *,
     data: Path,
@@ -65,7 +65,7 @@ def command(
     port: int,
     no_browser: bool,
     mask: str | None,
-    **options: Any,
+    **values: Any,
 ) -> None:
     """Open a page on which sessions are played: the cloth in 3D, plans as arcs, grasp candidates as points.
 
@@ -80,22 +80,22 @@ def command(
     clothkit view
     clothkit view --state start.obj --goal goal.obj --steps 2
     """
-    given = settings()
+    settings = load_settings()
     if (state is None) != (goal is None):
         raise InputError(
             f"--{'goal' if goal is None else 'state'}: missing, expected both or neither of state and goal"
         )
-    own = Ask(state, goal, steps, mask) if state and goal else None
+    own = SessionFiles(state, goal, steps, mask) if state and goal else None
     if not data.is_dir():
         raise InputError(f"{data}: not found, expected the folder that dvc repro fills")
-    _check_there_is_something(data, name, own)
+    _check_there_is_something(data, name, settings.members, own)
     _check_address(host, port)
     # Fails here, not first on the page, if JAX was asked for a device that is not there.
     jax.devices()
-    how = seeing(given.app, **options)
+    options = observation_options(settings.app, **values)
     if own is not None:
         # A bad file must be reported here, and not on a page that nobody has opened yet.
-        look(own.state, how, mask=mask), look(own.goal, how)
+        read_input(own.state, options, mask=mask), read_input(own.goal, options)
     with contextlib.redirect_stdout(io.StringIO()):  # viser prints its address even if verbose is False
         server = viser.ViserServer(host=host, port=port, verbose=False)
     # `kill` must end the command as Ctrl-C does, because a shell's background jobs do not receive Ctrl-C.
@@ -105,7 +105,7 @@ def command(
             name_of_host = "localhost" if host in ("127.0.0.1", "0.0.0.0") else f"[{host}]" if ":" in host else host
             address = f"http://{name_of_host}:{server.get_port()}"
             click.echo(f"{address} (Ctrl-C ends it)")
-            build(server, data=data, chosen=name, own=own, settings=given, seeing=how, uploads=Path(uploads))
+            build(server, data=data, chosen=name, own=own, settings=settings, options=options, uploads=Path(uploads))
             if not no_browser and _has_screen():
                 webbrowser.open(address)
             threading.Event().wait()
@@ -115,9 +115,9 @@ def command(
         server.stop()
 
 
-def _check_there_is_something(data: Path, name: str, own: Ask | None) -> None:
+def _check_there_is_something(data: Path, name: str, members: tuple[int, ...], own: SessionFiles | None) -> None:
     """Check that there are recorded sessions to play, or nets to run a new one. Raises InputError."""
-    missing = [path for path in artifacts(SYSTEMS[name], data).values() if not path.exists()]
+    missing = [path for path in artifacts(SYSTEMS[name], data, members).values() if not path.exists()]
     if missing and own is not None:
         raise InputError(f"{missing[0]}: not found, system {name} plans with it; dvc repro makes it")
     if missing and not systems_in(data):

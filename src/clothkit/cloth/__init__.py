@@ -1,1 +1,1 @@
-"""Representations of a cloth state: grid topology and equivalents, meshes, voxels, silhouettes."""
+"""Representations of a cloth state: topology and symmetries, meshes, voxels, silhouettes."""

@@ -1,77 +1,48 @@
-"""The grid topology of all meshes: vertices, geodesic coordinates, triangles and springs (section 4.2.1, eq. 11)."""
-
-from typing import Any, NamedTuple
+"""The square grid under its former names, for modules that do not take a topology yet."""
 
 import numpy as np
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Float, Int
 
-SIDE = 32
-"""Number of vertices along one side of the cloth."""
+from clothkit.cloth import topology
+from clothkit.cloth.topology import CLOTH_LENGTH, SPRING_OFFSETS, SQUARE, Springs, square, thinned
 
-CLOTH_SIDE = 1.4
-"""Side length of the flat cloth in normalised coordinates, which is the unit (cloth length) of reported mesh errors."""
+__all__ = [
+    "CLOTH_SIDE",
+    "SIDE",
+    "SPRING_OFFSETS",
+    "Springs",
+    "edges",
+    "flat",
+    "geodesic",
+    "springs",
+    "thinned",
+    "triangles",
+]
+
+SIDE = SQUARE.shape[0]
+CLOTH_SIDE = CLOTH_LENGTH
 
 
 def flat(side: int = SIDE) -> Float[np.ndarray, "u v 3"]:
-    """The flat, axis-aligned cloth on the table: -0.7..0.7 in x (along u) and y (along v) [normalised]."""
-    uv = geodesic(side) * (CLOTH_SIDE / 2)
-    return np.concatenate([uv, np.zeros((side, side, 1), np.float32)], axis=-1)
+    """`Topology.flat` of a square."""
+    return square(side).flat()
 
 
 def geodesic(side: int = SIDE) -> Float[np.ndarray, "u v 2"]:
-    """The geodesic coordinates (u, v) of each vertex, -1..1."""
-    axis = np.linspace(-1, 1, side, dtype=np.float32)
-    return np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1)
-
-
-def thinned(values: Shaped[Any, "*batch u v c"], every: int) -> Shaped[Any, "*batch thin thin c"]:
-    """Every `every`-th vertex along u and v of an array over all vertices.
-
-    The kept vertices lie symmetrically, so that they are the same in all eight labellings.
-    """
-    if every == 1:
-        return values
-    half = np.arange((every - 1) // 2, SIDE // 2, every)
-    kept = np.concatenate([half, (SIDE - 1 - half)[::-1]])
-    return values[..., kept[:, None], kept, :]
+    """`topology.geodesic` of a square."""
+    return topology.geodesic((side, side))
 
 
 def triangles(side: int = SIDE) -> Int[np.ndarray, "triangles 3"]:
-    """Vertex indices (u * side + v) of two triangles per quad, which share the diagonal (u, v)-(u + 1, v + 1).
-
-    On the flat cloth, seen from above, all triangles are counter-clockwise.
-    """
-    index = np.arange(side * side, dtype=np.int32).reshape(side, side)
-    p00, p01, p10, p11 = (index[a : side - 1 + a, b : side - 1 + b].ravel() for a, b in np.ndindex(2, 2))
-    return np.stack([np.stack([p00, p10, p11], -1), np.stack([p00, p11, p01], -1)], axis=1).reshape(-1, 3)
+    """`topology.triangles` of a square."""
+    return topology.triangles((side, side))
 
 
 def edges(side: int = SIDE) -> Int[np.ndarray, "edges 2"]:
-    """Vertex indices of all edges of the triangles: along u, along v and the diagonals."""
-    index = np.arange(side * side, dtype=np.int32).reshape(side, side)
-    along = [(index[:-1], index[1:]), (index[:, :-1], index[:, 1:]), (index[:-1, :-1], index[1:, 1:])]
-    return np.concatenate([np.stack([a.ravel(), b.ravel()], -1) for a, b in along])
-
-
-SPRING_OFFSETS = ((1, 0), (0, 1), (1, 1), (1, -1), (2, 0), (0, 2))
-"""Grid offsets of eq. (11)'s springs: two stretch, two shear, two bend."""
-
-
-class Springs(NamedTuple):
-    """Springs of eq. (11): vertex indices of their ends, and rest lengths [normalised]."""
-
-    ends: Int[np.ndarray, "springs 2"]
-    rest: Float[np.ndarray, " springs"]
+    """`topology.edges` of a square."""
+    return topology.edges((side, side))
 
 
 def springs(side: int = SIDE) -> Springs:
-    """Stretch, shear and bend springs between near grid vertices; rest lengths are those of the flat cloth."""
-    index = np.arange(side * side, dtype=np.int32).reshape(side, side)
-    spacing = CLOTH_SIDE / (side - 1)
-    ends, rest = [], []
-    for du, dv in SPRING_OFFSETS:
-        low, high = max(0, -dv), side - max(0, dv)
-        pair = np.stack([index[: side - du, low:high], index[du:, low + dv : high + dv]], -1).reshape(-1, 2)
-        ends.append(pair)
-        rest.append(np.full(len(pair), np.hypot(du, dv) * spacing, np.float32))
-    return Springs(np.concatenate(ends), np.concatenate(rest))
+    """`Topology.springs` of a square."""
+    return square(side).springs()

@@ -6,8 +6,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 from numpy import ndarray
 
-from clothkit.cloth.equivalents import equivalents
-from clothkit.cloth.grid import CLOTH_SIDE
+from clothkit.cloth.symmetry import equivalents
+from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE, Topology
 
 LEAST_SPREAD = 0.005
 """Lower bound of the standard deviation that whitening divides by; that of a flat cloth is zero in z."""
@@ -58,7 +58,7 @@ def nll(mesh: Mesh, probabilistic: ProbabilisticMesh) -> Float[Array, "..."]:
 
 def distance(a: Mesh, b: Mesh) -> Float[Array, "..."]:
     """Mean Euclidean distance between vertices with the same label [cloth length]."""
-    return jnp.mean(jnp.linalg.norm(jnp.asarray(a) - b, axis=-1), axis=(-2, -1)) / CLOTH_SIDE
+    return jnp.mean(jnp.linalg.norm(jnp.asarray(a) - b, axis=-1), axis=(-2, -1)) / CLOTH_LENGTH
 
 
 def align(mesh: Mesh, target: Mesh) -> Float[Array, "... u v 3"]:
@@ -71,13 +71,13 @@ def distance_aligned(a: Mesh, b: Mesh) -> Float[Array, "..."]:
     return distance(align(a, b), b)
 
 
-def error(mesh: Mesh, truth: Mesh, *, aligned: bool = False) -> Float[Array, "..."]:
-    """The smallest distance to any of the truth's eight equivalents [cloth length]; `distance_aligned` if `aligned`."""
+def error(mesh: Mesh, truth: Mesh, *, aligned: bool = False, topology: Topology = SQUARE) -> Float[Array, "..."]:
+    """The smallest distance to any of the truth's equivalents [cloth length]; `distance_aligned` if `aligned`."""
     measure = distance_aligned if aligned else distance
-    return jnp.min(measure(jnp.asarray(mesh)[None], equivalents(truth)), axis=0)
+    return jnp.min(measure(jnp.asarray(mesh)[None], equivalents(truth, topology)), axis=0)
 
 
-def best_label(mesh: Mesh, truth: Mesh, *, aligned: bool = False) -> Int[Array, "..."]:
-    """The index k in 0..7 of the truth's equivalent that is nearest to the mesh."""
+def best_label(mesh: Mesh, truth: Mesh, *, aligned: bool = False, topology: Topology = SQUARE) -> Int[Array, "..."]:
+    """The index k of the truth's equivalent that is nearest to the mesh."""
     measure = distance_aligned if aligned else distance
-    return jnp.argmin(measure(jnp.asarray(mesh)[None], equivalents(truth)), axis=0)
+    return jnp.argmin(measure(jnp.asarray(mesh)[None], equivalents(truth, topology)), axis=0)

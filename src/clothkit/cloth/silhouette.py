@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from clothkit.cloth.grid import triangles
+from clothkit.cloth.topology import triangles
 
 # cv2 takes sub-pixel positions as integers with this many fractional bits.
 _SHIFT = 4
@@ -19,7 +19,7 @@ def silhouette(
     """
     pixels = (mesh[..., :2].reshape(-1, 2) + extent) * (resolution / (2 * extent)) - 0.5
     # cv2 indexes images as (row, column) and points as (column, row); here the row is x.
-    corners = np.rint(pixels[triangles(mesh.shape[0])][..., ::-1] * 2**_SHIFT).astype(np.int32)
+    corners = np.rint(pixels[triangles(mesh.shape[:2])][..., ::-1] * 2**_SHIFT).astype(np.int32)
     image = np.zeros((resolution, resolution), np.uint8)
     for corner in corners:
         cv2.fillConvexPoly(image, corner, 1, lineType=cv2.LINE_8, shift=_SHIFT)

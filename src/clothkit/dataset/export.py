@@ -18,7 +18,7 @@ from trimesh.exchange.obj import export_obj
 from trimesh.exchange.ply import export_ply
 from trimesh.visual.material import PBRMaterial
 
-from clothkit.cloth.grid import CLOTH_SIDE, geodesic, triangles
+from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE
 from clothkit.dataset import store
 from clothkit.dataset.raw import STATE_COLUMNS, Topologies, read_states
 from clothkit.errors import InputError
@@ -108,8 +108,8 @@ def stored_surfaces(path: Path, sequences: Sequence[int] | None, *, cloth_side: 
     """
     dataset = store.load(path)
     chosen = _checked(path, sequences, list(range(len(dataset))))
-    scale = np.float32(cloth_side / CLOTH_SIDE)
-    uv, faces = (geodesic().reshape(-1, 2) + 1) / 2, triangles()
+    scale = np.float32(cloth_side / CLOTH_LENGTH)
+    uv, faces = (SQUARE.geodesic().reshape(-1, 2) + 1) / 2, SQUARE.triangles()
     places = [(sequence, state) for sequence in chosen for state in range(int(dataset.length[sequence]) + 1)]
 
     def surfaces() -> Iterator[Surface]:

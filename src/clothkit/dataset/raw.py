@@ -142,7 +142,7 @@ def read_manipulations(raw: Path, states: pd.DataFrame, columns: Sequence[str] =
     return moves
 
 
-class Topology(NamedTuple):
+class Triangulation(NamedTuple):
     """A triangulation of the cloth, shared by states."""
 
     material: Float[np.ndarray, "vertices 2"]
@@ -157,7 +157,7 @@ class Topologies:
         self.path = raw / "topologies.parquet"
         self.rows = read(self.path, TOPOLOGIES).set_index("topology")
 
-    def __call__(self, where: str, number: int, vertices: np.ndarray) -> tuple[Topology, np.ndarray]:
+    def __call__(self, where: str, number: int, vertices: np.ndarray) -> tuple[Triangulation, np.ndarray]:
         """The topology of that number, and a state's flat list of coordinates as an array, float32 [vertices 3].
 
         Raises InputError, which names the state by `where`, if there is no such topology, if the state has another
@@ -183,7 +183,7 @@ class Topologies:
             )
         return topology, positions
 
-    def _topology(self, number: int) -> Topology:
+    def _topology(self, number: int) -> Triangulation:
         name = f"{self.path}: topology {number}"
         material = np.asarray(self.rows.at[number, "material"], float)
         triangles = np.asarray(self.rows.at[number, "triangles"], np.int64)
@@ -196,7 +196,7 @@ class Topologies:
             raise InputError(
                 f"{name}: material spans {sides[0]:.3g} x {sides[1]:.3g}, expected {_SIDES[0]:g} to {_SIDES[1]:g} m"
             )
-        return Topology(material.reshape(-1, 2), triangles.astype(np.int32).reshape(-1, 3))
+        return Triangulation(material.reshape(-1, 2), triangles.astype(np.int32).reshape(-1, 3))
 
 
 def _edge_length(points: Float[np.ndarray, "vertices axes"], triangles: Int[np.ndarray, "triangles 3"]) -> float:

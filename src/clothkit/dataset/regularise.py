@@ -1,4 +1,4 @@
-"""Converts raw states of any topology to normalised, centred 32 x 32 meshes, and assigns splits (4.2.1 and 4.4)."""
+"""Converts raw states of any triangulation to normalised, centred meshes of a grid, and assigns splits (4.2.1, 4.4)."""
 
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -9,10 +9,10 @@ from annotated_types import Ge, Gt
 from jaxtyping import Float, Int
 from tqdm import tqdm
 
-from clothkit.cloth.grid import CLOTH_SIDE, SIDE, geodesic
 from clothkit.cloth.silhouette import centred
+from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE, Shape, Topology
 from clothkit.config import config
-from clothkit.dataset.raw import STATE_COLUMNS, Topologies, Topology, read_manipulations, read_states
+from clothkit.dataset.raw import STATE_COLUMNS, Topologies, Triangulation, read_manipulations, read_states
 from clothkit.dataset.store import SPLITS, STATES, STEPS, Dataset
 from clothkit.errors import InputError
 
@@ -36,29 +36,34 @@ class RegulariseConfig:
 
 
 class Interpolation(NamedTuple):
-    """Barycentric interpolation: for each grid vertex, three vertices of the topology and their weights."""
+    """Barycentric interpolation: for each grid vertex, three vertices of the triangulation and their weights."""
 
     vertices: Int[np.ndarray, "grid 3"]
     weights: Float[np.ndarray, "grid 3"]
+    shape: Shape
 
     def __call__(self, positions: Float[np.ndarray, "vertices 3"]) -> Float[np.ndarray, "u v 3"]:
-        """The positions of the grid's vertices, interpolated from those of the topology's."""
-        return np.einsum("gk,gkc->gc", self.weights, positions[self.vertices]).reshape(SIDE, SIDE, 3)
+        """The positions of the grid's vertices, interpolated from those of the triangulation's."""
+        return np.einsum("gk,gkc->gc", self.weights, positions[self.vertices]).reshape(*self.shape, 3)
 
 
 def interpolation(
-    material: Float[np.ndarray, "vertices 2"], triangles: Int[np.ndarray, "triangles 3"], *, name: str = "topology"
+    material: Float[np.ndarray, "vertices 2"],
+    triangles: Int[np.ndarray, "triangles 3"],
+    topology: Topology = SQUARE,
+    *,
+    name: str = "topology",
 ) -> Interpolation:
     """The barycentric interpolation in material space [m]; it is exact for maps that are linear on each triangle.
 
-    Raises InputError, which names the topology by `name`, if the triangles don't cover the cloth's rectangle.
+    Raises InputError, which names the triangulation by `name`, if the triangles don't cover the cloth's rectangle.
     """
     low, high = material.min(0), material.max(0)
-    targets = (geodesic().reshape(-1, 2).astype(float) + 1) / 2 * (high - low) + low
+    targets = (topology.geodesic().reshape(-1, 2).astype(float) + 1) / 2 * (high - low) + low
     a, b, c = (material[triangles[:, k]].astype(float) for k in range(3))
     edge_b, edge_c = b - a, c - a
     area = edge_b[:, 0] * edge_c[:, 1] - edge_b[:, 1] * edge_c[:, 0]
-    target, triangle = _candidate_pairs(targets.reshape(SIDE, SIDE, 2), np.stack([a, b, c]))
+    target, triangle = _candidate_pairs(targets.reshape(*topology.shape, 2), np.stack([a, b, c]))
     target, triangle = (index[area[triangle] != 0] for index in (target, triangle))
     edge_b, edge_c, area, offset = edge_b[triangle], edge_c[triangle], area[triangle], targets[target] - a[triangle]
     weight_b = (offset[:, 0] * edge_c[:, 1] - offset[:, 1] * edge_c[:, 0]) / area
@@ -71,7 +76,7 @@ def interpolation(
     if len(covered) < len(targets) or chosen.min() < -MARGIN:
         raise InputError(f"{name}: its triangles leave part of the material square uncovered")
     chosen = np.clip(np.where(np.abs(chosen) < 1e-6, 0, chosen), 0, 1)
-    return Interpolation(triangles[triangle[order[first]]], chosen / chosen.sum(-1, keepdims=True))
+    return Interpolation(triangles[triangle[order[first]]], chosen / chosen.sum(-1, keepdims=True), topology.shape)
 
 
 def _candidate_pairs(
@@ -95,8 +100,8 @@ def _candidate_pairs(
     return (firsts[0][triangle] + u) * targets.shape[1] + firsts[1][triangle] + v, triangle
 
 
-def regularise(raw: Path, settings: RegulariseConfig) -> Dataset:
-    """Make a dataset from a folder of raw artifacts.
+def regularise(raw: Path, settings: RegulariseConfig, topology: Topology = SQUARE) -> Dataset:
+    """Make a dataset of meshes of the given topology from a folder of raw artifacts.
 
     Raises InputError if there are fewer sequences than the splits need, or if a file does not match its schema.
     """
@@ -109,15 +114,15 @@ def regularise(raw: Path, settings: RegulariseConfig) -> Dataset:
             f"{raw}: holds {len(sequences)} sequences, params ask for {wanted} (train + validation + test); raise "
             "simulate.sequences, add runs if they are ARCSim's, or lower regularise"
         )
-    vertices = np.full((wanted, STATES, SIDE, SIDE, 3), np.nan, np.float32)
+    vertices = np.full((wanted, STATES, *topology.shape, 3), np.nan, np.float32)
     centres = np.full((wanted, STATES, 2), np.nan, np.float32)
-    meshes = Mesher(Topologies(raw))
+    meshes = Mesher(Topologies(raw), topology)
     row_of = {sequence: row for row, sequence in enumerate(sequences)}
     chosen = states[states["sequence"].isin(row_of)]
     columns = (chosen[name] for name in STATE_COLUMNS)
     progress = tqdm(zip(*columns, strict=True), total=len(chosen), desc="regularise", unit="state", mininterval=1)
-    for sequence, state, topology, positions in progress:
-        mesh = meshes(f"{raw}: sequence {sequence}, state {state}", topology, positions)
+    for sequence, state, number, positions in progress:
+        mesh = meshes(f"{raw}: sequence {sequence}, state {state}", number, positions)
         vertices[row_of[sequence], state], centres[row_of[sequence], state] = centred(mesh)
     manipulation, hands, length = _steps(manipulations, row_of)
     split, evaluated = assign_splits(settings)
@@ -138,27 +143,28 @@ def assign_splits(settings: RegulariseConfig) -> tuple[np.ndarray, np.ndarray]:
 class Mesher:
     """Converts raw states to normalised meshes [u v 3] at their place on the table; interpolations are cached.
 
-    A call takes a name for error messages, the topology's number and the flat list of vertex coordinates [m]. It raises
-    InputError if the topology is unknown, does not cover the cloth, or has another number of vertices.
+    A call takes a name for error messages, the triangulation's number and the flat list of vertex coordinates [m]. It
+    raises InputError if the triangulation is unknown, does not cover the cloth, or has another number of vertices.
     """
 
-    def __init__(self, topologies: Topologies) -> None:
-        self.topologies = topologies
+    def __init__(self, topologies: Topologies, topology: Topology = SQUARE) -> None:
+        self.topologies, self.topology = topologies, topology
         self.cache: dict[int, tuple[Interpolation, float]] = {}
 
-    def __call__(self, where: str, topology: int, vertices: np.ndarray) -> Float[np.ndarray, "u v 3"]:
-        shared, positions = self.topologies(where, topology, vertices)
-        if topology not in self.cache:
+    def __call__(self, where: str, number: int, vertices: np.ndarray) -> Float[np.ndarray, "u v 3"]:
+        shared, positions = self.topologies(where, number, vertices)
+        if number not in self.cache:
             if len(self.cache) == KEPT:
                 self.cache.clear()
-            self.cache[topology] = self._make(topology, shared)
-        interpolate, scale = self.cache[topology]
+            self.cache[number] = self._make(number, shared)
+        interpolate, scale = self.cache[number]
         return (interpolate(positions) * scale).astype(np.float32)
 
-    def _make(self, number: int, topology: Topology) -> tuple[Interpolation, float]:
+    def _make(self, number: int, shared: Triangulation) -> tuple[Interpolation, float]:
         name = f"{self.topologies.path}: topology {number}"
-        side = float(np.ptp(topology.material, axis=0).mean())
-        return interpolation(topology.material, topology.triangles, name=name), CLOTH_SIDE / side
+        sides = np.array(self.topology.sides) / CLOTH_LENGTH
+        length = float((np.ptp(shared.material, axis=0) / sides).mean())
+        return interpolation(shared.material, shared.triangles, self.topology, name=name), CLOTH_LENGTH / length
 
 
 def _steps(table: pd.DataFrame, row_of: dict[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -9,13 +9,14 @@ import numpy as np
 import zarr
 from jaxtyping import Bool, Float, Int, Int8
 
-from clothkit.cloth.grid import SIDE
+from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.zarr_store import WRITTEN, Declared, Store, open_store
 from clothkit.errors import InputError
 
 SPLITS = ("train", "validation", "test")
 STATES, STEPS = 4, 3
-LENGTHS = {"state": STATES, "step": STEPS, "u": SIDE, "v": SIDE, "xyz": 3, "xy": 2, "component": 6}
+_ROWS, _COLUMNS = SQUARE.shape
+LENGTHS = {"state": STATES, "step": STEPS, "u": _ROWS, "v": _COLUMNS, "xyz": 3, "xy": 2, "component": 6}
 """Lengths of the dimensions that are the same in every store."""
 
 _CHUNK, _SHARD = 16, 1024

@@ -2,15 +2,18 @@
 
 import json
 from collections import defaultdict
+from collections.abc import Callable
 from pathlib import Path
 from typing import TypedDict
 
 from tqdm import tqdm
 
+from clothkit.clock import Clock, clock
 from clothkit.dataset.store import Dataset
 from clothkit.dataset.tasks import Task, tasks_of
-from clothkit.episodes.record import Pieces, Sessions, join, load_piece, save_piece, tasks_of_dataset
-from clothkit.episodes.session import Clock, Execute, run_sessions
+from clothkit.episodes.record import Pieces, Sessions, Tasks, join, load_piece, save_piece, tasks_of_dataset
+from clothkit.episodes.sensors import Sensor
+from clothkit.episodes.sessions import Execute, run_sessions
 from clothkit.errors import InputError
 from clothkit.json_file import read_json
 from clothkit.planning.planner import Planner
@@ -35,19 +38,39 @@ def pieces(dataset: Dataset, settings: PlanConfig) -> list[tuple[str, list[Task]
     return found
 
 
-def evaluate(dataset: Dataset, planner: Planner, execute: Execute, *, work: Path) -> tuple[Pieces, Clock]:
+Annotate = Callable[[Sessions, Tasks], Sessions]
+"""Adds to the record of a batch's sessions what only someone who knows the truth can tell (evaluation.diagnosis)."""
+
+
+def evaluate(
+    dataset: Dataset,
+    planner: Planner,
+    execute: Execute,
+    *,
+    work: Path,
+    sensor: Sensor | None = None,
+    annotate: Annotate = lambda sessions, tasks: sessions,
+) -> tuple[Pieces, Clock]:
     """Run the sessions of all tasks, except those that an earlier run has saved in the folder `work`.
 
-    Returns all sessions, which are read from `work` piece by piece so that memory does not grow with the number of
-    tasks, and the times that searches and estimates took.
+    Without a `sensor`, the planner observes exactly. Returns all sessions, which are read from `work` piece by piece so
+    that memory does not grow with the number of tasks, and the times that searches and estimates took.
     """
     todo = pieces(dataset, planner.settings)
     # Raises InputError now, not hours later, if a plan length has no reference values.
     planner.normalisation.reference(max(task.length for _, tasks in todo for task in tasks))
-    paths, clock = [], defaultdict[str, list[tuple[int, float]]](list)
+
+    def run(piece: tuple[str, list[Task]]) -> tuple[Sessions, Clock]:
+        split, tasks = piece
+        batch = tasks_of_dataset(dataset, tasks, split)
+        with clock() as calls:
+            sessions = run_sessions(batch, planner, execute, sensor=sensor)
+        return annotate(sessions, batch), calls
+
+    paths, times = [], defaultdict[str, list[tuple[int, float]]](list)
     with tqdm(total=sum(len(tasks) for _, tasks in todo), desc=planner.system.name, unit="session") as bar:
         finished = resumable_map(
-            lambda piece: run_sessions(tasks_of_dataset(dataset, piece[1], piece[0]), planner, execute),
+            run,
             todo,
             folder=work,
             name="sessions",
@@ -57,13 +80,13 @@ def evaluate(dataset: Dataset, planner: Planner, execute: Execute, *, work: Path
         )
         for path, (_, calls) in finished:
             paths.append(path / SESSIONS)
-            for kind, of_piece in calls.items():
-                clock[kind] += of_piece
-    return Pieces(paths), dict(clock)
+            for part, of_piece in calls.items():
+                times[part] += of_piece
+    return Pieces(paths), dict(times)
 
 
 SESSIONS, SECONDS = "sessions.npz", "seconds.json"
-"""Files of a piece: its sessions, and the clock of its searches and estimates."""
+"""Files of a piece: its sessions, and the times of its searches and estimates."""
 
 
 def _save(folder: Path, piece: tuple[Sessions, Clock]) -> None:
@@ -75,7 +98,7 @@ def _save(folder: Path, piece: tuple[Sessions, Clock]) -> None:
 
 def _load(folder: Path) -> tuple[Sessions, Clock]:
     calls = read_json(folder / SECONDS, expected="the seconds of calls")
-    pairs = {kind: [(int(count), float(seconds)) for count, seconds in found] for kind, found in calls.items()}
+    pairs = {part: [(int(count), float(seconds)) for count, seconds in found] for part, found in calls.items()}
     return load_piece(folder / SESSIONS), pairs
 
 
@@ -84,21 +107,26 @@ TIMED_SESSIONS = Storage(_save, _load)
 
 
 def try_out(
-    dataset: Dataset, sequences: list[int], split: str, planner: Planner, execute: Execute
+    dataset: Dataset,
+    sequences: list[int],
+    split: str,
+    planner: Planner,
+    execute: Execute,
+    *,
+    annotate: Annotate = lambda sessions, tasks: sessions,
 ) -> tuple[Sessions, Clock]:
     """Run the sessions of all tasks of some sequences without saving them, for studies; returns sessions and times.
 
     As in the plan stage, the tasks of `settings.together` sequences run as one batch.
     """
-    done, clock = [], defaultdict[str, list[tuple[int, float]]](list)
-    for first in range(0, len(sequences), planner.settings.together):
-        chosen = sequences[first : first + planner.settings.together]
-        tasks = [task for sequence in chosen for task in tasks_of(sequence, int(dataset.length[sequence]))]
-        sessions, calls = run_sessions(tasks_of_dataset(dataset, tasks, split), planner, execute)
-        done.append(sessions)
-        for what, of_sequence in calls.items():
-            clock[what] += of_sequence
-    return join(done), dict(clock)
+    done = []
+    with clock() as times:
+        for first in range(0, len(sequences), planner.settings.together):
+            chosen = sequences[first : first + planner.settings.together]
+            tasks = [task for sequence in chosen for task in tasks_of(sequence, int(dataset.length[sequence]))]
+            batch = tasks_of_dataset(dataset, tasks, split)
+            done.append(annotate(run_sessions(batch, planner, execute), batch))
+    return join(done), dict(times)
 
 
 class Cost(TypedDict):
@@ -109,13 +137,13 @@ class Cost(TypedDict):
     estimates: tuple[int, float]
 
 
-def cost(clock: Clock) -> Cost:
+def cost(times: Clock) -> Cost:
     """The total counts and times of a clock.
 
     The first call of each kind, which includes compilation, is excluded unless it is the only one.
     """
     counted = {}
-    for what, calls in clock.items():
+    for what, calls in times.items():
         kept = calls[1:] or calls
         counted[what] = (sum(count for count, _ in kept), round(sum(seconds for _, seconds in kept), 3))
     return Cost(estimates=counted.pop("estimates", (0, 0.0)), plans=counted)

@@ -7,13 +7,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import zarr
-from jaxtyping import Bool, Float, Float16, Int8, Int64
+from jaxtyping import Bool, Float, Int64
 
 from clothkit.dataset.store import LENGTHS, SPLITS, STEPS, Dataset
 from clothkit.dataset.tasks import Task
 from clothkit.dataset.zarr_store import WRITTEN, Declared, open_store
 from clothkit.episodes.record_checks import KEYS, check_keys, check_values
 from clothkit.errors import damaged_piece
+from clothkit.manipulation.vector import is_null
+from clothkit.planning.planner import Planner
+from clothkit.planning.types import Plan
 
 MESH = ("u", "v", "xyz")
 SEEN = ("seen_0", "seen_1", "seen_2")
@@ -60,6 +63,11 @@ def tasks_of_dataset(dataset: Dataset, tasks: list[Task], split: str) -> Tasks:
     return Tasks(tasks, [split] * len(tasks), states, dataset.centre[sequence, start], goal, recorded)
 
 
+def _array(dtype: str, *dimensions: str) -> Any:
+    """A field of the record: an array with that dtype and those dimensions, in memory and in the store."""
+    return dataclasses.field(metadata={"declared": Declared(dtype, dimensions)})
+
+
 @dataclasses.dataclass(frozen=True)
 class Sessions:
     """Sessions of one system, a row per task, in normalised units. After a session's end, floats are NaN, labels -1.
@@ -70,49 +78,62 @@ class Sessions:
     are Cartesian.
     """
 
-    split: np.ndarray
-    sequence: Int64[np.ndarray, " task"]
-    start: Int8[np.ndarray, " task"]
-    length: Int8[np.ndarray, " task"]
-    goal: Float[np.ndarray, "task u v 3"]
-    state: Float[np.ndarray, "task state u v 3"]
+    split: np.ndarray = _array("i1", "task")
+    sequence: np.ndarray = _array("i8", "task")
+    start: np.ndarray = _array("i1", "task")
+    length: np.ndarray = _array("i1", "task")
+    goal: np.ndarray = _array("f4", "task", *MESH)
+    state: np.ndarray = _array("f4", "task", "state", *MESH)
     """True states, centred; the last one is the outcome."""
-    centre: Float[np.ndarray, "task state 2"]
-    estimate: Float[np.ndarray, "task step *seen"]
+    centre: np.ndarray = _array("f4", "task", "state", "xy")
+    estimate: np.ndarray = _array("f4", "task", "step", *SEEN)
     """The initial state of the search, as the system observes it: an estimate, a true mesh or voxels."""
-    candidates: Float[np.ndarray, "task step candidate 2"]
+    candidates: np.ndarray = _array("f4", "task", "step", "candidate", "xy")
     """Candidate grasp points on the estimate."""
-    plan: Float[np.ndarray, "task step planned 6"]
-    loss: Float[np.ndarray, "task step"]
-    terms: Float[np.ndarray, "task step term"]
+    plan: np.ndarray = _array("f4", "task", "step", "planned", "component")
+    loss: np.ndarray = _array("f4", "task", "step")
+    terms: np.ndarray = _array("f4", "task", "step", "term")
     """Accuracy terms of nets a and b, then u."""
-    common: Int8[np.ndarray, "task step"]
+    common: np.ndarray = _array("i1", "task", "step")
     """Index of the common equivalent in which the plan was found."""
-    relative: Int8[np.ndarray, "task step"]
+    relative: np.ndarray = _array("i1", "task", "step")
     """Index of the relabelling that brings the goal to the estimate's labels."""
-    null: Bool[np.ndarray, "task step"]
+    null: np.ndarray = _array("?", "task", "step")
     """Whether the plan's first manipulation was not executed."""
-    cancelled: Bool[np.ndarray, "task step"]
+    cancelled: np.ndarray = _array("?", "task", "step")
     """Whether the null check cancelled it. False for plans whose first manipulation is itself null."""
-    error_otherwise: Float[np.ndarray, "task step"]
+    error_otherwise: np.ndarray = _array("f4", "task", "step")
     """For cancelled manipulations, the error to the goal if they had been executed [cloth length, aligned]."""
-    expected: Float[np.ndarray, "task step"]
+    expected: np.ndarray = _array("f4", "task", "step")
     """Predicted distance between the plan's outcome and the goal, in the measure of the null check."""
-    loss_recorded: Float[np.ndarray, " task"]
+    loss_recorded: np.ndarray = _array("f4", "task")
     """Planning loss of the recorded manipulations, starting from the first estimate."""
-    offered: Bool[np.ndarray, " task"]
+    offered: np.ndarray = _array("?", "task")
     """Whether each recorded first grasp point is near a candidate of the first step (see `diagnosis.offered`)."""
-    prediction_mean: Float16[np.ndarray, "task step planned net *seen"]
-    prediction_std: Float16[np.ndarray, "task step planned net *sure"]
-    refined: Float16[np.ndarray, "task step *mesh"]
+    prediction_mean: np.ndarray = _array("f2", "task", "step", "planned", "net", *SEEN)
+    prediction_std: np.ndarray = _array("f2", "task", "step", "planned", "net", *SURE)
+    refined: np.ndarray = _array("f2", "task", "step", *SURE)
     """The better net's prediction of the plan's outcome, refined."""
-    progress: Float[np.ndarray, "task step iteration"]
+    progress: np.ndarray = _array("f4", "task", "step", "iteration")
     """Lowest loss of all strains up to that iteration."""
-    restarts: Float[np.ndarray, "task step strain restart"]
+    restarts: np.ndarray = _array("f4", "task", "step", "strain", "restart")
     """Lowest loss of each strain between restarts."""
+
+    def __post_init__(self) -> None:
+        lengths: dict[str, int] = {}
+        for name, field in FIELDS.items():
+            shape = getattr(self, name).shape
+            found = dict(zip(field.dimensions, shape, strict=True))
+            for dimension, length in found.items():
+                if lengths.setdefault(dimension, length) != length:
+                    raise ValueError(f"{name}: expected {lengths[dimension]} of {dimension}, found {length}")
 
     def __len__(self) -> int:
         return len(self.sequence)
+
+
+FIELDS: dict[str, Declared] = {field.name: field.metadata["declared"] for field in dataclasses.fields(Sessions)}
+"""What each array of the record holds."""
 
 
 class Sizes(NamedTuple):
@@ -129,11 +150,73 @@ class Sizes(NamedTuple):
     restart: int
 
 
-def blank(tasks: Tasks, sizes: Sizes) -> Sessions:
-    """Records of sessions that have not started.
+def sizes_of(planner: Planner) -> Sizes:
+    """The sizes of the arrays in a record of a planner's sessions."""
+    search, longest = planner.settings.search, planner.settings.search.iterations(STEPS)
+    return Sizes(
+        state=planner.representation.shape,
+        probabilistic=planner.representation.probabilistic,
+        candidate=planner.grasping.most,
+        net=len(planner.nets),
+        iteration=longest,
+        strain=search.strains,
+        restart=longest // search.patience + 1,
+    )
 
-    State 0 is the start state; everything later is filled with NaN, -1 or False.
+
+class Step(NamedTuple):
+    """One step of a batch's sessions, for the tasks that are not over yet."""
+
+    tasks: Int64[np.ndarray, " acting"]
+    """Their rows in the batch."""
+    plan: Plan
+    refined: Float[np.ndarray, "acting u v 3"] | None
+    """The better net's prediction of the outcome, refined to a plausible mesh; None for voxels."""
+    state: Float[np.ndarray, "acting u v 3"]
+    """The true state after the step, centred."""
+    centre: Float[np.ndarray, "acting 2"]
+    error_otherwise: Float[np.ndarray, " acting"]
+
+
+def record(tasks: Tasks, steps: Sequence[Step], sizes: Sizes) -> Sessions:
+    """The record of a batch's sessions, from their steps in order.
+
+    State 0 is the start state; what comes after the last step is filled with NaN, -1 or False.
     """
+    fields = _empty(tasks, sizes)
+    for number, step in enumerate(steps):
+        plan, at = step.plan, (step.tasks, number)
+        fields["state"][step.tasks, number + 1], fields["centre"][step.tasks, number + 1] = step.state, step.centre
+        fields["estimate"][at], fields["candidates"][at] = plan.state, plan.candidates
+        fields["plan"][at], fields["loss"][at], fields["terms"][at] = plan.manipulations, plan.loss, _terms(plan)
+        fields["common"][at], fields["relative"][at] = plan.common, plan.relative
+        fields["null"][at], fields["cancelled"][at] = plan.null, plan.useless & ~_short(plan)
+        fields["error_otherwise"][at], fields["expected"][at] = step.error_otherwise, plan.expected
+        fields["prediction_mean"][at] = plan.means
+        if plan.stds is not None and step.refined is not None:
+            fields["prediction_std"][at], fields["refined"][at] = plan.stds, step.refined
+        fields["progress"][at], fields["restarts"][at] = plan.progress, plan.restarts
+    return Sessions(**fields)
+
+
+def blank(tasks: Tasks, sizes: Sizes) -> Sessions:
+    """Records of sessions that have not started."""
+    return record(tasks, [], sizes)
+
+
+def _short(plan: Plan) -> Bool[np.ndarray, " acting"]:
+    return np.asarray(is_null(plan.manipulations[:, 0]))
+
+
+def _terms(plan: Plan) -> Float[np.ndarray, "acting 3"]:
+    """The accuracy terms of nets a and b (NaN if there is one net), and u (0 if it is no term of the objective)."""
+    accuracy = plan.terms["accuracy"]
+    missing = np.full((len(accuracy), 2 - accuracy.shape[1]), np.nan, np.float32)
+    u = plan.terms.get("uncertainty", np.zeros(len(accuracy), np.float32))
+    return np.concatenate([accuracy, missing, u[:, None]], axis=1)
+
+
+def _empty(tasks: Tasks, sizes: Sizes) -> dict[str, np.ndarray]:
     lengths = {"task": len(tasks.task), **_LENGTHS}
     lengths |= {name: getattr(sizes, name) for name in ("candidate", "net", "iteration", "strain", "restart")}
     lengths |= dict(zip(SEEN, sizes.state, strict=True))
@@ -142,7 +225,7 @@ def blank(tasks: Tasks, sizes: Sizes) -> Sessions:
     kinds = {"f4": np.nan, "f2": np.nan, "i1": -1, "?": False}
     empty: dict[str, np.ndarray] = {
         name: np.full([lengths[d] for d in field.dimensions], kinds[field.dtype], field.dtype)
-        for name, field in _FIELDS.items()
+        for name, field in FIELDS.items()
         if field.dtype in kinds
     }
     empty["split"] = np.array(tasks.split, dtype="U10")
@@ -152,41 +235,12 @@ def blank(tasks: Tasks, sizes: Sizes) -> Sessions:
     empty["goal"] = np.asarray(tasks.goal, np.float32)
     empty["state"][:, 0] = tasks.start
     empty["centre"][:, 0] = tasks.centre
-    return Sessions(**empty)
-
-
-_FIELDS: dict[str, Declared] = {
-    "split": Declared("i1", ("task",)),
-    "sequence": Declared("i8", ("task",)),
-    "start": Declared("i1", ("task",)),
-    "length": Declared("i1", ("task",)),
-    "goal": Declared("f4", ("task", *MESH)),
-    "state": Declared("f4", ("task", "state", *MESH)),
-    "centre": Declared("f4", ("task", "state", "xy")),
-    "estimate": Declared("f4", ("task", "step", *SEEN)),
-    "candidates": Declared("f4", ("task", "step", "candidate", "xy")),
-    "plan": Declared("f4", ("task", "step", "planned", "component")),
-    "loss": Declared("f4", ("task", "step")),
-    "terms": Declared("f4", ("task", "step", "term")),
-    "common": Declared("i1", ("task", "step")),
-    "relative": Declared("i1", ("task", "step")),
-    "null": Declared("?", ("task", "step")),
-    "cancelled": Declared("?", ("task", "step")),
-    "error_otherwise": Declared("f4", ("task", "step")),
-    "expected": Declared("f4", ("task", "step")),
-    "loss_recorded": Declared("f4", ("task",)),
-    "offered": Declared("?", ("task",)),
-    "prediction_mean": Declared("f2", ("task", "step", "planned", "net", *SEEN)),
-    "prediction_std": Declared("f2", ("task", "step", "planned", "net", *SURE)),
-    "refined": Declared("f2", ("task", "step", *SURE)),
-    "progress": Declared("f4", ("task", "step", "iteration")),
-    "restarts": Declared("f4", ("task", "step", "strain", "restart")),
-}
+    return empty
 
 
 def join(parts: list[Sessions]) -> Sessions:
     """The sessions of several batches, concatenated along the task axis."""
-    return Sessions(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in _FIELDS})
+    return Sessions(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in FIELDS})
 
 
 def save_piece(path: Path, sessions: Sessions) -> None:
@@ -224,7 +278,7 @@ def save(path: Path, parts: Iterable[Sessions], attributes: dict[str, Any]) -> N
     # Zarr has no stable type for strings, so the names of the splits are stored as an attribute.
     group = zarr.open_group(path, mode="w", zarr_format=3, attributes={**attributes, "splits": list(SPLITS)})
     for block in _blocks(parts, SHARD):
-        for name, field in _FIELDS.items():
+        for name, field in FIELDS.items():
             values = getattr(block, name)
             if name == "split":
                 values = np.array([SPLITS.index(value) for value in values], np.int8)
@@ -257,7 +311,7 @@ def _blocks(parts: Iterable[Sessions], size: int) -> Iterator[Sessions]:
 
 def _cut(sessions: Sessions, chosen: slice) -> Sessions:
     # A slice without a copy would keep the memory of the whole record alive.
-    return Sessions(**{name: getattr(sessions, name)[chosen].copy() for name in _FIELDS})
+    return Sessions(**{name: getattr(sessions, name)[chosen].copy() for name in FIELDS})
 
 
 def load(path: Path, chosen: slice = slice(None)) -> Sessions:
@@ -265,8 +319,8 @@ def load(path: Path, chosen: slice = slice(None)) -> Sessions:
 
     Raises InputError for a store that is missing, damaged or not as declared, and for inconsistent sessions.
     """
-    store = open_store(path, _FIELDS, lengths=_LENGTHS, holds=_HOLDS)
-    arrays = {name: store.read(name, chosen) for name in _FIELDS}
+    store = open_store(path, FIELDS, lengths=_LENGTHS, holds=_HOLDS)
+    arrays = {name: store.read(name, chosen) for name in FIELDS}
     names = check_keys(path, arrays, store.attributes)
     check_values(path, arrays)
     return Sessions(**{**arrays, "split": np.array(names, dtype="U10")[arrays["split"]]})
@@ -274,7 +328,7 @@ def load(path: Path, chosen: slice = slice(None)) -> Sessions:
 
 def load_tasks(path: Path) -> list[tuple[str, int, int, int]]:
     """Read the split, sequence, start and length of each recorded session. Raises InputError, as `load` does."""
-    store = open_store(path, {name: _FIELDS[name] for name in KEYS}, lengths=_LENGTHS, holds=_HOLDS)
+    store = open_store(path, {name: FIELDS[name] for name in KEYS}, lengths=_LENGTHS, holds=_HOLDS)
     arrays = {name: store.read(name) for name in KEYS}
     names = check_keys(path, arrays, store.attributes)
     splits = [names[code] for code in arrays["split"]]

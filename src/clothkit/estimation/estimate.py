@@ -7,8 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Shaped
 
-from clothkit.cloth.equivalents import COUNT, relabel_batch
 from clothkit.cloth.mesh import ProbabilisticMesh, nll
+from clothkit.cloth.symmetry import relabel_batch
+from clothkit.cloth.topology import SQUARE, Topology
 from clothkit.estimation.refine import RefineConfig, refine
 from clothkit.models import vtm
 from clothkit.models.net import Net
@@ -27,6 +28,7 @@ def estimate(
     settings: RefineConfig,
     *,
     predicted: Float[Array | np.ndarray, "batch u v 3"] | None = None,
+    topology: Topology = SQUARE,
 ) -> Estimate:
     """Estimate meshes from centred voxels.
 
@@ -34,34 +36,43 @@ def estimate(
     meshes, the estimates are relabelled to minimise the predictions' negative log likelihood, and refinement starts
     from the predictions.
     """
+    probabilistic = estimate_probabilistic(net, voxels, predicted, topology)
+    start = probabilistic.mean if predicted is None else predicted
+    return Estimate(probabilistic, refine(probabilistic, start, settings, topology))
+
+
+def estimate_probabilistic(
+    net: Net,
+    voxels: Shaped[Array | np.ndarray, "batch x y z"],
+    predicted: Float[Array | np.ndarray, "batch u v 3"] | None = None,
+    topology: Topology = SQUARE,
+) -> ProbabilisticMesh:
+    """VtM's probabilistic meshes, in the same labels as the result of `estimate`."""
     probabilistic = _vtm(net, jnp.asarray(voxels))
-    if predicted is None:
-        return Estimate(probabilistic, refine(probabilistic, probabilistic.mean, settings))
-    labelled = labelled_like(probabilistic, predicted)
-    return Estimate(labelled, refine(labelled, predicted, settings))
+    return probabilistic if predicted is None else labelled_like(probabilistic, predicted, topology)
 
 
 def estimate_unrefined(
     net: Net,
     voxels: Shaped[Array | np.ndarray, "batch x y z"],
     predicted: Float[Array | np.ndarray, "batch u v 3"] | None = None,
+    topology: Topology = SQUARE,
 ) -> Float[Array, "batch u v 3"]:
     """VtM's means without refinement, in the same labels as the result of `estimate`."""
-    probabilistic = _vtm(net, jnp.asarray(voxels))
-    return jnp.asarray((probabilistic if predicted is None else labelled_like(probabilistic, predicted)).mean)
+    return jnp.asarray(estimate_probabilistic(net, voxels, predicted, topology).mean)
 
 
 def labelled_like(
-    probabilistic: ProbabilisticMesh, mesh: Float[Array | np.ndarray, "batch u v 3"]
+    probabilistic: ProbabilisticMesh, mesh: Float[Array | np.ndarray, "batch u v 3"], topology: Topology = SQUARE
 ) -> ProbabilisticMesh:
     """For each probabilistic mesh, the equivalent that minimises the negative log likelihood of the given mesh."""
     batch = probabilistic.mean.shape[0]
     scores = []
-    for k in range(COUNT):
+    for k in range(topology.count):
         labels = np.full(batch, k)
-        scores.append(nll(mesh, ProbabilisticMesh(*(relabel_batch(part, labels) for part in probabilistic))))
+        scores.append(nll(mesh, ProbabilisticMesh(*(relabel_batch(part, labels, topology) for part in probabilistic))))
     best = jnp.argmin(jnp.stack(scores), axis=0)
-    return ProbabilisticMesh(*(relabel_batch(part, best) for part in probabilistic))
+    return ProbabilisticMesh(*(relabel_batch(part, best, topology) for part in probabilistic))
 
 
 _vtm = jax.jit(vtm.estimate)

@@ -9,8 +9,8 @@ import numpy as np
 from annotated_types import Ge, Gt
 from jaxtyping import Array, Bool, Float, Int
 
-from clothkit.cloth.grid import CLOTH_SIDE, SPRING_OFFSETS
 from clothkit.cloth.mesh import ProbabilisticMesh, nll
+from clothkit.cloth.topology import SQUARE, Topology
 from clothkit.config import config
 
 SHORTEST_SPRING = 1e-6
@@ -33,17 +33,23 @@ class RefineConfig:
     """Iterations without improvement after which a mesh's refinement stops."""
 
 
-def spring_energy(mesh: Float[Array, "*batch u v 3"]) -> Float[Array, "*batch"]:
-    """Eq. (11): the sum over springs of (length - rest)² [normalised²]."""
-    side = mesh.shape[-2]
-    spacing = CLOTH_SIDE / (side - 1)
+def spring_energy(
+    mesh: Float[Array | np.ndarray, "*batch u v 3"], topology: Topology = SQUARE
+) -> Float[Array, "*batch"]:
+    """Eq. (11): the sum over springs of (length - rest)² [normalised²].
+
+    Raises ValueError if the mesh has other numbers of vertices than the topology.
+    """
+    mesh = jnp.asarray(mesh)
+    rows, columns = topology.shape
+    if mesh.shape[-3:-1] != topology.shape:
+        raise ValueError(f"mesh of {mesh.shape[-3:-1]} vertices for a topology of {topology.shape}")
     energy = jnp.zeros(mesh.shape[:-3], mesh.dtype)
-    # Slices instead of the index pairs of `grid.springs`, because gathering costs more than the rest of the loss.
-    for du, dv in SPRING_OFFSETS:
-        low, high = max(0, -dv), side - max(0, dv)
-        spring = mesh[..., du:, low + dv : high + dv, :] - mesh[..., : side - du, low:high, :]
+    # Slices instead of the index pairs of `Topology.springs`, because gathering costs more than the rest of the loss.
+    for du, dv, rest in topology.spring_offsets:
+        low, high = max(0, -dv), columns - max(0, dv)
+        spring = mesh[..., du:, low + dv : high + dv, :] - mesh[..., : rows - du, low:high, :]
         length = jnp.sqrt(jnp.maximum(jnp.sum(spring**2, axis=-1), SHORTEST_SPRING**2))
-        rest = spacing * float(np.hypot(du, dv))
         energy += jnp.sum((length - rest) ** 2, axis=(-2, -1))
     return energy
 
@@ -54,13 +60,16 @@ def upward_bias(mesh: Float[Array, "*batch u v 3"], estimate: ProbabilisticMesh)
 
 
 def refinement_loss(
-    mesh: Float[Array, "*batch u v 3"], estimate: ProbabilisticMesh, settings: RefineConfig
+    mesh: Float[Array, "*batch u v 3"],
+    estimate: ProbabilisticMesh,
+    settings: RefineConfig,
+    topology: Topology = SQUARE,
 ) -> Float[Array, "*batch"]:
     """The compound loss of section 4.7: NLL and springs are sums, the upward bias is a mean (design 6.16)."""
     coordinates = mesh.shape[-3] * mesh.shape[-2] * mesh.shape[-1]
     return (
         coordinates * nll(mesh, estimate)
-        + settings.spring_weight * spring_energy(mesh)
+        + settings.spring_weight * spring_energy(mesh, topology)
         + settings.upward_weight * upward_bias(mesh, estimate)
     )
 
@@ -74,9 +83,12 @@ class _Search(NamedTuple):
     stale: Int[Array, " batch"]
 
 
-@partial(jax.jit, static_argnames="settings")
+@partial(jax.jit, static_argnames=("settings", "topology"))
 def refine(
-    estimate: ProbabilisticMesh, start: Float[Array | np.ndarray, "batch u v 3"], settings: RefineConfig
+    estimate: ProbabilisticMesh,
+    start: Float[Array | np.ndarray, "batch u v 3"],
+    settings: RefineConfig,
+    topology: Topology = SQUARE,
 ) -> Float[Array, "batch u v 3"]:
     """R of eq. (10): for each mesh of the batch, the mesh of lowest loss that SignSGD finds from `start`.
 
@@ -84,7 +96,7 @@ def refine(
     """
 
     def total(mesh: Array) -> tuple[Array, Array]:
-        loss = refinement_loss(mesh, estimate, settings)
+        loss = refinement_loss(mesh, estimate, settings, topology)
         return jnp.sum(loss), loss
 
     def searching(search: _Search) -> Bool[Array, ""]:

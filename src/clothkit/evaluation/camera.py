@@ -10,9 +10,9 @@ from jaxtyping import Bool, Float
 from tqdm import tqdm
 
 from clothkit.cloth import voxels
-from clothkit.cloth.grid import CLOTH_SIDE
+from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.dataset.store import STATES, Dataset
-from clothkit.episodes.camera_sight import for_net
+from clothkit.episodes.sensors import with_height
 from clothkit.errors import InputError
 from clothkit.estimation.estimate import estimate
 from clothkit.estimation.refine import RefineConfig
@@ -91,7 +91,7 @@ def observe(
         centre_error, overlap = np.zeros(len(meshes)), np.ones(len(meshes))
         height = np.zeros((0, 0, 0), np.float32)
     else:
-        condition_settings = for_net(picture_settings(settings, condition), vtm)
+        condition_settings = with_height(picture_settings(settings, condition), vtm.config.height)
         occupied = np.zeros((len(meshes), *voxels.RESOLUTION), bool)
         centre_error, overlap = np.full((2, len(meshes)), np.nan)
         camera = condition_settings.camera
@@ -102,7 +102,7 @@ def observe(
             except InputError:
                 continue
             occupied[number] = picture.observation.voxels
-            centre_error[number] = np.linalg.norm(picture.shift) / CLOTH_SIDE
+            centre_error[number] = np.linalg.norm(picture.shift) / CLOTH_LENGTH
             overlap[number] = goal_iou(mesh, picture.observation.points)
             if number in stored:
                 height[stored.index(number)] = _height(picture)

@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -9,15 +10,16 @@ import pandas as pd
 
 from clothkit.cloth.silhouette import iou, silhouette
 from clothkit.dataset.store import Dataset
-from clothkit.episodes.camera_sight import through_camera
 from clothkit.episodes.evaluate import evaluate
 from clothkit.episodes.record import Sessions
-from clothkit.episodes.rows import rows
-from clothkit.episodes.session import Execute
+from clothkit.episodes.sensors import depth_camera
+from clothkit.episodes.sessions import Execute
 from clothkit.errors import InputError
 from clothkit.evaluation.camera import NO_CAMERA, picture_settings
 from clothkit.evaluation.camera_settings import Condition, EvaluateCameraConfig
 from clothkit.evaluation.comparisons import COLUMNS, compare
+from clothkit.evaluation.diagnosis import diagnosed
+from clothkit.evaluation.session_rows import rows
 from clothkit.observation.coverage import goal_iou
 from clothkit.observation.picture import PictureConfig, take
 from clothkit.planning.planner import Planner
@@ -51,8 +53,15 @@ def planning(
     test_settings = dataclasses.replace(planner.settings, test=len(chosen), train=0)
     for condition in settings.conditions:
         picture = picture_settings(settings, condition)
-        camera_planner = through_camera(dataclasses.replace(planner, settings=test_settings), picture)
-        sessions, _ = evaluate(dataset, camera_planner, execute, work=work / condition.name)
+        camera_planner = dataclasses.replace(planner, settings=test_settings)
+        sessions, _ = evaluate(
+            dataset,
+            camera_planner,
+            execute,
+            work=work / condition.name,
+            sensor=depth_camera(picture, planner.perception),
+            annotate=partial(diagnosed, planner=camera_planner),
+        )
         found.append(_condition_rows(sessions.whole(), condition, picture))
     return pd.concat(found, ignore_index=True)
 

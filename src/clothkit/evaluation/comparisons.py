@@ -110,7 +110,7 @@ def compare(tidy: pd.DataFrame, measure: str, system: str, against: str, *, seed
 
 
 def of_predictions(tidy: pd.DataFrame) -> pd.DataFrame:
-    """Return the comparisons for table 4: system main_occluded against a2, by voxel_error, with the better net of each.
+    """Return the comparisons for table 4: system main_occluded against a2, by voxel_error, with the best net of each.
 
     Both predict voxels as a camera above would see them.
     """

@@ -1,41 +1,46 @@
-"""Errors of estimates and predictions against the truth, for any of the 8 labellings (section 6, design 2)."""
+"""Errors of estimates and predictions against the truth, for any of the cloth's labellings (section 6, design 2)."""
+
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from clothkit.cloth.equivalents import INVERSE, relabel_batch
 from clothkit.cloth.mesh import ProbabilisticMesh, best_label, distance, error
+from clothkit.cloth.symmetry import relabel_batch
+from clothkit.cloth.topology import SQUARE, Topology
 
-errors = jax.jit(error, static_argnames="aligned")
+errors = jax.jit(error, static_argnames=("aligned", "topology"))
 labelled_errors = jax.jit(distance)
 
 
-@jax.jit
+@partial(jax.jit, static_argnames="topology")
 def labels_of_truth(
-    mesh: Float[Array | np.ndarray, "batch u v 3"], truth: Float[Array | np.ndarray, "batch u v 3"]
+    mesh: Float[Array | np.ndarray, "batch u v 3"],
+    truth: Float[Array | np.ndarray, "batch u v 3"],
+    topology: Topology = SQUARE,
 ) -> Int[Array, " batch"]:
-    """Return, for each mesh, the equivalent k in 0..7 under which the relabelled mesh is nearest to its truth."""
-    return jnp.asarray(INVERSE)[best_label(mesh, truth)]
+    """Return, for each mesh, the equivalent k under which the relabelled mesh is nearest to its truth."""
+    return jnp.asarray(topology.inverses)[best_label(mesh, truth, topology=topology)]
 
 
-relabelled = jax.jit(relabel_batch)
+relabelled = jax.jit(relabel_batch, static_argnames="topology")
 
 
-@jax.jit
+@partial(jax.jit, static_argnames="topology")
 def deviations(
-    probabilistic: ProbabilisticMesh, truth: Float[Array | np.ndarray, "batch u v 3"]
+    probabilistic: ProbabilisticMesh, truth: Float[Array | np.ndarray, "batch u v 3"], topology: Topology = SQUARE
 ) -> Float[Array, "batch u v 3"]:
     """Return abs(error) / sigma of every coordinate, after relabelling to the truth's labels (section 6.1)."""
-    k = labels_of_truth(probabilistic.mean, truth)
-    mean, std = (relabel_batch(jnp.asarray(part), k) for part in probabilistic)
+    k = labels_of_truth(probabilistic.mean, truth, topology)
+    mean, std = (relabel_batch(jnp.asarray(part), k, topology) for part in probabilistic)
     return jnp.abs(truth - mean) / std
 
 
-@jax.jit
+@partial(jax.jit, static_argnames="topology")
 def sigma_ratio(
-    probabilistic: ProbabilisticMesh, truth: Float[Array | np.ndarray, "batch u v 3"]
+    probabilistic: ProbabilisticMesh, truth: Float[Array | np.ndarray, "batch u v 3"], topology: Topology = SQUARE
 ) -> Float[Array, " batch"]:
     """Return the mean of each mesh's `deviations` (section 6.1)."""
-    return jnp.mean(deviations(probabilistic, truth), axis=(-3, -2, -1))
+    return jnp.mean(deviations(probabilistic, truth, topology), axis=(-3, -2, -1))

@@ -10,8 +10,8 @@ from jaxtyping import Bool, Float, Int
 from tqdm import tqdm
 
 from clothkit.cloth import voxels
-from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.cloth.mesh import ProbabilisticMesh
+from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.cloth.voxels import HEIGHT
 from clothkit.dataset.store import SPLITS, STATES, STEPS, Dataset
 from clothkit.dataset.tasks import TASKS
@@ -20,8 +20,9 @@ from clothkit.evaluation.arrays import Named
 from clothkit.evaluation.errors import errors, relabelled, sigma_ratio
 from clothkit.evaluation.occupancy import TALL, TALL_MEASURE, differences, occluded_occupancy, occupancy
 from clothkit.evaluation.settings import EvaluatePredictionConfig
+from clothkit.models import forward
+from clothkit.models.ensemble import Ensemble
 from clothkit.models.net import Net
-from clothkit.models.pemd import rollout
 
 OCCLUDED = "main_occluded"
 """System name of main's predictions as a camera above would see them, comparable to the voxel baseline's."""
@@ -53,25 +54,23 @@ def starts(dataset: Dataset, estimates: Mapping[str, np.ndarray]) -> Starts:
     return Starts(sequence, {"main": joined.reshape(mesh.shape), "a1": dataset.vertices[sequence]})
 
 
-def rows(
-    dataset: Dataset, initial: Starts, nets: Mapping[str, Net], better: str, settings: EvaluatePredictionConfig
-) -> pd.DataFrame:
+def rows(dataset: Dataset, initial: Starts, ensemble: Ensemble, settings: EvaluatePredictionConfig) -> pd.DataFrame:
     """Return tidy rows, one per system, net, sequence and task.
 
-    The columns are split, system, net (a, b), better (whether the net has the better validation score), sequence,
-    start, length, error, error_no_action, position_error, position_no_action [cloth length], sigma_ratio, voxel_error,
-    voxel_error_no_action, voxel_error_025, voxel_error_025_no_action [mean voxel difference, 0..1; the last two in the
-    viewport that is `TALL`].
+    The columns are split, system, net (the member: "0", "1", ..), better (whether the net has the best validation
+    score), sequence, start, length, error, error_no_action, position_error, position_no_action [cloth length],
+    sigma_ratio, voxel_error, voxel_error_no_action, voxel_error_025, voxel_error_025_no_action [mean voxel difference,
+    0..1; the last two in the viewport that is `TALL`].
 
     error is not aligned beyond the centring; error_no_action is aligned (design 2). position_error is the error of the
     predicted centre shift, eq. (7); position_no_action is the length of the true shift. For the voxel columns,
     predictions are converted by eq. (16), and the voxels of true states are undoubled, free of noise and unoccluded
-    (design 6.14). The rows of main's better net are repeated as system `OCCLUDED`, with all voxels as a camera would
+    (design 6.14). The rows of main's best net are repeated as system `OCCLUDED`, with all voxels as a camera would
     see them (`occluded_occupancy`) and with error and sigma_ratio NaN.
     """
     tidy = []
-    jobs = [(system, net, task) for system in initial.meshes for net in sorted(nets) for task in TASKS]
-    for system, net, (start, length) in tqdm(jobs, desc="predictions", unit="task"):
+    jobs = [(system, k, task) for system in initial.meshes for k in range(len(ensemble.nets)) for task in TASKS]
+    for system, k, (start, length) in tqdm(jobs, desc="predictions", unit="task"):
         end = start + length
         long = dataset.length[initial.sequence] >= end
         sequence = initial.sequence[long]
@@ -79,7 +78,7 @@ def rows(
             continue
         truth = dataset.vertices[sequence, end]
         manipulations = dataset.manipulation[sequence, start:end]
-        predicted, shift = predict(nets[net], initial.meshes[system][long, start], manipulations, settings.batch)
+        predicted, shift = predict(ensemble.nets[k], initial.meshes[system][long, start], manipulations, settings.batch)
         final = ProbabilisticMesh(predicted.mean[-1], predicted.std[-1])
         moved = dataset.centre[sequence, end] - dataset.centre[sequence, start]
         first = dataset.vertices[sequence, start]
@@ -87,21 +86,21 @@ def rows(
             {
                 "split": [SPLITS[code] for code in dataset.split[sequence]],
                 "system": system,
-                "net": net,
-                "better": net == better,
+                "net": str(ensemble.members[k]),
+                "better": k == ensemble.best,
                 "sequence": sequence,
                 "start": start,
                 "length": length,
                 "error": np.asarray(errors(final.mean, truth)),
                 "error_no_action": np.asarray(errors(first, truth, aligned=True)),
-                "position_error": np.linalg.norm(shift.sum(0) - moved, axis=-1) / CLOTH_SIDE,
-                "position_no_action": np.linalg.norm(moved, axis=-1) / CLOTH_SIDE,
+                "position_error": np.linalg.norm(shift.sum(0) - moved, axis=-1) / CLOTH_LENGTH,
+                "position_no_action": np.linalg.norm(moved, axis=-1) / CLOTH_LENGTH,
                 "sigma_ratio": np.asarray(sigma_ratio(final, truth)),
                 **_in_voxels(final, first, truth, settings.batch),
             }
         )
         tidy.append(found)
-        if system == "main" and net == better:
+        if system == "main" and k == ensemble.best:
             unknown = {"error": np.float32(np.nan), "sigma_ratio": np.float32(np.nan)}
             occluded = _in_voxels(final, first, truth, settings.batch, occluded=True)
             tidy.append(found.assign(system=OCCLUDED, **unknown, **occluded))
@@ -140,7 +139,7 @@ def predict(
     for first in range(0, len(mesh), batch):
         chosen = np.minimum(np.arange(first, first + batch), len(mesh) - 1)
         kept = min(batch, len(mesh) - first)
-        predicted, _, shift = _rollout(net, mesh[chosen], manipulations[chosen])
+        predicted, shift = _predict(net, mesh[chosen], manipulations[chosen])
         parts.append([np.asarray(a)[:, :kept] for a in (*predicted, shift)])
     mean, std, shift = (np.concatenate(values, axis=1) for values in zip(*parts, strict=True))
     return ProbabilisticMesh(mean, std), shift
@@ -184,4 +183,7 @@ def _voxel_errors(
     return np.concatenate(parts)
 
 
-_rollout = jax.jit(rollout)
+@jax.jit
+def _predict(net: Net, mesh: jax.Array, manipulations: jax.Array) -> tuple[ProbabilisticMesh, jax.Array]:
+    predicted, found = forward.predict(forward.forward_model(net.config), net.params, mesh, manipulations, unroll=True)
+    return predicted, found.shifts

@@ -1,7 +1,5 @@
 """Evaluation of the voxel baseline's predictions: A2 of table 4 (section 6.2)."""
 
-from collections.abc import Mapping
-
 import jax
 import numpy as np
 import pandas as pd
@@ -9,13 +7,15 @@ from jaxtyping import Float, Int
 from tqdm import tqdm
 
 from clothkit.cloth import voxels
-from clothkit.cloth.grid import CLOTH_SIDE
+from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.dataset.store import SPLITS, Dataset
 from clothkit.dataset.tasks import TASKS
 from clothkit.evaluation.errors import errors
 from clothkit.evaluation.occupancy import TALL, TALL_MEASURE, differences, pooled
 from clothkit.evaluation.settings import EvaluatePredictionConfig
-from clothkit.models.emd_voxel import cartesian, rollout
+from clothkit.models.emd_voxel import cartesian
+from clothkit.models.ensemble import Ensemble
+from clothkit.models.forward import forward_model, predict
 from clothkit.models.net import Net
 
 SYSTEM = "a2"
@@ -26,8 +26,7 @@ _MEASURES = ("voxel_error", "voxel_error_no_action", TALL_MEASURE, f"{TALL_MEASU
 def rows(
     dataset: Dataset,
     sequences: Int[np.ndarray, " n"],
-    nets: Mapping[str, Net],
-    better: str,
+    ensemble: Ensemble,
     settings: EvaluatePredictionConfig,
 ) -> pd.DataFrame:
     """Return tidy rows of system a2, one per net, sequence and task, with the columns of `prediction.rows`.
@@ -38,30 +37,30 @@ def rows(
     sigma_ratio are NaN, since voxels have no vertices.
     """
     tidy = []
-    jobs = [(net, task) for net in sorted(nets) for task in TASKS]
-    for net, (start, length) in tqdm(jobs, desc="voxel predictions", unit="task"):
+    jobs = [(k, task) for k in range(len(ensemble.nets)) for task in TASKS]
+    for k, (start, length) in tqdm(jobs, desc="voxel predictions", unit="task"):
         end = start + length
         chosen = sequences[dataset.length[sequences] >= end]
         if not len(chosen):
             continue
         states = dataset.vertices[chosen, start : end + 1]
         manipulations = dataset.manipulation[chosen, start:end]
-        measured, shift = _measured(nets[net], states, manipulations, settings.batch)
+        measured, shift = _measured(ensemble.nets[k], states, manipulations, settings.batch)
         moved = dataset.centre[chosen, end] - dataset.centre[chosen, start]
         tidy.append(
             pd.DataFrame(
                 {
                     "split": [SPLITS[code] for code in dataset.split[chosen]],
                     "system": SYSTEM,
-                    "net": net,
-                    "better": net == better,
+                    "net": str(ensemble.members[k]),
+                    "better": k == ensemble.best,
                     "sequence": chosen,
                     "start": start,
                     "length": length,
                     "error": np.float32(np.nan),
                     "error_no_action": np.asarray(errors(states[:, 0], states[:, -1], aligned=True)),
-                    "position_error": np.linalg.norm(shift.sum(0) - moved, axis=-1) / CLOTH_SIDE,
-                    "position_no_action": np.linalg.norm(moved, axis=-1) / CLOTH_SIDE,
+                    "position_error": np.linalg.norm(shift.sum(0) - moved, axis=-1) / CLOTH_LENGTH,
+                    "position_no_action": np.linalg.norm(moved, axis=-1) / CLOTH_LENGTH,
                     "sigma_ratio": np.float32(np.nan),
                     **measured,
                 }
@@ -91,11 +90,13 @@ def _differences(net: Net, states: jax.Array, manipulations: jax.Array) -> tuple
     start, end = states[:, 0], states[:, -1]
     observed, truth = voxels.observe(start), voxels.observe(end)
     tall_observed, tall_truth = voxels.observe(start, height=TALL), voxels.observe(end, height=TALL)
-    predicted, _, shift = rollout(net, observed, cartesian(states[:, :-1], manipulations))
+    model, plan = forward_model(net.config), cartesian(states[:, :-1], manipulations)
+    logits, found = predict(model, net.params, observed, plan, unroll=True)
+    predicted = jax.nn.sigmoid(logits)
     return (
         differences(predicted[-1], truth),
         differences(observed, truth),
         differences(pooled(predicted[-1]), tall_truth),
         differences(tall_observed, tall_truth),
-        shift,
+        found.shifts,
     )

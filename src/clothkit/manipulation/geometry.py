@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from clothkit.cloth.grid import geodesic
+from clothkit.cloth.topology import geodesic
 
 HEIGHT_LIMIT = 0.2
 """A release point is min(0.2, k / 2) above its grasp point, where k is their horizontal distance [normalised]."""
@@ -17,14 +17,15 @@ def to_cartesian(
 ) -> Float[Array, "*batch 3"]:
     """The points on the meshes at geodesic coordinates uv, by bilinear interpolation; uv is clipped to -1..1."""
     mesh, uv = jnp.asarray(mesh), jnp.asarray(uv)
-    side = mesh.shape[-2]
-    position = (jnp.clip(uv, -1, 1) + 1) * ((side - 1) / 2)
-    low = jnp.clip(jnp.floor(position).astype(jnp.int32), 0, side - 2)
+    rows, columns = mesh.shape[-3:-1]
+    quads = np.array([rows - 1, columns - 1], np.int32)
+    position = (jnp.clip(uv, -1, 1) + 1) * (quads / 2).astype(np.float32)
+    low = jnp.clip(jnp.floor(position).astype(jnp.int32), 0, quads - 1)
     fraction = position - low
-    flat = mesh.reshape(*mesh.shape[:-3], side * side, 3)
+    flat = mesh.reshape(*mesh.shape[:-3], rows * columns, 3)
 
     def corner(du: int, dv: int) -> Array:
-        index = (low[..., 0] + du) * side + low[..., 1] + dv
+        index = (low[..., 0] + du) * columns + low[..., 1] + dv
         return jnp.take_along_axis(flat, index[..., None, None], axis=-2)[..., 0, :]
 
     fu, fv = fraction[..., 0:1], fraction[..., 1:2]
@@ -34,7 +35,7 @@ def to_cartesian(
 
 
 def nearest_vertex(mesh: Float[np.ndarray, "u v 3"], xy: Float[np.ndarray, "*points 2"]) -> np.ndarray:
-    """Index (u * side + v) of the vertex nearest to each point in xy, int [*points]; of equals, the topmost."""
+    """Index (row by row) of the vertex nearest to each point in xy, int [*points]; of equals, the topmost."""
     vertices = mesh.reshape(-1, 3)
     squared = ((vertices[:, :2] - xy[..., None, :]) ** 2).sum(-1)
     topmost_first = np.argsort(-vertices[:, 2], kind="stable")
@@ -54,7 +55,7 @@ def topmost_vertex(mesh: Float[np.ndarray, "u v 3"], xy: Float[np.ndarray, "2"],
 
 def to_geodesic(mesh: Float[np.ndarray, "u v 3"], xy: Float[np.ndarray, "*points 2"]) -> Float[np.ndarray, "*points 2"]:
     """The geodesic coordinates of the vertex nearest to each point in xy (section 4.3)."""
-    return geodesic(mesh.shape[0]).reshape(-1, 2)[nearest_vertex(mesh, xy)]
+    return geodesic(mesh.shape[:2]).reshape(-1, 2)[nearest_vertex(mesh, xy)]
 
 
 class Release(NamedTuple):

@@ -6,8 +6,8 @@ import numpy as np
 from annotated_types import Ge, Gt, Le
 from jaxtyping import Float
 
-from clothkit.cloth.grid import CLOTH_SIDE, SIDE
 from clothkit.cloth.silhouette import pixel_centres, silhouette
+from clothkit.cloth.topology import SQUARE, Topology
 from clothkit.config import config
 from clothkit.manipulation.candidates import CandidateConfig, candidates
 from clothkit.manipulation.geometry import release_points, topmost_vertex
@@ -55,6 +55,7 @@ def sample(
     hands: int,
     settings: SamplingConfig,
     grasping: CandidateConfig,
+    topology: Topology = SQUARE,
 ) -> Drawn | None:
     """A random manipulation of a mesh at its place on the table [normalised], or None if no draw was valid.
 
@@ -62,9 +63,8 @@ def sample(
     manipulation is not null. Draws with the hands on different sides of m are rejected (design 6.2), as are those that
     violate the limits in `settings`.
     """
-    spacing = CLOTH_SIDE / (SIDE - 1)
     points = candidates(mesh, grasping)
-    vertices = list(dict.fromkeys(topmost_vertex(mesh, point, within=spacing / 2) for point in points))
+    vertices = list(dict.fromkeys(topmost_vertex(mesh, point, within=max(topology.spacing) / 2) for point in points))
     if len(vertices) < hands:
         return None
     positions = mesh.reshape(-1, 3)[:, :2].astype(float)

@@ -4,9 +4,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 from numpy import ndarray
 
-from clothkit.cloth.grid import CLOTH_SIDE
+from clothkit.cloth.topology import CLOTH_LENGTH
 
-SHORTEST = 0.35 * CLOTH_SIDE
+SHORTEST = 0.35 * CLOTH_LENGTH
 """A manipulation with a shorter displacement is null [normalised]."""
 
 Manipulations = Float[Array, "*batch 6"] | Float[ndarray, "*batch 6"]

@@ -11,16 +11,21 @@ rotated by right angles and mirrored only: the input of the voxel EM*D is the ca
 input of VtM has its larger second moment along x; mirrored versions are covered by the views of `vtm.estimate`.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Shaped
+from jaxtyping import Array, Bool, Float, Int, PyTree, Shaped
 
 from clothkit.cloth import grid
 from clothkit.cloth.equivalents import INVERSE, REVERSE_U, REVERSE_V, SWAP, relabel, relabel_manipulation
 from clothkit.cloth.mesh import Mesh, ProbabilisticMesh
 from clothkit.manipulation.turns import turn, turn_manipulation, turn_mesh
+
+if TYPE_CHECKING:
+    from clothkit.models.forward import ForwardModel
 
 GRID = np.asarray(grid.flat())[..., :2]
 """Positions xy of the flat cloth's vertices [normalised], centred."""
@@ -177,3 +182,62 @@ def lies_along_y(voxels: Bool[Array, "*batch x y z"]) -> Bool[Array, "*batch"]:
     """Whether the columns that hold cloth have a larger second moment along y than along x."""
     along_x, along_y = _moments(voxels, 2)
     return along_y > along_x
+
+
+@dataclass(frozen=True)
+class Description:
+    """How the states of one representation are transformed to canonical descriptions, and predictions back."""
+
+    frame: Callable[..., Frame]
+    """states [*b *state] -> the transformations to their canonical descriptions"""
+    state: Callable[..., Any]
+    """states, frames -> the states, transformed"""
+    manipulation: Callable[..., Any]
+    """manipulations [*b 6], frames -> the manipulations, transformed"""
+    undone: Callable[..., Any]
+    """predictions, frames -> the predictions, transformed back"""
+
+
+MESHES = Description(frame, described, manipulation_described, undone)
+"""Of meshes; grasp points are geodesic."""
+
+VOXELS = Description(voxel_frame, voxels_described, cartesian_described, voxels_undone)
+"""Of voxels; grasp points are Cartesian."""
+
+
+@dataclass(frozen=True)
+class Canonicalised:
+    """A `ForwardModel` that shows another one canonical descriptions only.
+
+    A state's frame is appended to its latents and memory traces. So manipulations, predictions and centre shifts are in
+    the coordinates and labels of the state that was encoded.
+    """
+
+    model: "ForwardModel"
+    description: Description
+
+    def encode(self, params: PyTree, state: Any) -> Float[Array, "*batch units_and_frame"]:
+        """The latent of a state's canonical description: eq. (2)."""
+        state = jnp.asarray(state)
+        found = self.description.frame(state)
+        return framed(self.model.encode(params, self.description.state(state, found)), found)
+
+    def step(
+        self, params: PyTree, latent: Any, trace: Any, manipulation: Any
+    ) -> tuple[
+        Float[Array, "*batch units_and_frame"], Float[Array, "*batch units_and_frame"], Float[Array, "*batch 2"]
+    ]:
+        """Latent, memory trace and centre shift [normalised] after one manipulation: eq. (3).
+
+        A trace that refers to another frame than the latent's is replaced by zeros.
+        """
+        latent, trace, manipulation = map(jnp.asarray, (latent, trace, manipulation))
+        units, found = unframed(latent)
+        shown = self.description.manipulation(manipulation, found)
+        units, left, shift = self.model.step(params, units, trace_within(trace, latent), shown)
+        return framed(units, found), framed(left, found), shift_undone(shift, found)
+
+    def decode(self, params: PyTree, latent: Any, stride: int = 1) -> Any:
+        """The prediction for a latent: eq. (4)."""
+        units, found = unframed(jnp.asarray(latent))
+        return self.description.undone(self.model.decode(params, units, stride), found)

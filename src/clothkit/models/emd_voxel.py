@@ -4,7 +4,7 @@ Grasp points are Cartesian, relative to the centre of the state that is manipula
 coordinates.
 """
 
-from functools import partial
+from dataclasses import dataclass
 from math import prod
 
 import flax.linen as nn
@@ -16,20 +16,10 @@ from numpy import ndarray
 from clothkit.cloth.voxels import RESOLUTION
 from clothkit.manipulation.geometry import to_cartesian
 from clothkit.manipulation.vector import displacement, grasp_points
-from clothkit.models.canonical import (
-    cartesian_described,
-    framed,
-    shift_undone,
-    trace_within,
-    unframed,
-    voxel_frame,
-    voxels_described,
-    voxels_undone,
-)
 from clothkit.models.convolution import Convolution, TransposedConvolution, axes
 from clothkit.models.layers import dense, run
 from clothkit.models.net import Net
-from clothkit.models.pemd import Manipulator, unrolled
+from clothkit.models.pemd import Manipulator
 from clothkit.models.settings import EMDVoxelConfig, Start
 
 MAPS = (32, 32, 64, 128, 256)
@@ -101,7 +91,7 @@ class VoxelDecoder(nn.Module):
         return TransposedConvolution(*layers[-1], scale=start.output, bias=start.logit, name="voxels")(units)[..., 0]
 
 
-class EMDVoxel(nn.Module):
+class EMDVoxelModule(nn.Module):
     """E, M and D in one module; `start` affects the initial weights only."""
 
     config: EMDVoxelConfig
@@ -113,11 +103,10 @@ class EMDVoxel(nn.Module):
         self.D = VoxelDecoder(self.config, self.start)
 
     def __call__(
-        self, voxels: Shaped[Array, "*batch x y z"], manipulations: Float[Array, "*batch n 6"]
-    ) -> tuple[Float[Array, "n *batch x y z"], Float[Array, "n *batch latent"], Float[Array, "n *batch 2"]]:
-        """Logits, memory traces and centre shifts after each manipulation."""
-        latents, traces, shifts = self.unroll(voxels, manipulations)
-        return self.D(latents), traces, shifts
+        self, voxels: Shaped[Array, "*batch x y z"], manipulation: Float[Array, "*batch 6"]
+    ) -> Float[Array, "*batch x y z"]:
+        latent = self.E(voxels)
+        return self.D(self.M(latent, jnp.zeros_like(latent), manipulation)[0])
 
     def encode(self, voxels: Shaped[Array, "*batch x y z"]) -> Float[Array, "*batch latent"]:
         return self.E(voxels)
@@ -133,19 +122,43 @@ class EMDVoxel(nn.Module):
     def decode(self, latent: Float[Array, "*batch latent"]) -> Float[Array, "*batch x y z"]:
         return self.D(latent)
 
-    def unroll(
-        self,
-        voxels: Shaped[Array, "*batch x y z"],
-        manipulations: Float[Array, "*batch n 6"],
-        trace: Float[Array, "*batch latent"] | None = None,
-    ) -> tuple[Float[Array, "n *batch latent"], Float[Array, "n *batch latent"], Float[Array, "n *batch 2"]]:
-        """Latents, memory traces and centre shifts after each manipulation: eq. (5) without the decoder."""
-        return unrolled(self.M, self.E(voxels), manipulations, trace)
-
 
 def initial(config: EMDVoxelConfig, start: Start = Start(), *, key: PRNGKeyArray) -> PyTree:  # noqa: B008
     """Initial weights for training."""
-    return EMDVoxel(config, start).init(key, jnp.zeros(RESOLUTION), jnp.zeros((1, 6)))["params"]
+    return EMDVoxelModule(config, start).init(key, jnp.zeros(RESOLUTION), jnp.zeros(6))["params"]
+
+
+@dataclass(frozen=True)
+class EMDVoxel:
+    """The voxel EM*D as a `ForwardModel`: states are voxels, predictions the logits of their occupancy."""
+
+    config: EMDVoxelConfig
+
+    def encode(
+        self, params: PyTree, state: Shaped[Array | ndarray, "*batch 32 32 16"]
+    ) -> Float[Array, "*batch latent"]:
+        """The latent of occluded, centred voxels (bool or 0 / 1): eq. (2)."""
+        return run(EMDVoxelModule(self.config), params, jnp.asarray(state), method="encode")
+
+    def step(
+        self,
+        params: PyTree,
+        latent: Float[Array | ndarray, "*batch latent"],
+        trace: Float[Array | ndarray, "*batch latent"],
+        manipulation: Float[Array | ndarray, "*batch 6"],
+    ) -> tuple[Float[Array, "*batch latent"], Float[Array, "*batch latent"], Float[Array, "*batch 2"]]:
+        """Latent, memory trace and centre shift [normalised] after a manipulation with Cartesian grasp points: eq. (3).
+
+        The first memory trace is zero.
+        """
+        latent, trace, manipulation = map(jnp.asarray, (latent, trace, manipulation))
+        return run(EMDVoxelModule(self.config), params, latent, trace, manipulation, method="step")
+
+    def decode(
+        self, params: PyTree, latent: Float[Array | ndarray, "*batch latent"], stride: int = 1
+    ) -> Float[Array, "*batch 32 32 16"]:
+        """The logits of occupancy for a latent: eq. (4) without the sigmoid. D always computes the whole volume."""
+        return run(EMDVoxelModule(self.config), params, jnp.asarray(latent), method="decode")
 
 
 def cartesian(
@@ -164,16 +177,18 @@ def cartesian(
     return jnp.concatenate([grasps, jnp.asarray(displacement(manipulations))], axis=-1)
 
 
-def encode(net: Net, voxels: Shaped[Array | ndarray, "*batch 32 32 16"]) -> Float[Array, "*batch latent"]:
-    """The latent of occluded, centred voxels (bool or 0 / 1): eq. (2).
+def cross_entropy(
+    logits: Float[Array, "*batch x y z"], truth: Shaped[Array, "*#batch x y z"]
+) -> Float[Array, "*batch"]:
+    """Binary cross-entropy between the truth (bool or 0 / 1) and logits of occupancy, averaged over voxels [nat]."""
+    return jnp.mean(jax.nn.softplus(logits) - logits * truth, axis=(-3, -2, -1))
 
-    If the net is canonical, the voxels' frame is appended to the latent.
-    """
-    voxels, module = jnp.asarray(voxels), EMDVoxel(net.config)
-    if not net.config.canonical:
-        return run(module, net.params, voxels, method="encode")
-    found = voxel_frame(voxels)
-    return framed(run(module, net.params, voxels_described(voxels, found), method="encode"), found)
+
+def encode(net: Net, voxels: Shaped[Array | ndarray, "*batch 32 32 16"]) -> Float[Array, "*batch latent"]:
+    """`encode` of the net's forward model."""
+    from clothkit.models.forward import forward_model
+
+    return forward_model(net.config).encode(net.params, voxels)
 
 
 def step(
@@ -182,49 +197,14 @@ def step(
     trace: Float[Array | ndarray, "*batch latent"],
     manipulation: Float[Array | ndarray, "*batch 6"],
 ) -> tuple[Float[Array, "*batch latent"], Float[Array, "*batch latent"], Float[Array, "*batch 2"]]:
-    """Latent, memory trace and centre shift [normalised] after one manipulation with Cartesian grasp points: eq. (3).
+    """`step` of the net's forward model."""
+    from clothkit.models.forward import forward_model
 
-    The first memory trace is zero. A canonical net replaces a trace that refers to another frame by zeros.
-    """
-    latent, trace, manipulation = map(jnp.asarray, (latent, trace, manipulation))
-    module = EMDVoxel(net.config)
-    if not net.config.canonical:
-        return run(module, net.params, latent, trace, manipulation, method="step")
-    units, found = unframed(latent)
-    described_so = cartesian_described(manipulation, found)
-    units, left, shift = run(module, net.params, units, trace_within(trace, latent), described_so, method="step")
-    return framed(units, found), framed(left, found), shift_undone(shift, found)
+    return forward_model(net.config).step(net.params, latent, trace, manipulation)
 
 
 def logits(net: Net, latent: Float[Array | ndarray, "*batch latent"]) -> Float[Array, "*batch 32 32 16"]:
-    """The logits of occupancy for a latent: the input of the sigmoid in `decode`, used by the losses."""
-    latent, module = jnp.asarray(latent), EMDVoxel(net.config)
-    if not net.config.canonical:
-        return run(module, net.params, latent, method="decode")
-    units, found = unframed(latent)
-    return voxels_undone(run(module, net.params, units, method="decode"), found)
+    """`decode` of the net's forward model."""
+    from clothkit.models.forward import forward_model
 
-
-def decode(net: Net, latent: Float[Array | ndarray, "*batch latent"]) -> Float[Array, "*batch 32 32 16"]:
-    """The probability that each voxel is occupied, 0..1: eq. (4)."""
-    return jax.nn.sigmoid(logits(net, latent))
-
-
-def cross_entropy(
-    logits: Float[Array, "*batch x y z"], truth: Shaped[Array, "*#batch x y z"]
-) -> Float[Array, "*batch"]:
-    """Binary cross-entropy between the truth (bool or 0 / 1) and logits of occupancy, averaged over voxels [nat]."""
-    return jnp.mean(jax.nn.softplus(logits) - logits * truth, axis=(-3, -2, -1))
-
-
-def rollout(
-    net: Net,
-    voxels: Shaped[Array | ndarray, "*batch 32 32 16"],
-    manipulations: Float[Array | ndarray, "*batch n 6"],
-    trace: Float[Array | ndarray, "*batch latent"] | None = None,
-) -> tuple[Float[Array, "n *batch 32 32 16"], Float[Array, "n *batch latent"], Float[Array, "n *batch 2"]]:
-    """Occupancy 0..1, memory traces and centre shifts after each of n manipulations with Cartesian grasps: eq. (5)."""
-    latent = encode(net, voxels)
-    trace = None if trace is None else jnp.asarray(trace)
-    latents, traces, shifts = unrolled(partial(step, net), latent, jnp.asarray(manipulations), trace)
-    return decode(net, latents), traces, shifts
+    return forward_model(net.config).decode(net.params, latent)

@@ -1,8 +1,6 @@
 """pEM*D, the probabilistic forward model: encoder E, manipulator M, decoder D (section 4.5, design 6.3)."""
 
-from collections.abc import Callable
-from functools import partial
-from typing import Any
+from dataclasses import dataclass
 
 import flax.linen as nn
 import jax.numpy as jnp
@@ -11,16 +9,6 @@ from numpy import ndarray
 
 from clothkit.cloth.grid import SIDE, thinned
 from clothkit.cloth.mesh import ProbabilisticMesh
-from clothkit.models.canonical import (
-    described,
-    frame,
-    framed,
-    manipulation_described,
-    shift_undone,
-    trace_within,
-    undone,
-    unframed,
-)
 from clothkit.models.layers import dense, probabilistic_mesh, probabilistic_output, run
 from clothkit.models.net import Net
 from clothkit.models.settings import PEMDConfig, Start
@@ -98,22 +86,6 @@ class Manipulator(nn.Module):
         return nn.Dense(width, kernel_init=weights, name=name)
 
 
-def unrolled(
-    manipulator: Callable[..., Any],
-    latent: Float[Array, "*batch latent"],
-    manipulations: Float[Array, "*batch n 6"],
-    trace: Float[Array, "*batch latent"] | None = None,
-) -> tuple[Float[Array, "n *batch latent"], Float[Array, "n *batch latent"], Float[Array, "n *batch 2"]]:
-    """Latents, memory traces and centre shifts after each manipulation; without `trace` the first trace is zero."""
-    trace = jnp.zeros_like(latent) if trace is None else trace
-    steps = []
-    for i in range(manipulations.shape[-2]):
-        latent, trace, shift = manipulator(latent, trace, manipulations[..., i, :])
-        steps.append((latent, trace, shift))
-    latents, traces, shifts = (jnp.stack(values) for values in zip(*steps, strict=True))
-    return latents, traces, shifts
-
-
 class Decoder(nn.Module):
     """D, eq. (4): hidden layers with tanh, and the output of eq. (6)."""
 
@@ -130,7 +102,7 @@ class Decoder(nn.Module):
         return probabilistic_mesh(units.reshape(*latent.shape[:-1], -1), self.config.least_std)
 
 
-class PEMD(nn.Module):
+class PEMDModule(nn.Module):
     """E, M and D in one module; `start` affects the initial weights only."""
 
     config: PEMDConfig
@@ -141,11 +113,9 @@ class PEMD(nn.Module):
         self.M = Manipulator(self.config.latent, self.config.manipulation, self.start)
         self.D = Decoder(self.config, self.start)
 
-    def __call__(
-        self, mesh: Float[Array, "*batch u v 3"], manipulations: Float[Array, "*batch n 6"]
-    ) -> tuple[ProbabilisticMesh, Float[Array, "n *batch latent"], Float[Array, "n *batch 2"]]:
-        latents, traces, shifts = self.unroll(mesh, manipulations)
-        return self.D(latents), traces, shifts
+    def __call__(self, mesh: Float[Array, "*batch u v 3"], manipulation: Float[Array, "*batch 6"]) -> ProbabilisticMesh:
+        latent = self.E(mesh)
+        return self.D(self.M(latent, jnp.zeros_like(latent), manipulation)[0])
 
     def encode(self, mesh: Float[Array, "*batch u v 3"]) -> Float[Array, "*batch latent"]:
         return self.E(mesh)
@@ -161,33 +131,72 @@ class PEMD(nn.Module):
     def decode(self, latent: Float[Array, "*batch latent"]) -> ProbabilisticMesh:
         return self.D(latent)
 
-    def unroll(
-        self,
-        mesh: Float[Array, "*batch u v 3"],
-        manipulations: Float[Array, "*batch n 6"],
-        trace: Float[Array, "*batch latent"] | None = None,
-    ) -> tuple[Float[Array, "n *batch latent"], Float[Array, "n *batch latent"], Float[Array, "n *batch 2"]]:
-        """Latents, memory traces and centre shifts after each manipulation: eq. (5) without the decoder."""
-        return unrolled(self.M, self.E(mesh), manipulations, trace)
-
 
 def initial(config: PEMDConfig, start: Start = Start(), *, key: PRNGKeyArray) -> PyTree:  # noqa: B008
     """Initial weights for training."""
-    mesh, manipulations = jnp.zeros((SIDE, SIDE, 3)), jnp.zeros((1, 6))
-    return PEMD(config, start).init(key, mesh, manipulations)["params"]
+    return PEMDModule(config, start).init(key, jnp.zeros((SIDE, SIDE, 3)), jnp.zeros(6))["params"]
+
+
+@dataclass(frozen=True)
+class PEMD:
+    """pEM*D as a `ForwardModel`: states are meshes, predictions probabilistic meshes [normalised]."""
+
+    config: PEMDConfig
+
+    def encode(self, params: PyTree, state: Float[Array | ndarray, "*batch u v 3"]) -> Float[Array, "*batch latent"]:
+        """The latent of a centred mesh [normalised]: eq. (2)."""
+        return run(PEMDModule(self.config), params, jnp.asarray(state), method="encode")
+
+    def step(
+        self,
+        params: PyTree,
+        latent: Float[Array | ndarray, "*batch latent"],
+        trace: Float[Array | ndarray, "*batch latent"],
+        manipulation: Float[Array | ndarray, "*batch 6"],
+    ) -> tuple[Float[Array, "*batch latent"], Float[Array, "*batch latent"], Float[Array, "*batch 2"]]:
+        """Latent, memory trace and centre shift [normalised] after one manipulation: eq. (3).
+
+        The first memory trace is zero.
+        """
+        latent, trace, manipulation = map(jnp.asarray, (latent, trace, manipulation))
+        return run(PEMDModule(self.config), params, latent, trace, manipulation, method="step")
+
+    def decode(
+        self, params: PyTree, latent: Float[Array | ndarray, "*batch latent"], stride: int = 1
+    ) -> ProbabilisticMesh:
+        """The probabilistic mesh [normalised] for a latent: eq. (4).
+
+        With a stride above 1, only the vertices that `grid.thinned` keeps are computed and returned.
+        """
+        latent = jnp.asarray(latent)
+        if stride == 1:
+            return run(PEMDModule(self.config), params, latent, method="decode")
+        return self._decode_thinned(params["D"], latent, stride)
+
+    def _decode_thinned(self, decoder: PyTree, latent: Float[Array, "*batch latent"], stride: int) -> ProbabilisticMesh:
+        """D with an output layer for some of the vertices only.
+
+        This saves time because most of a search's arithmetic is in the output layer, while neighbouring vertices have
+        similar predictions.
+        """
+        units = latent.reshape(-1, latent.shape[-1])
+        for i in range(len(self.config.decoder)):
+            layer = decoder[f"layer_{i + 1}"]
+            units = jnp.tanh(units @ layer["kernel"] + layer["bias"])
+        kernel, bias = (
+            thinned(decoder["mesh"][name].reshape(-1, SIDE, SIDE, 6), stride) for name in ("kernel", "bias")
+        )
+        side = kernel.shape[1]
+        units = units @ kernel.reshape(len(kernel), -1) + bias.reshape(-1)
+        units = units.reshape(*latent.shape[:-1], side, side, 6)
+        return ProbabilisticMesh(units[..., :3], jnp.exp(units[..., 3:]) + self.config.least_std)
 
 
 def encode(net: Net, mesh: Float[Array | ndarray, "*batch u v 3"]) -> Float[Array, "*batch latent"]:
-    """The latent of a centred mesh [normalised]: eq. (2).
+    """`encode` of the net's forward model."""
+    from clothkit.models.forward import forward_model
 
-    If the net is canonical, the mesh's frame is appended to the latent. `step` and `decode` use it to convert, so that
-    manipulations and predictions are in the coordinates and labels of `mesh`.
-    """
-    mesh, module = jnp.asarray(mesh), PEMD(net.config)
-    if not net.config.canonical:
-        return run(module, net.params, mesh, method="encode")
-    found = frame(mesh)
-    return framed(run(module, net.params, described(mesh, found), method="encode"), found)
+    return forward_model(net.config).encode(net.params, mesh)
 
 
 def step(
@@ -196,60 +205,14 @@ def step(
     trace: Float[Array | ndarray, "*batch latent"],
     manipulation: Float[Array | ndarray, "*batch 6"],
 ) -> tuple[Float[Array, "*batch latent"], Float[Array, "*batch latent"], Float[Array, "*batch 2"]]:
-    """Latent, memory trace and centre shift [normalised] after one manipulation: eq. (3).
+    """`step` of the net's forward model."""
+    from clothkit.models.forward import forward_model
 
-    The first memory trace is zero. A canonical net replaces a trace that refers to another frame by zeros.
-    """
-    latent, trace, manipulation = map(jnp.asarray, (latent, trace, manipulation))
-    module = PEMD(net.config)
-    if not net.config.canonical:
-        return run(module, net.params, latent, trace, manipulation, method="step")
-    units, found = unframed(latent)
-    described_so = manipulation_described(manipulation, found)
-    units, left, shift = run(module, net.params, units, trace_within(trace, latent), described_so, method="step")
-    return framed(units, found), framed(left, found), shift_undone(shift, found)
+    return forward_model(net.config).step(net.params, latent, trace, manipulation)
 
 
-def decode(net: Net, latent: Float[Array | ndarray, "*batch latent"], every: int = 1) -> ProbabilisticMesh:
-    """The probabilistic mesh [normalised] for a latent: eq. (4).
+def decode(net: Net, latent: Float[Array | ndarray, "*batch latent"], stride: int = 1) -> ProbabilisticMesh:
+    """`decode` of the net's forward model."""
+    from clothkit.models.forward import forward_model
 
-    With `every` above 1, only the vertices that `grid.thinned` keeps are computed and returned.
-    """
-    latent = jnp.asarray(latent)
-    units, found = unframed(latent) if net.config.canonical else (latent, None)
-    if every == 1:
-        predicted = run(PEMD(net.config), net.params, units, method="decode")
-    else:
-        predicted = _decode_thinned(net, units, every)
-    return predicted if found is None else undone(predicted, found)
-
-
-def _decode_thinned(net: Net, latent: Float[Array, "*batch latent"], every: int) -> ProbabilisticMesh:
-    """D with an output layer for some of the vertices only.
-
-    This saves time because most of a search's arithmetic is in the output layer, while neighbouring vertices have
-    similar predictions.
-    """
-    decoder = net.params["D"]
-    units = latent.reshape(-1, latent.shape[-1])
-    for i in range(len(net.config.decoder)):
-        layer = decoder[f"layer_{i + 1}"]
-        units = jnp.tanh(units @ layer["kernel"] + layer["bias"])
-    kernel, bias = (thinned(decoder["mesh"][name].reshape(-1, SIDE, SIDE, 6), every) for name in ("kernel", "bias"))
-    side = kernel.shape[1]
-    units = units @ kernel.reshape(len(kernel), -1) + bias.reshape(-1)
-    units = units.reshape(*latent.shape[:-1], side, side, 6)
-    return ProbabilisticMesh(units[..., :3], jnp.exp(units[..., 3:]) + net.config.least_std)
-
-
-def rollout(
-    net: Net,
-    mesh: Float[Array | ndarray, "*batch u v 3"],
-    manipulations: Float[Array | ndarray, "*batch n 6"],
-    trace: Float[Array | ndarray, "*batch latent"] | None = None,
-) -> tuple[ProbabilisticMesh, Float[Array, "n *batch latent"], Float[Array, "n *batch 2"]]:
-    """Probabilistic meshes [n *batch u v 3], memory traces and centre shifts after each of n manipulations: eq. (5)."""
-    latent = encode(net, mesh)
-    trace = None if trace is None else jnp.asarray(trace)
-    latents, traces, shifts = unrolled(partial(step, net), latent, jnp.asarray(manipulations), trace)
-    return decode(net, latents), traces, shifts
+    return forward_model(net.config).decode(net.params, latent, stride)

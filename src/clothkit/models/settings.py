@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from annotated_types import Gt, MinLen
+from annotated_types import Ge, Gt, Lt, MinLen
 
 from clothkit.cloth.voxels import HEIGHT
 from clothkit.config import config
@@ -68,6 +68,18 @@ class EMDVoxelConfig:
     def __post_init__(self) -> None:
         if self.manipulation < self.latent:
             raise ValueError(f"manipulation must be at least latent ({self.latent})")
+
+
+@config
+class EnsembleConfig:
+    """The members of an ensemble of forward models."""
+
+    members: Annotated[tuple[Annotated[int, Ge(0), Lt(2**32)], ...], MinLen(1)] = (0, 1)
+    """Numbers of the members: each number selects the random key that a net is trained from."""
+
+    def __post_init__(self) -> None:
+        if len(set(self.members)) != len(self.members):
+            raise ValueError("members must differ from one another")
 
 
 @config

@@ -12,15 +12,14 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool
 
-from clothkit.cloth.grid import CLOTH_SIDE, SIDE
 from clothkit.cloth.silhouette import centred
+from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE, Topology
 from clothkit.cloth.voxels import RESOLUTION
 from clothkit.errors import InputError, system_error
 from clothkit.observation.colours import as_bytes, colours_of
 from clothkit.observation.states import MeshState, PointCloud, VoxelState, named
 from clothkit.observation.surfaces import check_grid
 
-SHAPES = "[32, 32, 3] (mesh), [32, 32, 16] (voxels) or [n, 3] (points)"
 _STATES = {
     "mesh": ("mesh", "vertices", "verts"),
     "voxels": ("voxels", "occupancy"),
@@ -38,14 +37,22 @@ A smaller array is taken for a mesh of another grid size and refused.
 """
 
 
-def read_numpy(path: Path, *, cloth_side: float) -> MeshState | VoxelState | PointCloud:
+def shapes(topology: Topology) -> str:
+    """The shapes of the arrays that are read, for messages."""
+    rows, columns = topology.shape
+    return f"[{rows}, {columns}, 3] (mesh), [32, 32, 16] (voxels) or [n, 3] (points)"
+
+
+def read_numpy(path: Path, *, cloth_side: float, topology: Topology = SQUARE) -> MeshState | VoxelState | PointCloud:
     """The state in an NPY or NPZ file. Raises InputError that names what the file has and what was expected."""
     try:
         if path.suffix.lower() == ".npy":
-            return from_array(_array(str(path), path.read_bytes()), name=str(path), cloth_side=cloth_side)
+            return from_array(
+                _array(str(path), path.read_bytes()), name=str(path), cloth_side=cloth_side, topology=topology
+            )
         with zipfile.ZipFile(path) as archive:
             members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
-            names = _chosen(path, members)
+            names = _chosen(path, members, topology)
             arrays = {role: _array(f"{path}: {name}", archive.read(members[name])) for role, name in names.items()}
     except InputError:
         raise
@@ -56,10 +63,10 @@ def read_numpy(path: Path, *, cloth_side: float) -> MeshState | VoxelState | Poi
     unread = tuple(name for name in members if name not in names.values())
     state = next(role for role in names if role not in _EXTRAS)
     extras = {role: array for role, array in arrays.items() if role in _EXTRAS}
-    return from_array(arrays[state], name=str(path), cloth_side=cloth_side, unread=unread, **extras)
+    return from_array(arrays[state], name=str(path), cloth_side=cloth_side, topology=topology, unread=unread, **extras)
 
 
-def _chosen(path: Path, names: Iterable[str]) -> dict[str, str]:
+def _chosen(path: Path, names: Iterable[str], topology: Topology) -> dict[str, str]:
     """The name of the array for each role.
 
     If no array has the known name of a state and exactly one array is left, its role is "array": a state whose kind
@@ -79,7 +86,7 @@ def _chosen(path: Path, names: Iterable[str]) -> dict[str, str]:
         found["array"] = others[0]
     elif len(states) != 1:
         if not names:
-            raise InputError(f"{path}: holds no array {SHAPES}")
+            raise InputError(f"{path}: holds no array {shapes(topology)}")
         raise InputError(
             f"{path}: has {named(names)}; expected one of mesh, voxels, points, and beside points cloth, colours "
             "and viewpoint"
@@ -114,6 +121,7 @@ def from_array(
     *,
     name: str,
     cloth_side: float,
+    topology: Topology = SQUARE,
     cloth: np.ndarray | None = None,
     colours: np.ndarray | None = None,
     viewpoint: np.ndarray | None = None,
@@ -130,8 +138,8 @@ def from_array(
         return _table(name, array, unread, told)
     if array.dtype.kind not in "fiub":
         raise InputError(f"{name}: holds {array.dtype}, expected numbers")
-    if array.shape == (SIDE, SIDE, 3):
-        return _mesh(name, array.astype(np.float32), cloth_side, told)
+    if array.shape == (*topology.shape, 3):
+        return _mesh(name, array.astype(np.float32), cloth_side, topology, told)
     if array.shape == RESOLUTION:
         voxels = _binary(array)
         if voxels is None:
@@ -141,7 +149,7 @@ def from_array(
         return VoxelState(voxels, told)
     image = array.ndim == 3 and array.shape[2] == 3 and min(array.shape[:2]) >= _LEAST_IMAGE
     if not image and (array.ndim != 2 or array.shape[1] != 3):
-        raise InputError(f"{name}: has shape {list(array.shape)}, expected {SHAPES}{_remedy(array.shape)}")
+        raise InputError(f"{name}: has shape {list(array.shape)}, expected {shapes(topology)}{_remedy(array.shape)}")
     shape = array.shape[:-1]
     count = int(np.prod(shape))
     fields = (("cloth", cloth, ()), ("colours", colours, (3,)))
@@ -180,11 +188,13 @@ def _table(name: str, table: np.ndarray, unread: tuple[str, ...], notices: tuple
         return PointCloud(points, colours=colours_of(columns), unread=unread, notices=notices)
 
 
-def _mesh(name: str, vertices: np.ndarray, cloth_side: float, notices: tuple[str, ...]) -> MeshState:
+def _mesh(
+    name: str, vertices: np.ndarray, cloth_side: float, topology: Topology, notices: tuple[str, ...]
+) -> MeshState:
     if not np.isfinite(vertices).all():
         raise InputError(f"{name}: has vertices that are not finite")
-    check_grid(name, vertices, side=CLOTH_SIDE, unit="normalised")
-    return MeshState(*centred(vertices), cloth_side / CLOTH_SIDE, notices)
+    check_grid(name, vertices, topology, side=CLOTH_LENGTH, unit="normalised")
+    return MeshState(*centred(vertices), cloth_side / CLOTH_LENGTH, notices)
 
 
 def _notices(name: str, unread: tuple[str, ...]) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from clothkit.cloth.grid import CLOTH_SIDE
+from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.cloth.voxels import HEIGHT, RESOLUTION, occlude, voxelise
 from clothkit.errors import InputError
 from clothkit.observation.coverage import centre, spacing
@@ -63,7 +63,7 @@ def observe_cloud(
         raise InputError(f"cloth side {cloth_side:g}: expected metres above 0")
     found = segment(cloud, cloth_side=cloth_side, settings=settings, table=table, stated=stated, name=name)
     middle = centre(found.cloth[:, :2], extent=_DIAGONAL * 2 * cloth_side)
-    pose = Pose(found.rotation, found.origin, middle, cloth_side / CLOTH_SIDE)
+    pose = Pose(found.rotation, found.origin, middle, cloth_side / CLOTH_LENGTH)
     points = found.cloth - [0, 0, settings.surface]
     points = pose.table_to_normalised(smoothed(points, radius=settings.smoothing))
     empty = columns_of(pose.table_to_normalised(found.table)) > 0

@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 import zarr
 
-from clothkit.cloth.grid import CLOTH_SIDE, SIDE
+from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE, Topology
 from clothkit.cloth.voxels import RESOLUTION
 from clothkit.dataset.store import STATES, open_meshes
 from clothkit.dataset.zarr_store import check_shards, open_node, read_array
 from clothkit.errors import InputError, system_error
-from clothkit.observation.arrays import SHAPES, from_array, read_numpy
+from clothkit.observation.arrays import from_array, read_numpy, shapes
 from clothkit.observation.pcd import read_pcd
 from clothkit.observation.states import MeshState, PointCloud, VoxelState
 from clothkit.observation.surfaces import ENDINGS, read_surface
@@ -35,11 +35,19 @@ _ZARR = re.compile(r"(?P<store>.*\.zarr)(?::(?P<inside>.*))?")
 State = MeshState | VoxelState | PointCloud
 
 
-def read(source: str | Path, *, cloth_side: float = DEFAULT_SIDE, y_up: bool = False, as_points: bool = False) -> State:
+def read(
+    source: str | Path,
+    *,
+    cloth_side: float = DEFAULT_SIDE,
+    y_up: bool = False,
+    as_points: bool = False,
+    topology: Topology = SQUARE,
+) -> State:
     """The state in a file; the file's ending decides how it is read. Lengths are metres unless an array is normalised.
 
-    `cloth_side` is the side of the flat cloth [m]. `y_up` states that OBJ and PLY meshes have y up. `as_points` reads
-    the vertices of a mesh that is not our grid as points that a camera measured. Raises InputError, one sentence, that
+    `cloth_side` is the side of the flat cloth, the longer one if it is no square [m]. `y_up` states that OBJ and PLY
+    meshes have y up. `as_points` reads the vertices of a mesh that is not the topology's grid as points that a camera
+    measured. A store of meshes holds SQUARE's grids alone. Raises InputError, one sentence, that
     names the file, what was expected and what was found.
     """
     if not (np.isfinite(cloth_side) and cloth_side > 0):
@@ -54,19 +62,19 @@ def read(source: str | Path, *, cloth_side: float = DEFAULT_SIDE, y_up: bool = F
     except OSError as error:
         raise system_error(error, path) from error
     if inside:
-        return _read_zarr(path, inside["inside"], cloth_side)
+        return _read_zarr(path, inside["inside"], cloth_side, topology)
     if not stat.S_ISREG(found.st_mode):
         raise InputError(f"{path}: is {'a folder' if path.is_dir() else 'no regular file'}, expected a file")
     if found.st_size == 0:
         raise InputError(f"{path}: is empty, expected a cloth")
     if ending in ENDINGS:
-        return read_surface(path, cloth_side=cloth_side, y_up=y_up, as_points=as_points)
+        return read_surface(path, cloth_side=cloth_side, y_up=y_up, as_points=as_points, topology=topology)
     if ending == ".pcd":
         return read_pcd(path)
-    return read_numpy(path, cloth_side=cloth_side)
+    return read_numpy(path, cloth_side=cloth_side, topology=topology)
 
 
-def _read_zarr(path: Path, inside: str | None, cloth_side: float) -> State:
+def _read_zarr(path: Path, inside: str | None, cloth_side: float, topology: Topology) -> State:
     node: Any = open_node(path)
     name = f"{path}:{inside}" if inside else str(path)
     try:
@@ -82,16 +90,16 @@ def _read_zarr(path: Path, inside: str | None, cloth_side: float) -> State:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"{name}: can't be read as zarr ({reason})") from error
     if len(arrays) != 1:
-        raise InputError(f"{name}: is a group of {len(arrays)} arrays, expected one {SHAPES}")
+        raise InputError(f"{name}: is a group of {len(arrays)} arrays, expected one {shapes(topology)}")
     if not isinstance(arrays[0], zarr.Array):
         raise InputError(f"{name}: is no array")
     # The shape is checked before memory is allocated. Zarr may leave out chunks of zeros, and most voxels are empty, so
     # voxels may lack chunks.
     shape = arrays[0].shape
-    if shape not in ((SIDE, SIDE, 3), RESOLUTION) and (len(shape) != 2 or shape[1] != 3):
-        raise InputError(f"{name}: has shape {list(shape)}, expected {SHAPES}")
+    if shape not in ((*topology.shape, 3), RESOLUTION) and (len(shape) != 2 or shape[1] != 3):
+        raise InputError(f"{name}: has shape {list(shape)}, expected {shapes(topology)}")
     check_shards(arrays[0], name, zeros=shape == RESOLUTION)
-    return from_array(read_array(arrays[0], name), name=name, cloth_side=cloth_side)
+    return from_array(read_array(arrays[0], name), name=name, cloth_side=cloth_side, topology=topology)
 
 
 def _stored(path: Path, inside: str | None, cloth_side: float) -> MeshState:
@@ -110,4 +118,4 @@ def _stored(path: Path, inside: str | None, cloth_side: float) -> MeshState:
         raise InputError(f"{name}: not there, the sequence is shorter")
     if not (np.isfinite(vertices).all() and np.isfinite(centre).all()):
         raise InputError(f"{name}: vertices or centre is not finite")
-    return MeshState(vertices, centre, cloth_side / CLOTH_SIDE)
+    return MeshState(vertices, centre, cloth_side / CLOTH_LENGTH)

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from clothkit.cloth.grid import CLOTH_SIDE
+from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.cloth.voxels import HEIGHT, RESOLUTION, double, occlude
 from clothkit.cloth.voxels import observe as observe_mesh
 from clothkit.errors import InputError
@@ -43,13 +43,13 @@ def observe(
         return observe_cloud(state, cloth_side=cloth_side, settings=settings, table=table, stated=stated, name=name)
     if isinstance(state, MeshState):
         points = np.asarray(double(state.mesh)).reshape(-1, 3)
-        check_lying(name, points, side=CLOTH_SIDE, remedy=MESH_REMEDY)
-        check_above(name, points, side=CLOTH_SIDE, remedy=MESH_REMEDY)
+        check_lying(name, points, side=CLOTH_LENGTH, remedy=MESH_REMEDY)
+        check_above(name, points, side=CLOTH_LENGTH, remedy=MESH_REMEDY)
         notices = notices_of_points(name, points, height=settings.height, metres=state.scale)
         return Observation(np.asarray(observe_mesh(state.mesh, height=settings.height)), state.pose, points, notices)
     notices = notices_of_voxels(name, state.voxels)
     voxels, shift = _centred(np.asarray(occlude(jnp.asarray(state.voxels))), name)
-    scale = cloth_side / CLOTH_SIDE
+    scale = cloth_side / CLOTH_LENGTH
     pose = Pose(np.eye(3), np.zeros(3), shift * scale, scale)
     return Observation(voxels, pose, _tops(voxels, settings.height), notices)
 

@@ -8,7 +8,7 @@ import numpy as np
 from annotated_types import Ge, Gt
 from jaxtyping import Float
 
-from clothkit.cloth.grid import CLOTH_SIDE, triangles
+from clothkit.cloth.topology import CLOTH_LENGTH, triangles
 from clothkit.config import config
 from clothkit.errors import InputError
 from clothkit.observation.camera import CameraConfig, DepthImage, back_project, render
@@ -29,7 +29,7 @@ class PictureConfig:
     """None: no noise."""
     cloud: CloudConfig = CloudConfig()
     side: Annotated[float, Gt(0)] = 0.4
-    """Side of the flat cloth [m]."""
+    """Side of the flat cloth, the longer one if it is no square [m]."""
     off: Annotated[float, Ge(0)] = 0.05
     """Largest distance of the cloth's centre from the point that the camera aims at, along x and along y [m]."""
     attempts: Annotated[int, Gt(0)] = 5
@@ -56,9 +56,9 @@ def take(mesh: Float[np.ndarray, "u v 3"], settings: PictureConfig) -> Picture:
     a table.
     """
     base = zlib.crc32(np.ascontiguousarray(mesh, np.float32).tobytes())
-    scale = settings.side / CLOTH_SIDE
+    scale = settings.side / CLOTH_LENGTH
     place = np.random.default_rng([settings.seed, base]).uniform(-settings.off, settings.off, 2)
-    clean = render(mesh.astype(float) * scale + [*place, 0.0], triangles(), settings.camera)
+    clean = render(mesh.astype(float) * scale + [*place, 0.0], triangles(mesh.shape[:2]), settings.camera)
     for attempt in range(1, settings.attempts + 1):
         seed = base + _OFF * (settings.seed + attempt)
         image = clean if settings.noise is None else noisy(clean, settings.noise, seed=seed)

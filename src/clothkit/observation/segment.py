@@ -14,7 +14,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from clothkit.cloth.grid import CLOTH_SIDE
+from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.cloth.voxels import RESOLUTION
 from clothkit.errors import InputError
 from clothkit.observation.heights import check_lying
@@ -38,7 +38,7 @@ _FARTHEST = 1e5
 # Cloth sides. Points further from the median of the cloth's points are strays, if they are few.
 _ASTRAY = 20.0
 _BESIDE = 1.5  # cells: reaches the eight cells around a cell
-_VOXELS_A_SIDE = CLOTH_SIDE / 2 * RESOLUTION[0]  # voxels along a side of the flat cloth
+_VOXELS_A_SIDE = CLOTH_LENGTH / 2 * RESOLUTION[0]  # voxels along a side of the flat cloth
 
 
 class Segmented(NamedTuple):

@@ -21,7 +21,7 @@ def named(names: Sequence[str]) -> str:
 class MeshState:
     """A cloth as a mesh, and its position."""
 
-    mesh: Float[np.ndarray, "32 32 3"]
+    mesh: Float[np.ndarray, "u v 3"]
     """Normalised and centred."""
     centre: Float[np.ndarray, "2"]
     """The mesh's centre in the file's own frame [normalised]."""

@@ -1,8 +1,9 @@
 """Reads triangle meshes in OBJ, PLY and GLB files.
 
 OBJ and PLY have z up, GLB has y up, and the table is at height 0, as in the files that `dataset.export` writes. A mesh
-of our grid, with its vertices in any order, becomes a mesh state. Any other surface does not show which point of the
-cloth is where, so it becomes what a camera straight above would measure: a dense point cloud without hidden layers.
+of the cloth's grid, with its vertices in any order, becomes a mesh state. Any other surface does not show which point
+of the cloth is where, so it becomes what a camera straight above would measure: a dense point cloud without hidden
+layers.
 
 A file may also hold points that a camera measured, without faces or, if a program has meshed them, with faces.
 """
@@ -13,10 +14,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from clothkit.cloth.grid import CLOTH_SIDE, SIDE
 from clothkit.cloth.silhouette import centred
+from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE, Topology
 from clothkit.errors import InputError, system_error
-from clothkit.observation.grids import grid_order
+from clothkit.observation.grids import grid_order, widths
 from clothkit.observation.heights import MESH_REMEDY, check_above, check_lying
 from clothkit.observation.parts import Loaded, check_joined, load
 from clothkit.observation.plane import LEVEL
@@ -40,13 +41,13 @@ _MESHED = "holds a mesh with colours that does not lie on z = 0: taken for point
 
 
 def read_surface(
-    path: Path, *, cloth_side: float, y_up: bool = False, as_points: bool = False
+    path: Path, *, cloth_side: float, y_up: bool = False, as_points: bool = False, topology: Topology = SQUARE
 ) -> MeshState | PointCloud:
-    """The state in a mesh file: a mesh of our grid or a point cloud.
+    """The state in a mesh file: a mesh of the topology's grid or a point cloud.
 
     `y_up` states that an OBJ or PLY mesh has y up, as GLB always has; points are not turned. `as_points` reads the
-    vertices of a mesh that is not our grid as points that a camera measured, wherever they lie, and leaves out the
-    faces. A PLY mesh is read in this way without `as_points`, too, if its vertices have colours and it is neither our
+    vertices of a mesh that is not this grid as points that a camera measured, wherever they lie, and leaves out the
+    faces. A PLY mesh is read in this way without `as_points`, too, if its vertices have colours and it is neither this
     grid nor on the table. A PLY without faces is a point cloud.
 
     Raises InputError when the file can't be read, or does not hold a cloth of `cloth_side` [m] on the table.
@@ -71,14 +72,14 @@ def read_surface(
     vertices, faces = vertices[used], faces.reshape(-1, 3)
     # With `<`, NaN counts as too far away, too.
     finite = bool((np.abs(vertices) < _FARTHEST * cloth_side).all())
-    order = grid_order(vertices, faces, tolerance=tolerance) if finite else None
+    order = grid_order(vertices, faces, topology, tolerance=tolerance) if finite else None
     if order is None and as_points:
         return points
     if not finite:
         raise InputError(f"{path}: has vertices that are not finite, or farther away than any cloth's")
     if order is None and ply and points.colours is not None and not _on_table(vertices, cloth_side):
         return dataclasses.replace(points, notices=(f"{path}: {_MESHED}",))
-    return _surface(path, loaded._replace(vertices=vertices, faces=faces), order, cloth_side, tolerance)
+    return _surface(path, loaded._replace(vertices=vertices, faces=faces), order, cloth_side, tolerance, topology)
 
 
 def _z_up(vertices: Float[np.ndarray, "vertices 3"]) -> Float[np.ndarray, "vertices 3"]:
@@ -87,17 +88,22 @@ def _z_up(vertices: Float[np.ndarray, "vertices 3"]) -> Float[np.ndarray, "verti
 
 
 def _surface(
-    path: Path, loaded: Loaded, order: Int[np.ndarray, "1024"] | None, cloth_side: float, tolerance: float
+    path: Path,
+    loaded: Loaded,
+    order: Int[np.ndarray, " grid"] | None,
+    cloth_side: float,
+    tolerance: float,
+    topology: Topology,
 ) -> MeshState | PointCloud:
     """The state of a cloth with finite vertices, z up: a mesh if `order` is given, else its points seen from above.
 
-    `order` lists the vertices of our grid row by row. Raises InputError when the cloth has another size, consists of
-    several parts, stands upright, or does not lie on the table.
+    `order` lists the vertices of the topology's grid row by row. Raises InputError when the cloth has another size,
+    consists of several parts, stands upright, or does not lie on the table.
     """
     vertices = loaded.vertices
     if order is not None:
         vertices = vertices[order]
-        check_grid(str(path), vertices.reshape(SIDE, SIDE, 3), side=cloth_side, unit="m")
+        check_grid(str(path), vertices.reshape(*topology.shape, 3), topology, side=cloth_side, unit="m")
     else:
         check_joined(path, loaded, tolerance=tolerance)
         check_span(str(path), vertices, side=cloth_side, unit="m", meshed=True)
@@ -110,8 +116,8 @@ def _surface(
     check_above(str(path), vertices, side=cloth_side, remedy=MESH_REMEDY)
     if order is None:
         return from_above(vertices, loaded.faces, pitch=_PITCH * cloth_side)
-    scale = cloth_side / CLOTH_SIDE
-    mesh, centre = centred((vertices / scale).astype(np.float32).reshape(SIDE, SIDE, 3))
+    scale = cloth_side / CLOTH_LENGTH
+    mesh, centre = centred((vertices / scale).astype(np.float32).reshape(*topology.shape, 3))
     return MeshState(mesh, centre, scale)
 
 
@@ -119,14 +125,25 @@ def _on_table(vertices: Float[np.ndarray, "vertices 3"], cloth_side: float) -> b
     return bool(abs(vertices[:, 2].min()) <= _OFF_TABLE * cloth_side)
 
 
-def check_grid(name: str, mesh: Float[np.ndarray, "u v 3"], *, side: float, unit: str) -> None:
-    """Raises InputError when a grid, folded or not, is not as wide along its edges as a cloth of `side` [`unit`]."""
-    edges = [np.median(np.linalg.norm(np.diff(mesh.astype(float), axis=axis), axis=-1)) for axis in (0, 1)]
-    found = float(np.mean(edges)) * (mesh.shape[0] - 1)
+def check_grid(
+    name: str, mesh: Float[np.ndarray, "u v 3"], topology: Topology = SQUARE, *, side: float, unit: str
+) -> None:
+    """Raises InputError when a grid, folded or not, is not as wide along its edges as a cloth of `side` [`unit`].
+
+    `side` is the longer side of a cloth that is no square.
+    """
+    along_u, along_v = (
+        width * (CLOTH_LENGTH / length) for width, length in zip(widths(mesh), topology.sides, strict=True)
+    )
+    found = (along_u + along_v) / 2
     if not _NARROWEST <= found / side <= _WIDEST:
         raise InputError(
             f"{name}: the mesh's side is {found:.3g} along its edges, expected the cloth's, {side:g} {unit}"
         )
+    if min(along_u, along_v) * _WIDEST < max(along_u, along_v) * _NARROWEST:
+        measured = " x ".join(f"{width:.3g}" for width in widths(mesh))
+        expected = " x ".join(f"{side * length / CLOTH_LENGTH:.3g}" for length in topology.sides)
+        raise InputError(f"{name}: the mesh's sides are {measured} along its edges, expected {expected} {unit}")
     check_span(name, mesh.reshape(-1, 3), side=side, unit=unit)
 
 

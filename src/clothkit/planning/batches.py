@@ -21,3 +21,8 @@ def in_batches(function: Callable[..., Any], size: int, *trees: Any) -> Any:
         kept = min(size, count - first)
         parts.append(jax.tree.map(lambda leaf, kept=kept: np.asarray(leaf)[:kept], found))
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+
+
+def take(tree: Any, rows: Any) -> Any:
+    """The given rows of every array of a pytree."""
+    return jax.tree.map(lambda leaf: leaf[rows], tree)

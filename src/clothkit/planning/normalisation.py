@@ -2,26 +2,24 @@
 
 import dataclasses
 import json
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
 from clothkit.dataset.store import STEPS, Dataset
 from clothkit.errors import InputError
 from clothkit.json_file import read_json
+from clothkit.models.forward import ForwardModel, rollout
 from clothkit.planning.batches import in_batches
-from clothkit.planning.draw import random_manipulations
-from clothkit.planning.forward import Forward, unroll
-from clothkit.planning.loss import Range, Spread
-from clothkit.planning.recorded import Recorded, in_meshes
-from clothkit.planning.search import Reference
+from clothkit.planning.initial import random_manipulations
+from clothkit.planning.objective import Range, Reference, mean_difference
+from clothkit.planning.representation import Representation
 from clothkit.planning.settings import NormaliseConfig
+from clothkit.planning.uncertainty import Spread
 
 LEAST_SPAN = 0.001
 """Least difference high - low: for nets with little training, random plans may score as well as the recorded ones."""
@@ -42,8 +40,9 @@ _HOLDS = "low, high, mu and sigma"
 class Normalisation:
     """low and high of eq. (14) per net and plan length 1..3; mu_v and sigma_v of eq. (15) per step 1..3.
 
-    The rows end at the length of the longest validation sequence. Raises InputError unless all rows have the same
-    length, all values are finite, low is below high and sigma is positive.
+    The rows end at the length of the longest validation sequence. A single net differs from no other: its mu and sigma
+    are empty. Raises InputError unless all other rows have the same length, all values are finite, low is below high
+    and sigma is positive.
     """
 
     low: tuple[tuple[float, ...], ...]
@@ -51,13 +50,20 @@ class Normalisation:
     high: tuple[tuple[float, ...], ...]
     """[net][length - 1]: median NLL of the recorded outcome under random plans."""
     mu: tuple[float, ...]
-    """[step - 1]: mean of `diff` between the two nets' predictions."""
+    """[step - 1]: mean over the tasks of the nets' difference, which is the mean of `diff` over all pairs of nets."""
     sigma: tuple[float, ...]
     """[step - 1]: standard deviation of the same."""
 
     def __post_init__(self) -> None:
-        rows = (*self.low, *self.high, self.mu, self.sigma)
-        same = {len(row) for row in rows} == {len(self.mu)} and 1 <= len(self.mu) <= STEPS
+        if not self.low or len(self.low) != len(self.high):
+            raise InputError(
+                f"normalisation: expected a row of low and one of high for each net, found {len(self.low)} and "
+                f"{len(self.high)}"
+            )
+        if len(self.low) == 1 and (self.mu or self.sigma):
+            raise InputError("normalisation: expected no mu and no sigma for a single net, found values")
+        rows = (*self.low, *self.high, *((self.mu, self.sigma) if len(self.low) > 1 else ()))
+        same = {len(row) for row in rows} == {self.longest} and 1 <= self.longest <= STEPS
         if not same or not np.isfinite(np.array(rows, float)).all():
             raise InputError(
                 f"normalisation: expected 1 to {STEPS} finite values in each row of low, high, mu and sigma"
@@ -66,20 +72,25 @@ class Normalisation:
             raise InputError(f"normalisation: expected values up to {LARGEST:g} in low, high, mu and sigma")
         # As the loss takes them.
         low, high, sigma = (np.array(values, np.float32) for values in (self.low, self.high, self.sigma))
-        if len(low) != len(high) or not len(low) or not (low < high).all():
+        if not (low < high).all():
             raise InputError(f"normalisation: expected low below high, found {self.low} and {self.high}")
-        if sigma.min() <= 0:
-            raise InputError(f"normalisation: sigma is {self.sigma}, expected above 0: are the two nets the same?")
+        if (sigma <= 0).any():
+            raise InputError(f"normalisation: sigma is {self.sigma}, expected above 0: are the nets the same?")
+
+    @property
+    def longest(self) -> int:
+        """The length of the longest plans with reference values."""
+        return len(self.low[0])
 
     def reference(self, length: int) -> Reference:
         """The reference values for plans of one length, as `search` takes them.
 
         Raises InputError if no validation sequence is that long.
         """
-        if length > len(self.mu):
+        if length > self.longest:
             raise InputError(
                 f"normalisation: expected reference values for plans of {length} manipulations, found them for up to "
-                f"{len(self.mu)}: no validation sequence is longer"
+                f"{self.longest}: no validation sequence is longer"
             )
         spans = tuple(
             Range(np.float32(low[length - 1]), np.float32(high[length - 1]))
@@ -91,34 +102,31 @@ class Normalisation:
 
 
 def normalise(
-    forward: Forward,
-    nets: tuple[Any, Any],
+    model: ForwardModel,
+    representation: Representation,
+    nets: tuple[Any, ...],
     validation: Dataset,
     settings: NormaliseConfig,
-    *,
-    recorded: Callable[..., Recorded] = in_meshes,
 ) -> Normalisation:
-    """Compute the reference values of two nets for all lengths up to that of the longest validation sequence.
+    """Compute the reference values of an ensemble for all lengths up to that of the longest validation sequence.
 
-    For plans of length n, the start state i of eq. (14) runs over 0..3 - n (design 6.9). `recorded` converts recorded
-    manipulations to the nets' inputs.
+    For plans of length n, the start state i of eq. (14) runs over 0..3 - n (design 6.9).
     """
     key = jax.random.key(settings.seed)
     low, high, mu, sigma = [], [], [], []
     for length in range(1, int(validation.length.max()) + 1):
-        tasks = recorded(*_stretches(validation, length))
-        together, score = min(TOGETHER, len(tasks.start)), partial(_scores, forward, nets)
-        found = in_batches(score, together, tasks.start, tasks.goal, tasks.plan)
-        low.append([float(np.median(scores)) for scores in found[:2]])
-        mu.append(float(found[2].mean()))
-        sigma.append(max(float(found[2].std()), LEAST_DEVIATION * mu[-1]))
-        losses: list[list[np.ndarray]] = [[], []]
+        tasks = representation.recorded(*_stretches(validation, length))
+        together, score = min(TOGETHER, len(tasks.start)), partial(_scores, model, representation, nets)
+        of_nets, apart = in_batches(score, together, tasks.start, tasks.goal, tasks.plan)
+        low.append([float(np.median(scores)) for scores in of_nets])
+        if apart is not None:
+            mu.append(float(apart.mean()))
+            sigma.append(max(float(apart.std()), LEAST_DEVIATION * mu[-1]))
+        drawn = []
         for draw in range(settings.draws):
             random = random_manipulations(tasks.plan.shape[:2], key=jax.random.fold_in(key, STEPS * draw + length))
-            drawn = in_batches(score, together, tasks.start, tasks.goal, np.asarray(random))
-            for of_net, scores in zip(losses, drawn[:2], strict=True):
-                of_net.append(scores)
-        medians = [float(np.median(np.concatenate(of_net))) for of_net in losses]
+            drawn.append(in_batches(score, together, tasks.start, tasks.goal, np.asarray(random))[0])
+        medians = [float(np.median(np.concatenate(scores))) for scores in zip(*drawn, strict=True)]
         high.append([max(median, least + LEAST_SPAN) for median, least in zip(medians, low[-1], strict=True)])
     return Normalisation(tuple(zip(*low, strict=True)), tuple(zip(*high, strict=True)), tuple(mu), tuple(sigma))
 
@@ -131,19 +139,24 @@ def _stretches(dataset: Dataset, length: int) -> tuple[np.ndarray, np.ndarray]:
     return dataset.vertices[d[:, None], states], dataset.manipulation[d[:, None], states[:, :-1]]
 
 
-@partial(jax.jit, static_argnames="forward")
+@partial(jax.jit, static_argnames=("model", "representation"))
 def _scores(
-    forward: Forward, nets: tuple[Any, Any], start: Array, goal: Array, plan: Array
-) -> tuple[Array, Array, Array]:
-    """The accuracy term of each net's predicted outcome, without span, and `diff` between the two outcomes."""
-    a, b = (_outcomes(forward, net, start, plan) for net in nets)
-    wanted = forward.target(goal)
-    return forward.accuracy(wanted, a), forward.accuracy(wanted, b), forward.diff(a, b)
+    model: ForwardModel,
+    representation: Representation,
+    nets: tuple[Any, ...],
+    start: Array,
+    goal: Array,
+    plan: Array,
+) -> tuple[tuple[Array, ...], Array | None]:
+    """The accuracy term of each net's predicted outcome, without span, and the difference of the outcomes."""
+    outcomes = [_outcomes(model, net, start, plan) for net in nets]
+    wanted = representation.target(goal)
+    scores = tuple(representation.accuracy(wanted, outcome) for outcome in outcomes)
+    return scores, mean_difference(representation, outcomes)
 
 
-def _outcomes(forward: Forward, net: Any, start: Array, plan: Array) -> Any:
-    latent = forward.encode(net, start)
-    return forward.decode(net, unroll(forward, net, latent, jnp.zeros_like(latent), plan).latents[-1], 1)
+def _outcomes(model: ForwardModel, net: Any, start: Array, plan: Array) -> Any:
+    return model.decode(net, rollout(model, net, model.encode(net, start), plan).latents[-1])
 
 
 def save(path: Path, normalisation: Normalisation, attributes: dict[str, Any]) -> None:

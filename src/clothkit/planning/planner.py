@@ -1,96 +1,110 @@
-"""The planner: a system with its nets, its observation model, its reference values and its settings."""
+"""The planner: a system with its nets, its perception, its reference values and its settings."""
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import jax
 
-from clothkit.dataset.store import STEPS
-from clothkit.episodes.record import Sizes
 from clothkit.manipulation.candidates import CandidateConfig
 from clothkit.models import store
-from clothkit.models.store import Kind
+from clothkit.models.ensemble import Ensemble, folders, load
+from clothkit.models.forward import ForwardModel
 from clothkit.planning import normalisation
-from clothkit.planning.loss import Weights
+from clothkit.planning.mesh_representation import MESH
 from clothkit.planning.normalisation import Normalisation
-from clothkit.planning.search import Found, Problem, search
+from clothkit.planning.objective import Objective, Weights, objective_of
+from clothkit.planning.perception import Estimation, KnownMeshes, ObservedVoxels, Perception
+from clothkit.planning.representation import Representation
+from clothkit.planning.search import search
 from clothkit.planning.settings import PlanConfig
-from clothkit.planning.sight import MeshSight, Sight, VoxelSight
-from clothkit.planning.systems import System, better_net
+from clothkit.planning.systems import System
+from clothkit.planning.types import Found, Problem
+from clothkit.planning.voxel_representation import VOXEL
 
 
 @dataclass(frozen=True)
 class Planner:
-    """A system with everything that its searches and sessions need."""
+    """A system with everything that an agent needs to decide."""
 
     system: System
-    sight: Sight
+    representation: Representation
+    model: ForwardModel
+    members: tuple[int, ...]
+    """The members of the ensemble whose nets these are."""
     nets: tuple[Any, ...]
-    better: int
-    """Index into `nets` of the one with the better validation score."""
+    """The weights of each net."""
+    best: int
+    """Index into `nets` of the one with the best validation score."""
+    perception: Perception
     normalisation: Normalisation
     weights: Weights
     settings: PlanConfig
     grasping: CandidateConfig
+    labelled: bool = False
+    """Whether states have the same labels as their goals, so that a search need not find the relative labelling."""
 
-    @property
-    def sizes(self) -> Sizes:
-        """The sizes of the arrays in a record of this planner's sessions."""
-        found, longest = self.settings.search, self.settings.search.iterations(STEPS)
-        return Sizes(
-            state=self.sight.shape,
-            probabilistic=not self.system.voxels,
-            candidate=self.grasping.most,
-            net=len(self.nets),
-            iteration=longest,
-            strain=found.strains,
-            restart=longest // found.patience + 1,
-        )
+    def objective(self, length: int) -> Objective:
+        """What a search for plans of that length minimises.
 
-    def finder(self, length: int) -> Callable[[Problem, jax.Array], Found]:
-        """The search for plans of one length, as a function: problems, keys -> `Found`."""
-        find = partial(
-            search,
-            self.sight.forward,
+        Raises InputError when the nets have no reference values for plans of that length.
+        """
+        return objective_of(len(self.nets), self.normalisation.reference(length), self.weights)
+
+    def search(self, problems: Problem, keys: jax.Array, *, length: int) -> Found:
+        """The best plans of one length for a batch of problems."""
+        return search(
+            self.model,
+            self.representation,
+            self.nets,
+            problems,
+            self.objective(length),
             length=length,
             settings=self.settings.search,
-            explicit=float(self.weights.alpha) > 0,
+            keys=keys,
         )
-        reference = self.normalisation.reference(length)
-        return lambda problems, keys: find(self.nets, problems, reference, self.weights, keys=keys)
 
 
-def artifacts(system: System, data: Path) -> dict[str, Path]:
+def artifacts(system: System, data: Path, members: Sequence[int]) -> dict[str, Path]:
     """Paths, by name, of the artifacts under `data` that a system needs.
 
-    These are the nets a and b, the reference values and, for systems that estimate meshes, the VtM net.
+    These are the nets of the ensemble's members (net_0, ..), the reference values (reference) and, for systems that
+    estimate meshes, the VtM net (vtm).
     """
-    kind, net = ("voxel", "emd_voxel") if system.voxels else ("mesh", "pemd")
-    found = {name: data / f"nets/{net}_{name}" for name in ("a", "b")}
-    found["reference"] = data / f"normalisation/{kind}.json"
+    found = {f"net_{member}": path for member, path in folders(data / "nets", system.kind, members).items()}
+    found["reference"] = data / f"normalisation/{'voxel' if system.voxels else 'mesh'}.json"
     return {**found, "vtm": data / "nets/vtm"} if system.estimates else found
 
 
-def assemble(system: System, data: Path, weights: Weights, settings: PlanConfig, grasping: CandidateConfig) -> Planner:
+def assemble(
+    system: System,
+    data: Path,
+    weights: Weights,
+    settings: PlanConfig,
+    grasping: CandidateConfig,
+    members: Sequence[int],
+) -> Planner:
     """Load a system's planner from the artifacts under `data`. Raises InputError if one is missing or malformed."""
-    found = artifacts(system, data)
     settings = settings.of(system)
-    vtm = store.load(found["vtm"], "vtm") if "vtm" in found else None
-    sight = VoxelSight() if system.voxels else MeshSight(vtm, settings.refine, refine=system.refine)
-    folders = {net: found[net] for net in ("a", "b")}
-    better = better_net(folders)
-    kind: Kind = "emd_voxel" if system.voxels else "pemd"
-    names = sorted(folders) if system.nets == 2 else [better]
+    perception: Perception = ObservedVoxels() if system.voxels else KnownMeshes()
+    if system.estimates:
+        vtm = store.load(artifacts(system, data, members)["vtm"], "vtm")
+        perception = Estimation(vtm, settings.refine, refine=system.refine)
+    ensemble = load(data / "nets", system.kind, members)
+    if system.single:
+        ensemble = Ensemble((ensemble.members[ensemble.best],), (ensemble.best_net,))
     return Planner(
         system,
-        sight,
-        nets=tuple(store.load(folders[net], kind) for net in names),
-        better=names.index(better),
-        normalisation=normalisation.load(found["reference"]),
+        representation=VOXEL if system.voxels else MESH,
+        model=ensemble.model,
+        members=ensemble.members,
+        nets=ensemble.params,
+        best=ensemble.best,
+        perception=perception,
+        normalisation=normalisation.load(artifacts(system, data, members)["reference"]),
         weights=weights if system.alpha is None else weights._replace(alpha=system.alpha),
         settings=settings,
         grasping=grasping,
+        labelled=system.voxels or system.true_meshes,
     )

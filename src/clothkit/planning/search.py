@@ -9,27 +9,23 @@ from typing import Annotated, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from annotated_types import Ge, Gt, Le, MultipleOf, Predicate
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
-from clothkit.cloth.equivalents import COUNT, INVERSE, compose, relabel_manipulation, relabel_manipulation_batch
+from clothkit.cloth.equivalents import COUNT, INVERSE, relabel_manipulation, relabel_manipulation_batch
 from clothkit.cloth.grid import SIDE
 from clothkit.config import config
 from clothkit.manipulation.geometry import release_points
 from clothkit.manipulation.vector import is_null, is_single
-from clothkit.planning.draw import Candidates, folds, random_plans, snap
-from clothkit.planning.forward import Forward, unroll
+from clothkit.models.forward import ForwardModel
+from clothkit.planning.initial import folds, random_plans, snap
 from clothkit.planning.irprop import IRpropConfig, irprop_minus
-from clothkit.planning.loss import Range, Spread, Weights, uncertainty
-
-UNKNOWN = -1
-"""Marks a relative labelling that is not fixed: each evaluation of the loss then uses the one that fits best."""
+from clothkit.planning.objective import Objective, evaluate, fix
+from clothkit.planning.representation import Representation
+from clothkit.planning.types import Found, Problem
 
 NEAR = 0.15
 """Standard deviation of the noise added to the best plan when a strain restarts near it [geodesic, or normalised]."""
-
-COMPOSED = np.array([[compose(j, k) for k in range(COUNT)] for j in range(COUNT)], np.int32)
 
 
 @config
@@ -54,51 +50,6 @@ class SearchConfig:
     def iterations(self, length: int) -> int:
         """Number of iterations in a search for plans of this length; each evaluates every strain's loss once."""
         return self.base_iterations + self.iterations_per_step * length
-
-
-class Reference(NamedTuple):
-    """Reference values of the loss for plans of one length: ranges of eq. (14) per net, moments of eq. (15)."""
-
-    spans: tuple[Range, ...]
-    spread: Spread
-
-
-class Problem(NamedTuple):
-    """The inputs of one search.
-
-    `state` is the initial state of the plan, as the system observes it: an estimate, a true mesh or voxels. The
-    candidates, `carried`, `traces` and `relative` refer to its labels.
-    """
-
-    state: Shaped[Array | np.ndarray, "*state"]
-    goal: Shaped[Array | np.ndarray, "*state"]
-    candidates: Candidates
-    traces: tuple[Float[Array | np.ndarray, "labels latent"], ...]
-    """For each net, the memory traces for all common equivalents of the state."""
-    relative: Int[Array | np.ndarray, ""]
-    """Index of the relabelling that brings the goal to the state's labels, or `UNKNOWN`."""
-    later: Bool[Array | np.ndarray, ""]
-    """Whether this is a later search of a session, with the rest of the previous plan in `carried`. If so, the strains
-    are divided evenly among the common equivalents, and one strain of each starts from `carried`."""
-    carried: Float[Array | np.ndarray, "n 6"]
-    covered: Bool[Array | np.ndarray, "x y"] | None = None
-    """Mask of the area that the cloth covers, as `draw.folds` takes it; required if `fold` is set."""
-
-
-class Found(NamedTuple):
-    """The result of a search: the plan of lowest loss, in the labels of the initial state."""
-
-    plan: Float[Array, "n 6"]
-    loss: Float[Array, ""]
-    terms: Float[Array, "terms"]
-    """The nets' accuracy terms, then u (zero if it was not computed)."""
-    common: Int[Array, ""]
-    """Index of the common equivalent in which the plan was found."""
-    relative: Int[Array, ""]
-    """Index of the goal's relabelling that the loss of the plan refers to."""
-    losses: Float[Array, "iterations strains"]
-    restarts: Bool[Array, "iterations strains"]
-    """Whether a strain restarted after that iteration."""
 
 
 class _Strains(NamedTuple):
@@ -130,60 +81,48 @@ class _State(NamedTuple):
     """Which strains restart before the next iteration."""
 
 
-class Fixed(NamedTuple):
-    """Constants of a search: for each net, latents of the state's equivalents and traces; the goal's equivalents."""
-
-    latents: tuple[Float[Array, "labels latent"], ...]
-    traces: tuple[Float[Array, "labels latent"], ...]
-    goals: Float[Array, "labels *state"]
-
-
-@partial(jax.jit, static_argnames=("forward", "settings", "length", "explicit"))
+@partial(jax.jit, static_argnames=("model", "representation", "settings", "length"))
 def search(
-    forward: Forward,
+    model: ForwardModel,
+    representation: Representation,
     nets: tuple[Any, ...],
     problems: Problem,
-    reference: Reference,
-    weights: Weights,
+    objective: Objective,
     *,
     length: int,
     settings: SearchConfig,
-    explicit: bool,
     keys: Shaped[PRNGKeyArray, " tasks"],
 ) -> Found:
     """Search for the best plan of each problem of a batch; every field of `problems` has a leading axis of tasks.
 
-    With two nets the loss is eq. (13), with one net the plain NLL. `explicit` tells whether the uncertainty term is
-    computed; without it (alpha is 0) no intermediate state is decoded. `keys` has one key per task, so that a task's
-    result does not depend on the other tasks of the batch.
+    `keys` has one key per task, so that a task's result does not depend on the other tasks of the batch.
     """
-    solve = partial(_search_one, forward, nets, reference, weights, length, settings, explicit)
+    solve = partial(_search_one, model, representation, nets, objective, length, settings)
     return jax.vmap(solve)(problems, keys)
 
 
 def _search_one(
-    forward: Forward,
+    model: ForwardModel,
+    representation: Representation,
     nets: tuple[Any, ...],
-    reference: Reference,
-    weights: Weights,
+    objective: Objective,
     length: int,
     settings: SearchConfig,
-    explicit: bool,
     problem: Problem,
     key: PRNGKeyArray,
 ) -> Found:
-    fixed = fix(forward, nets, problem)
-    losses_of = partial(planning_loss, forward, nets, fixed, reference, weights, explicit=explicit)
+    fixed = fix(model, representation, nets, problem)
+    losses_of = partial(evaluate, objective, model, representation, nets, fixed)
 
     def total(plan: Array, common: Array, relative: Array) -> tuple[Array, tuple[Array, Array]]:
-        loss, _, relative = losses_of(plan, common, relative, every=settings.every)
-        return jnp.sum(loss), (loss, relative)
+        found = losses_of(plan, common, relative, stride=settings.every)
+        return jnp.sum(found.loss), (found.loss, found.relative)
 
     def iterate(state: _State, key: PRNGKeyArray) -> tuple[_State, tuple[Array, Array]]:
         key_fresh, key_near = jax.random.split(key)
-        fresh = _start(forward, problem, length, settings, key=key_fresh)
+        fresh = _start(representation, problem, length, settings, key=key_fresh)
         if settings.near:
-            fresh = _some_near(forward, state.best, fresh, problem, settings, key=key_near)
+            fresh = _some_near(representation, state.best, fresh, problem, settings, key=key_near)
         strains = _choose(state.restart, fresh, state.strains)
         gradient, (loss, relative) = jax.grad(total, has_aux=True)(strains.plan, strains.common, strains.relative)
         strange = _strange(strains, problem, settings)
@@ -197,10 +136,10 @@ def _search_one(
         return _State(strains, best, restart), (loss, restart)
 
     key_first, key_search = jax.random.split(key)
-    state = _first_state(forward, problem, length, settings)
+    state = _first_state(representation, problem, length, settings)
     if settings.screen > 1:
-        drawn = _start(forward, problem, length, settings, draws=settings.screen, key=key_first)
-        loss, _, _ = losses_of(drawn.plan, drawn.common, drawn.relative, every=settings.every)
+        drawn = _start(representation, problem, length, settings, draws=settings.screen, key=key_first)
+        loss = losses_of(drawn.plan, drawn.common, drawn.relative, stride=settings.every).loss
         strange = _strange(drawn, problem, settings)
         screened = _least(jnp.where(strange, jnp.inf, loss), drawn, settings.screen)
         state = state._replace(
@@ -209,11 +148,12 @@ def _search_one(
     keys = jax.random.split(key_search, settings.iterations(length))
     (_, best, _), (losses, restarts) = jax.lax.scan(iterate, state, keys)
     # The iterations may have used every `every`-th vertex only; the winner is chosen by the loss over all vertices.
-    loss, terms, relatives = losses_of(best.plan, best.common, best.relative)
-    winner = jnp.argmin(jnp.where(jnp.isinf(best.loss), jnp.inf, loss))
-    plan, common, relative = best.plan[winner], best.common[winner], relatives[winner]
+    last = losses_of(best.plan, best.common, best.relative)
+    winner = jnp.argmin(jnp.where(jnp.isinf(best.loss), jnp.inf, last.loss))
+    plan, common, relative = best.plan[winner], best.common[winner], last.relative[winner]
     plan = relabel_manipulation(plan, jnp.asarray(INVERSE)[common])
-    return Found(plan, loss[winner], terms[winner], common, relative, losses, restarts)
+    terms = {name: values[winner] for name, values in last.terms.items()}
+    return Found(plan, last.loss[winner], terms, common, relative, losses, restarts)
 
 
 def _strange(strains: _Strains, problem: Problem, settings: SearchConfig) -> Bool[Array, " strains"]:
@@ -230,61 +170,14 @@ def _strange(strains: _Strains, problem: Problem, settings: SearchConfig) -> Boo
     return strange
 
 
-def fix(forward: Forward, nets: tuple[Any, ...], problem: Problem) -> Fixed:
-    """Compute the quantities that are constant during the search for one problem."""
-    states = forward.equivalents(problem.state)
-    return Fixed(
-        tuple(forward.encode(net, states) for net in nets),
-        tuple(jnp.asarray(trace) for trace in problem.traces),
-        forward.equivalents(problem.goal),
-    )
-
-
-def planning_loss(
-    forward: Forward,
-    nets: tuple[Any, ...],
-    fixed: Fixed,
-    reference: Reference,
-    weights: Weights,
-    plan: Float[Array, "strains n 6"],
-    common: Int[Array, " strains"],
-    relative: Int[Array, " strains"],
-    *,
-    explicit: bool,
-    every: int = 1,
-) -> tuple[Float[Array, " strains"], Float[Array, "strains terms"], Int[Array, " strains"]]:
-    """Eq. (13) for each strain's plan (with one net, the plain NLL), its terms, and the goal's relative labelling.
-
-    Where `relative` is `UNKNOWN`, the labelling of the goal that minimises the sum of the accuracy terms is used, as in
-    eq. (12). Predictions and goals are compared at every `every`-th vertex along u and v.
-    """
-    explicit = explicit and len(nets) > 1
-    # Only the uncertainty term needs the intermediate states.
-    decoded = slice(None) if explicit else slice(-1, None)
-    states = [
-        forward.decode(net, unroll(forward, net, latent[common], trace[common], plan).latents[decoded], every)
-        for net, latent, trace in zip(nets, fixed.latents, fixed.traces, strict=True)
-    ]
-    outcomes = [jax.tree.map(lambda part: part[-1], predicted) for predicted in states]
-    spans = reference.spans if len(nets) > 1 else (None,)
-    # Goals are thinned before they are whitened, because predictions are whitened by the moments of their own vertices.
-    goals = forward.target(forward.thinned(fixed.goals, every))
-    each = [forward.accuracy_of_each(goals, outcome, span) for outcome, span in zip(outcomes, spans, strict=True)]
-    nearest = jnp.argmin(jax.lax.stop_gradient(sum(each)), axis=1)
-    found = jnp.asarray(COMPOSED)[nearest, jnp.asarray(INVERSE)[common]]
-    relative = jnp.where(relative == UNKNOWN, found, relative)
-    goal = goals[jnp.asarray(COMPOSED)[relative, common]]
-    accuracies = [forward.accuracy(goal, outcome, span) for outcome, span in zip(outcomes, spans, strict=True)]
-    u = jnp.zeros(len(plan))
-    if len(nets) == 1:
-        return accuracies[0], jnp.stack([accuracies[0], u], axis=-1), relative
-    if explicit:
-        u = uncertainty(forward.diff(*states), reference.spread, beta=weights.beta, gamma=weights.gamma)
-    return sum(accuracies) + weights.alpha * u, jnp.stack([*accuracies, u], axis=-1), relative
-
-
 def _start(
-    forward: Forward, problem: Problem, length: int, settings: SearchConfig, *, draws: int = 1, key: PRNGKeyArray
+    representation: Representation,
+    problem: Problem,
+    length: int,
+    settings: SearchConfig,
+    *,
+    draws: int = 1,
+    key: PRNGKeyArray,
 ) -> _Strains:
     """New strains with random plans in random common equivalents (design 6.10); `draws` consecutive rows per strain.
 
@@ -292,16 +185,22 @@ def _start(
     """
     key_plan, key_common = jax.random.split(key)
     count = settings.strains * draws
-    drawn = jax.random.randint(key_common, (count,), 0, forward.labels)
-    common = jnp.where(problem.later, jnp.arange(count) // draws % forward.labels, drawn)
-    xy = forward.points(problem.state, jnp.asarray(problem.candidates.grasps))
+    drawn = jax.random.randint(key_common, (count,), 0, representation.labels)
+    common = jnp.where(problem.later, jnp.arange(count) // draws % representation.labels, drawn)
+    xy = representation.points(problem.state, jnp.asarray(problem.candidates.grasps))
     covered = problem.covered if settings.fold else None
     plans = random_plans(count, length, problem.candidates, xy, covered=covered, key=key_plan)
-    return _fresh(forward, plans, common, problem, settings)
+    return _fresh(representation, plans, common, problem, settings)
 
 
 def _some_near(
-    forward: Forward, best: _Best, drawn: _Strains, problem: Problem, settings: SearchConfig, *, key: PRNGKeyArray
+    representation: Representation,
+    best: _Best,
+    drawn: _Strains,
+    problem: Problem,
+    settings: SearchConfig,
+    *,
+    key: PRNGKeyArray,
 ) -> _Strains:
     """The strains `drawn`, of which a share `settings.near` is replaced by strains near the best plan so far.
 
@@ -321,10 +220,10 @@ def _some_near(
     swap = jax.random.bernoulli(key_grasps, 0.5, (count, 1))
     moved = moved.at[:, 0, :4].set(jnp.where(swap, others, moved[:, 0, :4]))
     near = jax.random.bernoulli(key_share, settings.near, (count,)) & jnp.isfinite(best.loss[winner])
-    return _choose(near, _fresh(forward, moved, drawn.common, problem, settings), drawn)
+    return _choose(near, _fresh(representation, moved, drawn.common, problem, settings), drawn)
 
 
-def _first_state(forward: Forward, problem: Problem, length: int, settings: SearchConfig) -> _State:
+def _first_state(representation: Representation, problem: Problem, length: int, settings: SearchConfig) -> _State:
     """The state before the first iteration, in which strains are marked to restart at random plans.
 
     In a later search of a session, the first strain of each common equivalent is not marked: it starts from the carried
@@ -332,17 +231,17 @@ def _first_state(forward: Forward, problem: Problem, length: int, settings: Sear
     """
     count = settings.strains
     carried = jnp.asarray(problem.carried)
-    wanted = forward.points(problem.state, carried[0, :4].reshape(2, 2))
-    xy = forward.points(problem.state, jnp.asarray(problem.candidates.grasps))
+    wanted = representation.points(problem.state, carried[0, :4].reshape(2, 2))
+    xy = representation.points(problem.state, jnp.asarray(problem.candidates.grasps))
     first = snap(carried[0], wanted, problem.candidates, xy)
     plan = jnp.broadcast_to(jnp.concatenate([first[None], carried[1:]]), (count, length, 6))
-    strains = _fresh(forward, plan, jnp.arange(count) % forward.labels, problem, settings)
+    strains = _fresh(representation, plan, jnp.arange(count) % representation.labels, problem, settings)
     best = _Best(strains.plan, strains.common, strains.relative, jnp.full(count, jnp.inf))
-    return _State(strains, best, restart=~(jnp.asarray(problem.later) & (jnp.arange(count) < forward.labels)))
+    return _State(strains, best, restart=~(jnp.asarray(problem.later) & (jnp.arange(count) < representation.labels)))
 
 
 def _fresh(
-    forward: Forward,
+    representation: Representation,
     plan: Float[Array, "strains n 6"],
     common: Int[Array, " strains"],
     problem: Problem,
@@ -353,7 +252,7 @@ def _fresh(
     return _Strains(
         plan=relabel_manipulation_batch(plan, common),
         single=is_single(plan),
-        grasps=forward.points(problem.state, plan[:, 0, :4].reshape(count, 2, 2)),
+        grasps=representation.points(problem.state, plan[:, 0, :4].reshape(count, 2, 2)),
         common=common,
         relative=jnp.full(count, problem.relative),
         rate=jnp.full(plan.shape, settings.irprop.initial),

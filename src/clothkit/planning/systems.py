@@ -1,11 +1,9 @@
 """The systems of section 6.3 by name: the representation, the number of nets and the variations of each."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 from clothkit.errors import InputError
-from clothkit.models.store import validation_score
+from clothkit.models.store import Kind
 
 
 @dataclass(frozen=True)
@@ -20,10 +18,15 @@ class System:
     refine: bool = True
     """Whether estimates are refined. In the paper leaving that out "was observed to significantly harm planning
     performance" (section 4.7); in the `laptop` report no difference was found in mean errors by plan length."""
-    nets: int = 2
-    """With two nets the loss is eq. (13); with one it is the NLL of the net with the better validation score."""
+    single: bool = False
+    """Whether only the net with the best validation score is used: the loss is its NLL then, otherwise eq. (13)."""
     alpha: float | None = None
     """Weight of the uncertainty term; None means the value of params.yaml."""
+
+    @property
+    def kind(self) -> Kind:
+        """The kind of the forward models' nets."""
+        return "emd_voxel" if self.voxels else "pemd"
 
     @property
     def estimates(self) -> bool:
@@ -36,10 +39,10 @@ SYSTEMS = {
     for system in (
         System("main"),
         System("b1", true_meshes=True),
-        System("b2", nets=1),
+        System("b2", single=True),
         System("b3", alpha=0.0),
         System("b4", voxels=True),
-        System("b5", voxels=True, nets=1),
+        System("b5", voxels=True, single=True),
         System("unrefined", refine=False),
     )
 }
@@ -50,12 +53,3 @@ def system(name: str) -> System:
     if name not in SYSTEMS:
         raise InputError(f"system: expected one of {', '.join(SYSTEMS)}, found {name!r}")
     return SYSTEMS[name]
-
-
-def better_net(folders: Mapping[str, Path]) -> str:
-    """The name of the net with the lowest validation score; of equal ones, the first in alphabetical order.
-
-    Raises InputError if a net's description can't be read or has no score.
-    """
-    scores = {name: validation_score(folder) for name, folder in sorted(folders.items())}
-    return min(scores, key=scores.__getitem__)

@@ -1,7 +1,7 @@
 """Budgets of each system for planning and training, and which systems are compared with unequal budgets."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 
 import jax
@@ -34,17 +34,17 @@ EVALUATIONS = tuple(f"evaluations_{length}" for length in LENGTHS)
 def budgets(settings: RunSettings, timings: pd.DataFrame | None, systems: list[str]) -> pd.DataFrame:
     """The table of budgets: a row per planner, one for VtM, and the paper's rows.
 
-    Columns: source, system; nets (number of forward models used in planning; two are trained, and a system with one net
-    uses the better of them), parameters (of each net), training_iterations, batch, training_cpu_minutes (of both
-    forward models together, or of VtM; NaN where the training left no note), strains, iterations_1, _2, _3 (of a
-    search, by plan length), evaluations_1, _2, _3 (of the loss with its gradient: strains times iterations).
+    Columns: source, system; nets (number of forward models used in planning: the ensemble, or the best net of it),
+    parameters (of each net), training_iterations, batch, training_cpu_minutes (of the ensemble's forward models
+    together, or of VtM; NaN where the training left no note), strains, iterations_1, _2, _3 (of a search, by plan
+    length), evaluations_1, _2, _3 (of the loss with its gradient: strains times iterations).
     """
-    rows = []
+    rows, members = [], settings.ensemble.members
     for name in systems:
         system = SYSTEMS[name]
         net, search = (settings.emd_voxel, settings.voxel_search) if system.voxels else (settings.pemd, settings.search)
-        minutes = _minutes(timings, "train_emd_voxel" if system.voxels else "train_pemd")
-        rows.append(_row("clothkit", name, system.nets, net, search, minutes))
+        minutes = _minutes(timings, "train_emd_voxel" if system.voxels else "train_pemd", members)
+        rows.append(_row("clothkit", name, 1 if system.single else len(members), net, search, minutes))
     rows.append(_row("clothkit", VTM, 1, settings.vtm, None, _minutes(timings, "train_vtm")))
     for name, published in PAPER.items():
         rows.append(_row("paper", name, 2, TrainedNet(published, TrainingConfig()), SearchConfig(), math.nan))
@@ -75,11 +75,16 @@ def _parameters(net: Net) -> int:
     return sum(int(np.prod(leaf.shape)) for leaf in jax.tree.leaves(shapes(net)))
 
 
-def _minutes(timings: pd.DataFrame | None, stage: str) -> float:
-    """CPU minutes of the last training run of each of a stage's nets, added up; NaN if there is no note of any."""
+def _minutes(timings: pd.DataFrame | None, stage: str, members: Sequence[int] = ()) -> float:
+    """CPU minutes of the last training run of each of a stage's nets, added up; NaN if there is no note of any.
+
+    Of an ensemble only the members count, as far as they are named by number, which they are not in older reports.
+    """
     if timings is None:
         return math.nan
     own = timings[timings["stage"].map(lambda name: name.split("@")[0] == stage)]
+    numbered = own[own["stage"].isin([f"{stage}@{member}" for member in members])]
+    own = numbered if len(numbered) else own
     return float(own["cpu_seconds"].sum()) / 60 if len(own) else math.nan
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from clothkit.cloth.equivalents import relabel
+from clothkit.cloth.symmetry import relabel
 from clothkit.dataset.tasks import Task, tasks_of
 from clothkit.evaluation.occupancy import TALL_MEASURE
 from clothkit.report import camera_tables, metrics, planning_tables, tables
@@ -24,7 +24,7 @@ from clothkit.report.figures.sequences import sequences
 from clothkit.report.figures.sessions import Session, median, of_record, sessions
 from clothkit.report.figures.trajectories import Example, trajectories
 from clothkit.report.figures.voxels import voxels
-from clothkit.report.inputs import NETS, Inputs
+from clothkit.report.inputs import Inputs
 from clothkit.report.plots import plots
 from clothkit.report.sections import CAPTIONS
 from clothkit.report.settings import ReportConfig
@@ -86,7 +86,11 @@ def build(folder: Path, inputs: Inputs, settings: ReportConfig) -> dict[str, pd.
     headline = metrics.headline(means, settings.planners)
     (folder / "metrics.json").write_text(json.dumps(headline, indent=1) + "\n")
     (folder / "plots").mkdir()
-    for name, rows in plots(inputs.histories, inputs.calibration, built["table_3"], built["table_6"]).items():
+    histories = {
+        **{f"pemd_{member}": rows for member, rows in inputs.forward_histories.items()},
+        "vtm": inputs.vtm_history,
+    }
+    for name, rows in plots(histories, inputs.calibration, built["table_3"], built["table_6"]).items():
         rows.to_csv(folder / "plots" / f"{name}.csv", index=False, float_format="%.5g", lineterminator="\n")
     return built
 
@@ -101,7 +105,7 @@ def draw_figures(folder: Path, inputs: Inputs, errors: pd.DataFrame, settings: R
     estimates(dataset, inputs.estimates, inputs.estimation, folder / "estimates.png", count=settings.estimates)
     predictions(dataset, inputs.predictions, inputs.prediction, folder / "predictions.png", count=settings.predictions)
     calibration(inputs.calibration, folder / "calibration.png")
-    curves({net: inputs.histories[net] for net in NETS}, inputs.histories["vtm"], folder / "curves.png")
+    curves(inputs.forward_histories, inputs.vtm_history, folder / "curves.png")
     conditions = list(dict.fromkeys(inputs.camera_comparisons["system"]))
     camera(dataset, inputs.pictures, inputs.estimates, conditions, folder / "camera.png")
     names = [
@@ -118,11 +122,11 @@ def draw_figures(folder: Path, inputs: Inputs, errors: pd.DataFrame, settings: R
         names.append("scatter")
     rows = inputs.planning[inputs.planning["system"] == planner]
     main_rows = inputs.prediction[inputs.prediction["better"] & (inputs.prediction["system"] == "main")]
-    better = NETS.index(str(main_rows["net"].iloc[0]))
+    best = list(inputs.forward_histories).index(str(main_rows["net"].iloc[0]))
     failed = []
     for row in errors.to_dict("records"):
         task = Task(row["sequence"], row["start"], row["length"])
-        session = of_record(inputs.sessions, dataset, rows, task, net=better)
+        session = of_record(inputs.sessions, dataset, rows, task, net=best)
         if session is not None:
             failed.append(Failure(session, row["estimate_error"], row["expected"], row["diagnosis"]))
     if failed:
@@ -132,11 +136,11 @@ def draw_figures(folder: Path, inputs: Inputs, errors: pd.DataFrame, settings: R
     for length, per_row in SESSIONS_PER_ROW.items():
         chosen: list[Session] = []
         for task in example_tasks(test, dataset.length[test].tolist(), length):
-            session = of_record(inputs.sessions, dataset, rows, task, net=better)
+            session = of_record(inputs.sessions, dataset, rows, task, net=best)
             if session is not None and len(chosen) < settings.sessions:
                 chosen.append(session)
         middle = median(rows, length)
-        session = of_record(inputs.sessions, dataset, rows, middle, net=better) if middle else None
+        session = of_record(inputs.sessions, dataset, rows, middle, net=best) if middle else None
         if session is not None:
             chosen.append(session._replace(remark="the median case"))
         if chosen:

@@ -8,8 +8,8 @@ INTRO = (
     "eight equivalent labellings. Outcomes and *no action* (the start compared with the goal) are translated onto the "
     "goal first; estimates and predictions are not. Columns: number of manipulations / state from which they start. "
     "*main* observes voxels only. *a1* predicts and *b1* plans from true meshes. *b2* plans with one net, and *b3* "
-    "without the uncertainty term. *b4* and *b5* plan in voxels, with two nets and with one. The pictures show the "
-    "first test sequences, which were not selected by their results, except for the largest errors and the median "
+    "without the uncertainty term. *b4* and *b5* plan in voxels, with an ensemble and with one net. The pictures show "
+    "the first test sequences, which were not selected by their results, except for the largest errors and the median "
     "cases.\n"
 )
 CANONICAL = (
@@ -77,12 +77,12 @@ TALL_A2 = (
     "in it, one above the other; voxels above the usual viewport count as empty."
 )
 BUDGETS = (
-    "The budgets for planning and training. *nets*: nets used in a plan; two are trained, and systems with one net use "
-    "the better of them. *parameters_millions*: of each net. *training_cpu_minutes*: of both nets, in the stages' last "
-    "runs on this machine; for a training that was interrupted, only the time after it was resumed. *evaluations*: how "
-    "often the search for a plan of 1, 2 or 3 manipulations evaluates the loss and its gradient (strains times "
-    "iterations). One evaluation of a voxel net costs many times as much as one of a mesh net. The paper's rows have "
-    "the paper's settings; their numbers of parameters are those of our implementation.\n"
+    "The budgets for planning and training. *nets*: nets used in a plan: an ensemble, or for systems with one net the "
+    "best of it. *parameters_millions*: of each net. *training_cpu_minutes*: of all nets of the ensemble, in the "
+    "stages' last runs on this machine; for a training that was interrupted, only the time after it was resumed. "
+    "*evaluations*: how often the search for a plan of 1, 2 or 3 manipulations evaluates the loss and its gradient "
+    "(strains times iterations). One evaluation of a voxel net costs many times as much as one of a mesh net. The "
+    "paper's rows have the paper's settings; their numbers of parameters are those of our implementation.\n"
 )
 PLANNING_VOXELS = (
     "The same outcomes and goals in voxels: mean absolute difference of voxel values. Both are without noise and "
@@ -157,14 +157,14 @@ CAMERA_COMPARISONS = (
     "Interval and p are not given for fewer than ten sequences.\n"
 )
 SYSTEMS = {
-    "main": "observes voxels only; two mesh nets",
+    "main": "observes voxels only; an ensemble of mesh nets",
     "a1": "main, from true meshes",
-    "a2": "two voxel nets",
+    "a2": "a voxel net",
     "main_occluded": "main's predictions, as a camera above would see them",
     "b1": "main, from true meshes",
     "b2": "main with one net",
     "b3": "main without the uncertainty term",
-    "b4": "two voxel nets",
+    "b4": "an ensemble of voxel nets",
     "b5": "one voxel net",
     "unrefined": "main without refinement of its estimates",
     "no action": "start compared with goal",

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from scipy.interpolate import make_interp_spline
 
-from clothkit.cloth.grid import CLOTH_SIDE
+from clothkit.cloth.topology import SQUARE, Topology
 
 EXTENT = 1.05
 """Half the side of a picture [normalised]: slightly more than the viewport of the voxels."""
@@ -64,6 +64,7 @@ def draw(
     table: tuple[float, float, float] = (1.0, 1.0, 1.0),
     texture: Texture = "plain",
     pixels: int = PIXELS,
+    topology: Topology = SQUARE,
 ) -> UInt8[np.ndarray, "row column 3"]:
     """A picture of the cloth from above, of the square -EXTENT..EXTENT, y upwards.
 
@@ -75,7 +76,7 @@ def draw(
     image = np.broadcast_to(np.array(table, np.float32), (size, size, 3)).copy()
     image *= 1 - 0.28 * _blur(np.roll(cloth.covered, (5, 3), (0, 1)).astype(np.float32), 0.018 * size)[..., None]
     if std is not None:
-        halo = _halo(mesh, std, size)[..., None]
+        halo = _halo(mesh, std, size, topology)[..., None]
         image = image * (1 - halo) + _SPREAD * halo
     colour = _shade(cloth, texture)
     if std is not None:
@@ -226,7 +227,7 @@ def _layer_edges(cloth: _Cloth) -> np.ndarray:
     return edge
 
 
-def _halo(mesh: np.ndarray, std: np.ndarray, size: int) -> np.ndarray:
+def _halo(mesh: np.ndarray, std: np.ndarray, size: int, topology: Topology) -> np.ndarray:
     """Opacity 0..1 of the spread in x and y. It grows with the expected number of vertices at a pixel."""
     per_pixel = size / (2 * EXTENT)
     sigma = np.sqrt(std[..., 0] * std[..., 1]).ravel() * per_pixel
@@ -241,9 +242,9 @@ def _halo(mesh: np.ndarray, std: np.ndarray, size: int) -> np.ndarray:
         impulses = np.zeros((size, size), np.float32)
         np.add.at(impulses, (row[chosen], column[chosen]), 1.0)
         expected += _blur(impulses, width)
-    # A vertex represents a cell of the cloth as wide as the grid spacing.
-    cell = (CLOTH_SIDE / (mesh.shape[0] - 1) * per_pixel) ** 2
-    return 0.85 * (1 - np.exp(-1.5 * expected * cell))
+    # A vertex represents a cell of the cloth as wide as the grid spacings.
+    along_u, along_v = (spacing * per_pixel for spacing in topology.spacing)
+    return 0.85 * (1 - np.exp(-1.5 * expected * (along_u * along_v)))
 
 
 def _blur(image: np.ndarray, sigma: float) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""First paragraphs of a report: whether the uncertainty term, two nets and refinement reduced planning errors.
+"""First paragraphs of a report: whether the uncertainty term, an ensemble and refinement reduced planning errors.
 
 The words are made from the paired comparisons of planners, so that they stay true when a chain is run again.
 """
@@ -61,7 +61,7 @@ def _term(rows: pd.DataFrame) -> str:
 
 
 def _lead(others: dict[str, pd.DataFrame]) -> str:
-    names = {"b2": "*b2* (one net)", "b3": "*b3* (two nets, without the term)"}
+    names = {"b2": "*b2* (one net)", "b3": "*b3* (without the term)"}
     enough = {name: rows for name, rows in others.items() if _sequences(rows) >= LEAST}
     if not enough:
         return "That is not enough to tell whether *main* is better than *b2* and *b3*, as it is in the paper.\n"

@@ -1,6 +1,6 @@
 """Reads and checks all artifacts that the report is made from."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,10 +13,10 @@ from clothkit.dataset.store import Dataset
 from clothkit.episodes import record
 from clothkit.episodes.record import Sessions
 from clothkit.evaluation import arrays, tidy
+from clothkit.models.ensemble import folders
+from clothkit.models.store import HISTORY
 from clothkit.report import rows
 from clothkit.report.settings import ReportConfig
-
-NETS = ("a", "b")
 
 
 @dataclass(frozen=True)
@@ -25,8 +25,9 @@ class Inputs:
 
     dataset: Dataset
     attempts: pd.DataFrame
-    histories: Mapping[str, pd.DataFrame]
-    """Histories of training of the nets a, b and vtm, by name."""
+    forward_histories: Mapping[str, pd.DataFrame]
+    """Histories of training of the ensemble's forward models, by member."""
+    vtm_history: pd.DataFrame
     estimation: pd.DataFrame
     prediction: pd.DataFrame
     calibration: pd.DataFrame
@@ -48,14 +49,14 @@ class Inputs:
     """Depth cameras' pictures of examples, with voxels and estimates from them."""
 
 
-def paths(data: Path, settings: ReportConfig) -> list[Path]:
+def paths(data: Path, members: Sequence[int], settings: ReportConfig) -> list[Path]:
     """The artifacts under `data` that `read` opens."""
     evaluation = data / "evaluation"
     return [
         data / "meshes.zarr",
         data / "raw/attempts.parquet",
-        *(data / f"nets/pemd_{net}/history.parquet" for net in NETS),
-        data / "nets/vtm/history.parquet",
+        *(folder / HISTORY for folder in folders(data / "nets", "pemd", members).values()),
+        data / "nets/vtm" / HISTORY,
         evaluation / "estimation.parquet",
         evaluation / "estimates.zarr",
         evaluation / "prediction.parquet",
@@ -70,14 +71,15 @@ def paths(data: Path, settings: ReportConfig) -> list[Path]:
     ]
 
 
-def read(data: Path, settings: ReportConfig) -> Inputs:
+def read(data: Path, members: Sequence[int], settings: ReportConfig) -> Inputs:
     """The report's inputs from the artifacts under `data`. Raises InputError for what is missing or malformed."""
     evaluation = data / "evaluation"
-    forward = {net: tables.read(data / f"nets/pemd_{net}/history.parquet", tidy.HISTORY) for net in NETS}
+    forward = folders(data / "nets", "pemd", members)
     return Inputs(
         dataset=store.load(data / "meshes.zarr"),
         attempts=tables.read(data / "raw/attempts.parquet", ATTEMPTS),
-        histories={**forward, "vtm": tables.read(data / "nets/vtm/history.parquet", tidy.HISTORY)},
+        forward_histories={str(m): tables.read(folder / HISTORY, tidy.HISTORY) for m, folder in forward.items()},
+        vtm_history=tables.read(data / "nets/vtm" / HISTORY, tidy.HISTORY),
         estimation=tables.read(evaluation / "estimation.parquet", tidy.ESTIMATION),
         prediction=tables.read(evaluation / "prediction.parquet", tidy.PREDICTION),
         calibration=tables.read(evaluation / "calibration.parquet", tidy.CALIBRATION),

@@ -30,8 +30,7 @@ def plots(
 
 
 def _learning(net: str, history: pd.DataFrame) -> pd.DataFrame:
-    line = net if net == "vtm" else f"pemd_{net}"
-    return history[["iteration", "score"]].rename(columns={"score": "error"}).assign(line=line)
+    return history[["iteration", "score"]].rename(columns={"score": "error"}).assign(line=net)
 
 
 def _calibration(tidy: pd.DataFrame) -> pd.DataFrame:

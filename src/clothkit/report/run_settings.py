@@ -9,7 +9,7 @@ import pydantic
 from ruamel.yaml import YAML, YAMLError
 
 from clothkit.errors import InputError, system_error
-from clothkit.models.settings import EMDVoxelConfig, PEMDConfig, VtMConfig
+from clothkit.models.settings import EMDVoxelConfig, EnsembleConfig, PEMDConfig, VtMConfig
 from clothkit.planning.search import SearchConfig
 from clothkit.training.settings import TrainingConfig
 
@@ -39,6 +39,7 @@ class RunSettings:
     """Largest number of sequences that are planned for, by split."""
     search: SearchConfig
     voxel_search: SearchConfig
+    ensemble: EnsembleConfig
     pemd: TrainedNet
     emd_voxel: TrainedNet
     vtm: TrainedNet
@@ -79,6 +80,8 @@ def read(path: Path) -> RunSettings:
         sequences={split: _at(path, stages, f"plan.{split}") for split in ("test", "train")},
         search=_settings(path, stages, "plan.search", SearchConfig),
         voxel_search=_settings(path, stages, "plan.voxel_search", SearchConfig),
+        # Older reports do not say it: their ensembles are the paper's two nets.
+        ensemble=_settings(path, whole, "ensemble", EnsembleConfig) if "ensemble" in whole else EnsembleConfig(),
         pemd=_trained_net(path, stages, "train_pemd", PEMDConfig),
         emd_voxel=_trained_net(path, stages, "train_emd_voxel", EMDVoxelConfig),
         vtm=_trained_net(path, stages, "train_vtm", VtMConfig),

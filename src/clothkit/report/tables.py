@@ -23,14 +23,14 @@ def estimation(tidy: pd.DataFrame) -> pd.DataFrame:
 
 
 def prediction(tidy: pd.DataFrame, systems: Sequence[str]) -> pd.DataFrame:
-    """Table 3, for the net with the better validation score. `tidy` has rows of both nets."""
+    """Table 3, for the net with the best validation score. `tidy` has rows of every net."""
     rows.require(tidy, systems)
     table = task_table(tidy[tidy["better"]], systems)
     return pd.concat([table, paper.table_of(3, systems)], ignore_index=True)
 
 
 def position(tidy: pd.DataFrame, systems: Sequence[str]) -> pd.DataFrame:
-    """Table 5: error of the centre shift that the net with the better validation score predicts.
+    """Table 5: error of the centre shift that the net with the best validation score predicts.
 
     *No action* is the error of a shift of 0.
     """
@@ -42,7 +42,7 @@ def position(tidy: pd.DataFrame, systems: Sequence[str]) -> pd.DataFrame:
 
 
 def prediction_voxels(tidy: pd.DataFrame, systems: Sequence[str], *, measure: str = "voxel_error") -> pd.DataFrame:
-    """Table 4, for the net with the better validation score. `tidy` has rows of both nets.
+    """Table 4, for the net with the best validation score. `tidy` has rows of every net.
 
     The nets of a2 predict occluded voxels, so its truth and its *no action* are occluded, too (design 6.14). The system
     to compare it with is main_occluded. `measure` is voxel_error_025 for the viewport that is twice as high.

@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from jaxtyping import Float
 from tqdm import tqdm
 
-from clothkit.cloth.grid import CLOTH_SIDE
+from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.errors import InputError
 from clothkit.manipulation.geometry import release_points
 from clothkit.manipulation.vector import SHORTEST
@@ -168,7 +168,7 @@ def _state(run: Run, frame: Frame, topology: int) -> dict[str, Any]:
         "state": run.state,
         "topology": topology,
         "vertices": positions.ravel(),
-        "height": positions[:, 2].max() * CLOTH_SIDE / frame.side,
+        "height": positions[:, 2].max() * CLOTH_LENGTH / frame.side,
         "strain_p99": np.percentile(strain, 99),
         "strain_worst": strain.max(),
         "intersections": int(pierced(positions[None], ends, frame.triangles)[0]),
@@ -229,7 +229,7 @@ def manipulation(scene: Path, handles: list[Handle], start: Frame, before: Frame
         )
     return Manipulation(
         np.stack([start.geodesic(node) for node in nodes]),
-        displacement * (CLOTH_SIDE / start.side),
+        displacement * (CLOTH_LENGTH / start.side),
         grasps + moves,
         max(handle.end for handle in handles),
     )

@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
-from clothkit.cloth.grid import CLOTH_SIDE, geodesic
 from clothkit.cloth.silhouette import silhouette
+from clothkit.cloth.topology import CLOTH_LENGTH, Shape, Topology
 from clothkit.manipulation.sampling import draw_hands, sample
 from clothkit.simulation.executor import perform
 from clothkit.simulation.quality import Quality, measure, reason
@@ -50,23 +50,26 @@ class Attempts(NamedTuple):
 MEASURED = ("height", "strain_p99", "strain_worst", "intersections", "gap")
 
 
-def attempt_sequences(numbers: range, settings: SimulateConfig) -> Attempts:
-    """Run the attempts with these numbers. Each result depends only on the seed and the attempt's number."""
+def attempt_sequences(numbers: range, settings: SimulateConfig, topology: Topology | None = None) -> Attempts:
+    """Run the attempts with these numbers. Each result depends only on the seed and the attempt's number.
+
+    Without a topology, the cloth is the square of `settings.simulation`.
+    """
     simulation, count = settings.simulation, len(numbers)
-    side = simulation.side
-    scale = simulation.cloth_side / CLOTH_SIDE
+    topology = topology or simulation.topology
+    scale = simulation.cloth_side / CLOTH_LENGTH
     rngs = [np.random.default_rng([settings.seed, number]) for number in numbers]
-    worlds = Worlds(count, simulation)
-    found = _empty(numbers, side)
-    found.states[:, 0] = flat_state(simulation)
-    _note(found, np.arange(count), 0, measure(found.states[:, 0], simulation))
+    worlds = Worlds(count, simulation, topology)
+    found = _empty(numbers, topology.shape)
+    found.states[:, 0] = flat_state(simulation, topology)
+    _note(found, np.arange(count), 0, measure(found.states[:, 0], simulation, topology), topology)
     for step in range(STEPS):
         open_ = np.flatnonzero(found.reason == "")
         drawn = []
         for index in open_:
             mesh = (found.states[index, step] / np.float32(scale)).astype(np.float32)
             hands = draw_hands(rngs[index], settings.sampling)
-            drawn.append(sample(rngs[index], mesh, hands, settings.sampling, settings.candidates))
+            drawn.append(sample(rngs[index], mesh, hands, settings.sampling, settings.candidates, topology))
             if drawn[-1] is None:
                 found.reason[index] = "no manipulation"
         chosen = [(index, draw) for index, draw in zip(open_, drawn, strict=True) if draw is not None]
@@ -79,7 +82,7 @@ def attempt_sequences(numbers: range, settings: SimulateConfig) -> Attempts:
         single = np.array([draw.single for _, draw in chosen])
         moves = to_metres(displacement, scale)
         taken, outcome = perform(worlds, before, np.array(points), moves, single)
-        quality = measure(outcome.states, simulation)
+        quality = measure(outcome.states, simulation, topology)
         found.states[indices, step + 1] = outcome.states
         found.settle_time[indices, step] = outcome.settle_time
         found.residual_speed[indices, step + 1] = outcome.residual_speed
@@ -87,9 +90,9 @@ def attempt_sequences(numbers: range, settings: SimulateConfig) -> Attempts:
         found.releases[indices, step] = [hands.releases for hands in taken]
         vertices = np.array([hands.vertices[:, 0] for hands in taken])
         vertices[:, 1] = np.where(single, vertices[:, 0], vertices[:, 1])
-        uv = geodesic(side).reshape(-1, 2)[vertices].reshape(-1, 4)
+        uv = topology.geodesic().reshape(-1, 2)[vertices].reshape(-1, 4)
         found.manipulation[indices, step] = np.concatenate([uv, displacement], axis=1)
-        _note(found, indices, step + 1, quality)
+        _note(found, indices, step + 1, quality, topology)
         for k, index in enumerate(indices):
             found.reason[index] = reason(quality, outcome, settings, k)
     return found._replace(accepted=found.reason == "")
@@ -114,7 +117,7 @@ def folds(mesh: Float[np.ndarray, "u v 3"]) -> int:
     return int(ndimage.label(creased, structure=np.ones((3, 3)))[1])
 
 
-def _empty(numbers: range, side: int) -> Attempts:
+def _empty(numbers: range, shape: Shape) -> Attempts:
     count, states = len(numbers), STEPS + 1
 
     def zeros(*shape: int, kind: type = np.float32) -> np.ndarray:
@@ -125,7 +128,7 @@ def _empty(numbers: range, side: int) -> Attempts:
         accepted=zeros(kind=bool),
         reason=np.full(count, "", "<U16"),
         reached=zeros(kind=np.int32),
-        states=zeros(states, side, side, 3),
+        states=zeros(states, *shape, 3),
         manipulation=zeros(STEPS, 6),
         hands=zeros(STEPS, kind=np.int32),
         releases=zeros(STEPS, 2, 2),
@@ -141,15 +144,16 @@ def _empty(numbers: range, side: int) -> Attempts:
     )
 
 
-def _note(found: Attempts, indices: np.ndarray, state: int, quality: Quality) -> None:
+def _note(found: Attempts, indices: np.ndarray, state: int, quality: Quality, topology: Topology) -> None:
     for name in MEASURED:
         getattr(found, name)[indices, state] = getattr(quality, name)
     found.reached[indices] = state + 1
-    scale = CLOTH_SIDE / np.ptp(found.states[0, 0, ..., 0])
+    along_u, along_v = topology.sides
+    scale = along_u / np.ptp(found.states[0, 0, ..., 0])
     pixel = 2 * EXTENT / RASTER
     for index in indices[quality.finite]:
         mesh = found.states[index, state] * scale
         middle = (mesh.max((0, 1)) + mesh.min((0, 1))) / 2
         covered = silhouette((mesh - middle).astype(np.float32), resolution=RASTER, extent=EXTENT)
-        found.area[index, state] = covered.sum() * pixel**2 / CLOTH_SIDE**2
+        found.area[index, state] = covered.sum() * pixel**2 / (along_u * along_v)
         found.folds[index, state] = folds(mesh)

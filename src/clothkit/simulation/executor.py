@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
-from clothkit.cloth.grid import CLOTH_SIDE
+from clothkit.cloth.topology import CLOTH_LENGTH, Topology
 from clothkit.manipulation.geometry import release_points, topmost_vertex
 from clothkit.simulation.processes import cores, make_pool
 from clothkit.simulation.settings import SimulationConfig
@@ -27,7 +27,7 @@ class Hands(NamedTuple):
     """The grasped vertices and the release points of one world's hands."""
 
     vertices: Int[np.ndarray, "2 layers"]
-    """Vertices that each hand grasps, u * side + v, the topmost first, -1 for none."""
+    """Vertices that each hand grasps, numbered row by row, the topmost first, -1 for none."""
     releases: Float[np.ndarray, "2 2"]
     """Release points xy, in metres."""
 
@@ -53,19 +53,21 @@ def place_hands(
     displacement: Float[np.ndarray, "2"],
     single: bool,
     settings: SimulationConfig,
+    topology: Topology | None = None,
 ) -> Hands:
     """Return the grasped vertices and their release points by eq. (1); all lengths are in metres.
 
-    Eq. (1) is evaluated at the positions of the grasped vertices. It is applied even if the hands fall on different
-    sides of m.
+    A hand grasps within half of the larger grid spacing. Eq. (1) is evaluated at the positions of the grasped vertices.
+    It is applied even if the hands fall on different sides of m.
     """
     points = grasps[:1] if single else grasps
-    taken = [grasp(mesh, point, within=settings.spacing / 2) for point in points]
+    within = max(settings.spacing(topology or settings.topology)) / 2
+    taken = [grasp(mesh, point, within=within) for point in points]
     places = mesh.reshape(-1, 3)[[taken[0], taken[-1]], :2].astype(np.float64)
     releases = np.asarray(release_points(places, displacement.astype(np.float64)).points, np.float32)
     vertices = np.full((2, LAYERS), -1)
     for hand, vertex in enumerate(taken):
-        below = layers_below(mesh, vertex, within=settings.spacing / 2) if settings.grasp == "all" else []
+        below = layers_below(mesh, vertex, within=within) if settings.grasp == "all" else []
         column = [vertex, *below][:LAYERS]
         vertices[hand, : len(column)] = column
     return Hands(vertices, releases)
@@ -76,10 +78,9 @@ def layers_below(mesh: Float[np.ndarray, "u v 3"], vertex: int, *, within: float
 
     A layer is a connected patch of grid vertices within twice `within` in xy. All lengths are in one unit of any kind.
     """
-    side = mesh.shape[0]
     vertices = mesh.reshape(-1, 3)
     distance = np.linalg.norm(vertices[:, :2] - vertices[vertex, :2], axis=-1)
-    patches, count = ndimage.label((distance <= 2 * within).reshape(side, side), structure=np.ones((3, 3)))
+    patches, count = ndimage.label((distance <= 2 * within).reshape(mesh.shape[:2]), structure=np.ones((3, 3)))
     labels = patches.ravel()
     nearest = [np.flatnonzero(labels == k)[distance[labels == k].argmin()] for k in range(1, count + 1)]
     below = [int(k) for k in nearest if labels[k] != labels[vertex] and vertices[k, 2] < vertices[vertex, 2]]
@@ -95,7 +96,7 @@ def perform(
 ) -> tuple[list[Hands], Outcome]:
     """Execute a manipulation in each world; return the hands and the outcome, in metres and in the world frame."""
     hands = [
-        place_hands(*arguments, worlds.settings)
+        place_hands(*arguments, worlds.settings, worlds.topology)
         for arguments in zip(states, grasps, displacements, single.tolist(), strict=True)
     ]
     vertices = np.array([h.vertices for h in hands], int).reshape(-1, 2, LAYERS)
@@ -111,24 +112,26 @@ def execute(
     settings: SimulationConfig,
     *,
     workers: int = 0,
+    topology: Topology | None = None,
 ) -> Float[np.ndarray, "worlds u v 3"]:
     """Execute one manipulation per mesh and return the resulting meshes; all normalised, in the world frame.
 
     Single-handed manipulations (`single`) use the first grasp point. The outcome depends neither on `workers`
-    (0: all cores) nor on the other worlds.
+    (0: all cores) nor on the other worlds. Without a topology, the cloth is the square of `settings`.
     """
-    scale = settings.cloth_side / CLOTH_SIDE
+    scale = settings.cloth_side / CLOTH_LENGTH
+    topology = topology or settings.topology
     states = (np.asarray(meshes, np.float64) * scale).astype(np.float32)
     grasps = np.asarray(grasp_xy, np.float64) * scale
     moves = np.asarray(displacement, np.float64) * scale
     parts = min(workers or cores(), max(1, len(states) // WORTH_A_WORKER))
     if parts == 1 or settings.device != "cpu":
-        final = _run(settings, states, grasps, moves, single)
+        final = _run(settings, topology, states, grasps, moves, single)
     else:
         # Interleaved, so that the parts cost about the same.
         indices = [np.arange(part, len(states), parts) for part in range(parts)]
         pool = _shared_pool(parts)
-        jobs = [pool.submit(_run, settings, states[i], grasps[i], moves[i], single[i]) for i in indices]
+        jobs = [pool.submit(_run, settings, topology, states[i], grasps[i], moves[i], single[i]) for i in indices]
         final = np.empty_like(states)
         for index, job in zip(indices, jobs, strict=True):
             final[index] = job.result()
@@ -136,14 +139,19 @@ def execute(
 
 
 def _run(
-    settings: SimulationConfig, states: np.ndarray, grasps: np.ndarray, moves: np.ndarray, single: np.ndarray
+    settings: SimulationConfig,
+    topology: Topology,
+    states: np.ndarray,
+    grasps: np.ndarray,
+    moves: np.ndarray,
+    single: np.ndarray,
 ) -> np.ndarray:
-    return perform(_worlds(settings, len(states)), states, grasps, moves, single)[1].states
+    return perform(_worlds(settings, topology, len(states)), states, grasps, moves, single)[1].states
 
 
 @functools.lru_cache(maxsize=2)
-def _worlds(settings: SimulationConfig, count: int) -> Worlds:
-    return Worlds(count, settings)
+def _worlds(settings: SimulationConfig, topology: Topology, count: int) -> Worlds:
+    return Worlds(count, settings, topology)
 
 
 def _shared_pool(workers: int) -> ProcessPoolExecutor:

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from tqdm import tqdm
 
+from clothkit.cloth.topology import Topology
 from clothkit.errors import InputError
 from clothkit.resumable import array_storage, load_piece, resumable_map
 from clothkit.simulation.attempts import Attempts, attempt_sequences
@@ -45,14 +46,22 @@ class Summary(NamedTuple):
         )
 
 
-def generate(folder: Path, settings: SimulateConfig, *, work: Path, attributes: dict[str, Any]) -> Summary:
+def generate(
+    folder: Path,
+    settings: SimulateConfig,
+    *,
+    work: Path,
+    attributes: dict[str, Any],
+    topology: Topology | None = None,
+) -> Summary:
     """Record `settings.sequences` accepted sequences under `folder`, as raw parquet, and return the statistics.
 
     Accepted sequences are taken in the order of their attempts' numbers, so `workers` and `block` change nothing.
     Blocks are made in parallel by all workers. Finished ones are stored in `work`, and an interrupted run resumes from
-    them. Raises InputError if too many
-    attempts in a row are rejected (see HOPELESS).
+    them. Raises InputError if too many attempts in a row are rejected (see HOPELESS). Without a topology, the cloth is
+    the square of `settings.simulation`; `work` holds the blocks of one topology alone.
     """
+    topology = topology or settings.simulation.topology
     paths: list[Path] = []
     # Without the states, which would fill the memory: they are read again, block by block, when they are written.
     blocks: list[Attempts] = []
@@ -77,7 +86,7 @@ def generate(folder: Path, settings: SimulateConfig, *, work: Path, attributes: 
             tqdm(total=settings.sequences, desc="simulate", unit="sequence", mininterval=1, smoothing=0.05)
         )
         finished = resumable_map(
-            partial(attempt_sequences, settings=settings),
+            partial(attempt_sequences, settings=settings, topology=topology),
             (range(number * settings.block, (number + 1) * settings.block) for number in count()),
             folder=work,
             name=f"block_{settings.block}",
@@ -100,7 +109,7 @@ def generate(folder: Path, settings: SimulateConfig, *, work: Path, attributes: 
     last = np.flatnonzero(np.cumsum(attempts.accepted) == settings.sequences)[0] + 1
     attempts = Attempts(*(array[:last] for array in attempts))
     states = (block.states[block.accepted] for block in (load_piece(path, BLOCKS) for path in paths))
-    write_raw(folder, attempts, states, settings.simulation, seed=settings.seed, attributes=attributes)
+    write_raw(folder, attempts, states, settings.simulation, topology, seed=settings.seed, attributes=attributes)
     return summarise(attempts)
 
 

@@ -6,12 +6,12 @@ import numpy as np
 import warp as wp
 from jaxtyping import Bool, Float, Int
 
-from clothkit.cloth.grid import CLOTH_SIDE, edges, triangles
+from clothkit.cloth.topology import CLOTH_LENGTH, Topology, edges, triangles
 from clothkit.simulation.kernels.inspection import count_intersections, measure_gaps
 from clothkit.simulation.settings import SimulateConfig, SimulationConfig
 from clothkit.simulation.world import Outcome
 
-GAP_REACH = 3.0  # grid spacings, the largest gap that is measured; about that of a flat cloth
+GAP_REACH = 3.0  # of the smaller grid spacings, the largest gap that is measured; about that of a flat cloth
 
 
 class Quality(NamedTuple):
@@ -28,24 +28,28 @@ class Quality(NamedTuple):
     intersections: Int[np.ndarray, " states"]
     """Number of pairs of an edge (diagonals included) and a triangle pierced by it that share no vertex."""
     gap: Float[np.ndarray, " states"]
-    """Smallest distance of a vertex to the surface outside its two-ring, in metres, at most three grid spacings.
+    """Smallest distance of a vertex to the surface outside its two-ring, in metres, at most three of the smaller grid
+    spacings.
 
     The surface outside the two-ring is all triangles without a vertex at most two rows and two columns away."""
 
 
-def measure(states: Float[np.ndarray, "states u v 3"], settings: SimulationConfig) -> Quality:
+def measure(
+    states: Float[np.ndarray, "states u v 3"], settings: SimulationConfig, topology: Topology | None = None
+) -> Quality:
     """Measure states given in metres. States that aren't finite are measured as if all vertices were at the origin."""
+    spacing = settings.spacing(topology or settings.topology)
     finite = np.isfinite(states).all((1, 2, 3))
     usable = np.where(finite[:, None, None, None], states, np.float32(0))
-    strain = _strain(usable, settings.spacing)
+    strain = _strain(usable, spacing)
     return Quality(
         finite,
         usable[..., 2].min((1, 2)),
-        usable[..., 2].max((1, 2)) * np.float32(CLOTH_SIDE / settings.cloth_side),
+        usable[..., 2].max((1, 2)) * np.float32(CLOTH_LENGTH / settings.cloth_side),
         np.percentile(strain, 99, axis=1).astype(np.float32),
         strain.max(1),
         intersections(usable, device=settings.device),
-        gaps(usable, reach=GAP_REACH * settings.spacing, device=settings.device),
+        gaps(usable, reach=GAP_REACH * min(spacing), device=settings.device),
     )
 
 
@@ -67,8 +71,8 @@ def reason(quality: Quality, outcome: Outcome, settings: SimulateConfig, index: 
 
 def intersections(states: Float[np.ndarray, "states u v 3"], *, device: str = "cpu") -> Int[np.ndarray, " states"]:
     """Return how many pairs of an edge and a triangle of the grid pierce each other, over all such pairs."""
-    side = states.shape[1]
-    return pierced(states.reshape(len(states), -1, 3), edges(side), triangles(side), device=device)
+    shape = states.shape[1:3]
+    return pierced(states.reshape(len(states), -1, 3), edges(shape), triangles(shape), device=device)
 
 
 def pierced(
@@ -90,9 +94,9 @@ def gaps(
     states: Float[np.ndarray, "states u v 3"], *, reach: float, device: str = "cpu"
 ) -> Float[np.ndarray, " states"]:
     """Return the smallest distance of a vertex to the surface outside its two-ring, at most `reach`, in its unit."""
-    side = states.shape[1]
-    found = wp.zeros((len(states), side * side), dtype=float, device=device)
-    inputs = [_vertices(states, device), _numbers(triangles(side), device), side, reach, found]
+    rows, columns = states.shape[1:3]
+    found = wp.zeros((len(states), rows * columns), dtype=float, device=device)
+    inputs = [_vertices(states, device), _numbers(triangles((rows, columns)), device), columns, reach, found]
     if len(states):
         wp.launch(measure_gaps, dim=found.shape, inputs=inputs, device=device)
     return found.numpy().min(1)
@@ -107,7 +111,9 @@ def _numbers(values: np.ndarray, device: str) -> wp.array:
     return wp.array(values.astype(np.int32), dtype=int, device=device)
 
 
-def _strain(states: np.ndarray, spacing: float) -> Float[np.ndarray, "states edges"]:
-    along_u = np.linalg.norm(np.diff(states, axis=1), axis=-1).reshape(len(states), -1)
-    along_v = np.linalg.norm(np.diff(states, axis=2), axis=-1).reshape(len(states), -1)
-    return np.abs(np.concatenate([along_u, along_v], axis=1) / spacing - 1).astype(np.float32)
+def _strain(states: np.ndarray, spacing: tuple[float, float]) -> Float[np.ndarray, "states edges"]:
+    along_u, along_v = (
+        np.linalg.norm(np.diff(states, axis=axis), axis=-1).reshape(len(states), -1) / rest
+        for axis, rest in zip((1, 2), spacing, strict=True)
+    )
+    return np.abs(np.concatenate([along_u, along_v], axis=1) - 1).astype(np.float32)

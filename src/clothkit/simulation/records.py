@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from clothkit.cloth.grid import triangles
+from clothkit.cloth.topology import Topology
 from clothkit.simulation.attempts import Attempts
 from clothkit.simulation.settings import SimulationConfig
 from clothkit.simulation.solver import flat_state
@@ -69,6 +69,7 @@ def write_raw(
     attempts: Attempts,
     states: Iterable[np.ndarray],
     simulation: SimulationConfig,
+    topology: Topology | None = None,
     *,
     seed: int,
     attributes: dict[str, Any],
@@ -86,7 +87,7 @@ def write_raw(
     others = {
         "manipulations": _manipulations(accepted, seed),
         "attempts": _attempts(attempts, seed),
-        "topologies": _topologies(simulation),
+        "topologies": _topologies(simulation, topology or simulation.topology),
     }
     write_tables(folder, shards, others, attributes)
 
@@ -170,12 +171,12 @@ def _reached(values: np.ndarray, count: np.ndarray) -> np.ndarray:
     return np.where(np.arange(values.shape[1]) < count[:, None], values, np.nan).astype(np.float32)
 
 
-def _topologies(simulation: SimulationConfig) -> pa.Table:
-    material = flat_state(simulation)[..., :2].reshape(1, -1)
+def _topologies(simulation: SimulationConfig, topology: Topology) -> pa.Table:
+    material = flat_state(simulation, topology)[..., :2].reshape(1, -1)
     columns = {
         "topology": np.zeros(1, np.int32),
         "material": _lists(material),
-        "triangles": _lists(triangles(simulation.side).reshape(1, -1)),
+        "triangles": _lists(topology.triangles().reshape(1, -1)),
     }
     return pa.table(columns, schema=TOPOLOGIES)
 

@@ -6,10 +6,14 @@ import pydantic
 from annotated_types import Ge, Gt, Le
 from pydantic import BeforeValidator
 
+from clothkit.cloth.topology import CLOTH_LENGTH, Topology, square
 from clothkit.config import config
 from clothkit.manipulation.candidates import CandidateConfig
 from clothkit.manipulation.sampling import SamplingConfig
 from clothkit.simulation.material import Material, NotNegative, Positive, of_fabric
+
+LEAST_VERTICES, MOST_VERTICES = 8, 64
+"""Least and largest number of vertices along a side of a cloth."""
 
 LEAST_SPACING = 1.5
 """Least distance of neighbouring vertices, in thicknesses: on a finer grid the contacts prevent folding."""
@@ -49,8 +53,8 @@ class SimulationConfig:
     apart, and the hands must not be faster than `top_speed`.
     """
 
-    side: Annotated[int, Ge(8), Le(64)] = 32  # vertices along a side of the grid
-    cloth_side: Annotated[float, Ge(0.1), Le(1)] = 0.4  # m
+    side: Annotated[int, Ge(LEAST_VERTICES), Le(MOST_VERTICES)] = 32  # vertices along a side of the square grid
+    cloth_side: Annotated[float, Ge(0.1), Le(1)] = 0.4  # m, the longer side of a cloth that is no square
     time_step: Annotated[float, Ge(2e-4), Le(2e-3)] = 1e-3  # s
     hand_speed: Annotated[float, Ge(0.05), Le(0.7)] = 0.42  # m/s, mean along the arc
     shortest_move: Annotated[float, Ge(0.05), Le(10)] = 0.4  # s, least duration of a hand's motion
@@ -66,24 +70,41 @@ class SimulationConfig:
     device: Literal["cpu", "cuda"] = "cpu"
 
     @property
-    def spacing(self) -> float:
-        """Metres between neighbouring vertices."""
-        return self.cloth_side / (self.side - 1)
+    def topology(self) -> Topology:
+        """The square cloth with `side` vertices along each side: what is simulated where no other is given."""
+        return square(self.side)
+
+    def spacing(self, topology: Topology) -> tuple[float, float]:
+        """Metres between neighbouring vertices of a cloth along u and along v."""
+        along_u, along_v = (
+            self.cloth_side * (length / CLOTH_LENGTH) / (vertices - 1)
+            for length, vertices in zip(topology.sides, topology.shape, strict=True)
+        )
+        return along_u, along_v
 
     @pydantic.model_validator(mode="after")
     def _agrees(self) -> "SimulationConfig":
-        least = LEAST_SPACING * self.material.thickness
-        if self.spacing < least:
-            raise ValueError(
-                f"cloth_side / (side - 1), the distance of neighbouring vertices, is {self.spacing:.2g} m, expected at "
-                f"least {least:.2g} m, {LEAST_SPACING:g} times material.thickness"
-            )
+        self.check(self.topology)
         if self.hand_speed > self.top_speed:
             raise ValueError(
                 f"hand_speed is {self.hand_speed:g} m/s, expected at most top_speed, {self.top_speed:g} m/s: no vertex "
                 "follows a faster hand"
             )
         return self
+
+    def check(self, topology: Topology) -> None:
+        """Raise ValueError if the solver can't simulate a cloth of this topology with these settings."""
+        if not LEAST_VERTICES <= min(topology.shape) <= max(topology.shape) <= MOST_VERTICES:
+            raise ValueError(
+                f"a grid of {topology.shape[0]} x {topology.shape[1]} vertices, expected {LEAST_VERTICES} to "
+                f"{MOST_VERTICES} along each side"
+            )
+        spacing, least = min(self.spacing(topology)), LEAST_SPACING * self.material.thickness
+        if spacing < least:
+            raise ValueError(
+                f"cloth_side / (side - 1), the distance of neighbouring vertices, is {spacing:.2g} m, expected at "
+                f"least {least:.2g} m, {LEAST_SPACING:g} times material.thickness"
+            )
 
 
 @config

@@ -4,57 +4,78 @@ import numpy as np
 import warp as wp
 from jaxtyping import Float
 
-from clothkit.simulation.kernels.state import CELLS, CONTACTS, EDGE_PAIRS, HELD, MEMORY, PATH, Solver, State
+from clothkit.cloth.topology import CLOTH_LENGTH, Shape, Topology
+from clothkit.simulation.kernels.state import CELLS, CONTACTS, EDGE_PAIRS, HELD, MEMORY, PATH, Bend, Solver, State
 from clothkit.simulation.settings import SimulationConfig
 
 GRAVITY = 9.81  # m/s^2
 LANES_ON_CUDA = 256
 LAUNCH_SECONDS = 0.1  # simulated time per launch
 STRETCH_PASSES = 2  # per substep
-LARGEST_SHARE = 0.2  # limit of `Solver.viscosity`: explicit viscosity is stable below 1 / 4
+LARGEST_SHARES = 0.8  # limit of the shares of `Solver.viscosity` over the four neighbours: stable below 1
 
 
-def make_solver(settings: SimulationConfig) -> Solver:
-    """Return the kernels' settings, in SI units."""
+def make_solver(settings: SimulationConfig, topology: Topology) -> Solver:
+    """Return the kernels' settings for a cloth, in SI units. Raises ValueError for a grid that is too fine or large."""
+    settings.check(topology)
     material, settling = settings.material, settings.settling
-    dt, h = settings.time_step, settings.spacing
-    mass = material.density * h**2  # of a vertex
+    dt = settings.time_step
+    along_u, along_v = settings.spacing(topology)
+    # Terms in this ratio are exactly those of a square where it is 1.
+    ratio = along_v / along_u
+    diagonal = float(np.hypot(1, ratio))  # in spacings along u
+    mass = material.density * (along_u * along_v)  # of a vertex
 
     def compliance(stiffness: float) -> float:
         """Return the kernels' compliance of a spring with a stiffness in N/m: a vertex's mass / (stiffness * dt^2)."""
         return mass / (stiffness * dt**2)
 
     # The energies per area are the stiffness times e^2 / 2 (stretch e), g^2 / 2 (shear g) and k^2 / 2 (curvature k). A
-    # grid edge of length l represents the area h^2 with the strain (l - h) / h; a diagonal's strain is half the shear
-    # angle; a second difference c corresponds to the curvature |c| / h^2.
-    bending = compliance(material.bending_stiffness / h**2)
+    # vertex represents the area u v, where u and v are the spacings. A grid edge of length l along u has the strain
+    # (l - u) / u; a diagonal of length d lengthens by the shear angle times u v / d; a second difference c along u
+    # corresponds to the curvature |c| / u^2. For v along with u, exchange the two.
+    def bend(h: float, across: float) -> Bend:
+        """Return the settings of bends of grid lines whose spacing is `h`, and `across` times `h` to the next line."""
+        found = Bend()
+        found.compliance = compliance(material.bending_stiffness / h**2 * across)
+        found.friction = material.bending_friction * dt**2 / mass * across
+        found.saturation = material.bending_limit * h**2
+        found.crease_compliance = found.compliance / 4
+        found.crease_length = 0.4 * h
+        found.feature = 0.25 * h
+        return found
+
+    sheared = 2 * ratio / (1 + ratio**2)  # of the squared length of a diagonal, per sine of the shear angle
     solver = Solver()
     values = {
-        "side": settings.side,
+        "rows": topology.shape[0],
+        "columns": topology.shape[1],
         "substeps": round(LAUNCH_SECONDS / settings.time_step),
-        "spacing": h,
+        "spacing_u": along_u,
+        "spacing_v": along_v,
+        "spacing": min(along_u, along_v),
+        "diagonal": diagonal,
         "time_step": dt,
-        "stretch_compliance": compliance(material.stretch_stiffness),
-        "shear_compliance": compliance(2 * material.shear_stiffness),  # one of the two diagonals resists
-        "diagonal_shortest": 0.3 * 2**0.5 * h,
-        "diagonal_longest": (1 + np.sin(material.shear_limit)) ** 0.5 * 2**0.5 * h,
-        "bending_compliance": bending,
-        "bending_friction": material.bending_friction * dt**2 / mass,
-        "bending_saturation": material.bending_limit * h**2,
-        "crease_compliance": bending / 4,
-        "crease_length": 0.4 * h,
+        "stretch_u": compliance(material.stretch_stiffness * ratio),
+        "stretch_v": compliance(material.stretch_stiffness / ratio),
+        "shear_compliance": compliance((ratio + 1 / ratio) * material.shear_stiffness),  # one of the diagonals resists
+        "diagonal_shortest": 0.3 * diagonal * along_u,
+        "diagonal_longest": (1 + sheared * np.sin(material.shear_limit)) ** 0.5 * diagonal * along_u,
+        "bend_u": bend(along_u, ratio),
+        "bend_v": bend(along_v, 1 / ratio),
         "gravity": GRAVITY,
-        "viscosity": min(material.viscosity * dt / h**2, LARGEST_SHARE),
+        "viscosity": min(material.viscosity * dt / along_u**2, LARGEST_SHARES / (2 + 2 / ratio**2)),
+        "viscosity_ratio": 1 / ratio**2,
         "drag": material.drag,
         "top_speed": settings.top_speed,
         "thickness": material.thickness,
         # Half a quad's diagonal, plus the distance to which contact lists extend at the speed of the hands.
-        "cell": 0.7 * h + 4.5 * material.thickness,
+        "cell": 0.7 * ((along_u**2 + along_v**2) / 2) ** 0.5 + 4.5 * material.thickness,
         "margin": 0.9 * material.thickness,
         "prediction_time": 0.02,
         "prediction_error": 0.4 * material.thickness,
         "memory_gap": 0.6 * material.thickness,
-        "bend_feature": 0.25 * h,
+        "twist_feature": 0.25 * min(along_u, along_v),
         "gap_growth": 0.5 * settling.rest_speed * dt,
         "stretch_passes": STRETCH_PASSES,
         "push_step": settings.push_speed * dt,
@@ -75,9 +96,9 @@ def make_solver(settings: SimulationConfig) -> Solver:
     return solver
 
 
-def make_state(worlds: int, side: int, device: str) -> State:
-    """Return the zero-initialised state of `worlds` worlds on the device."""
-    n, cells = side * side, int(CELLS) ** 2 + 1
+def make_state(worlds: int, shape: Shape, device: str) -> State:
+    """Return the zero-initialised state of `worlds` worlds on the device, each with a grid of `shape` vertices."""
+    n, cells = shape[0] * shape[1], int(CELLS) ** 2 + 1
     one, each, edges, held = (worlds,), (worlds, n), (worlds, 3 * n), (worlds, int(HELD))
     vectors: dict[str, tuple[int, ...]] = {
         **dict.fromkeys(
@@ -116,14 +137,15 @@ def make_state(worlds: int, side: int, device: str) -> State:
     }
     state = State()
     for shapes, dtype in ((vectors, wp.vec3), (floats, wp.float32), (integers, wp.int32)):
-        for name, shape in shapes.items():
-            setattr(state, name, wp.zeros(shape, dtype=dtype, device=device))
+        for name, lengths in shapes.items():
+            setattr(state, name, wp.zeros(lengths, dtype=dtype, device=device))
     return state
 
 
-def flat_state(settings: SimulationConfig) -> Float[np.ndarray, "u v 3"]:
+def flat_state(settings: SimulationConfig, topology: Topology | None = None) -> Float[np.ndarray, "u v 3"]:
     """Return the flat cloth on the table, in metres; z is half the thickness, as vertices lie in the middle of it."""
-    half = settings.cloth_side / 2
-    axis = np.linspace(-half, half, settings.side)
-    x, y = np.meshgrid(axis, axis, indexing="ij")
+    topology = topology or settings.topology
+    halves = [settings.cloth_side * (length / CLOTH_LENGTH) / 2 for length in topology.sides]
+    along_u, along_v = (np.linspace(-h, h, n) for h, n in zip(halves, topology.shape, strict=True))
+    x, y = np.meshgrid(along_u, along_v, indexing="ij")
     return np.stack([x, y, np.full_like(x, settings.material.thickness / 2)], axis=-1).astype(np.float32)

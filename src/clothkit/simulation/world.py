@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 from jaxtyping import Bool, Float, Int
 
-from clothkit.cloth.grid import CLOTH_SIDE
+from clothkit.cloth.topology import CLOTH_LENGTH, Topology
 from clothkit.manipulation.geometry import arc
 from clothkit.simulation.kernels.advance import advance
 from clothkit.simulation.kernels.state import HELD, PATH
@@ -31,7 +31,7 @@ class Motion(NamedTuple):
     """The motions of the hands in a batch of worlds."""
 
     held: Int[np.ndarray, "worlds 2 layers"]
-    """Vertices that each hand holds, u * side + v, -1 for none. Their positions relative to the first stay fixed."""
+    """Vertices that each hand holds, numbered row by row, -1 for none. Their offsets from the first stay fixed."""
     path: Float[np.ndarray, "worlds 2 times 3"]
     """Positions of each hand's first vertex at equal time steps from grasp to release, in metres."""
     seconds: Float[np.ndarray, " worlds"]
@@ -65,7 +65,7 @@ def arcs(
     vertices = states.reshape(len(states), -1, 3)
     first = np.maximum(grasps[:, :, 0], 0)
     grasped = np.take_along_axis(vertices, first[..., None], axis=1).astype(np.float64)
-    lift = settings.highest_lift * settings.cloth_side / CLOTH_SIDE
+    lift = settings.highest_lift * settings.cloth_side / CLOTH_LENGTH
     path = arc(grasped, np.asarray(releases, np.float64), height_limit=lift)
     held = grasps[:, :, 0] >= 0
     seconds = np.where(held, path.radius * path.angle / settings.hand_speed, 0.0).max(1)
@@ -75,14 +75,19 @@ def arcs(
 
 
 class Worlds:
-    """Up to `count` worlds on one device. A world's outcome depends only on its own arguments."""
+    """Up to `count` worlds on one device. A world's outcome depends only on its own arguments.
 
-    def __init__(self, count: int, settings: SimulationConfig) -> None:
+    All cloths have the given topology; without one, they are the square of `settings`. Raises ValueError for a grid
+    that the solver can't simulate.
+    """
+
+    def __init__(self, count: int, settings: SimulationConfig, topology: Topology | None = None) -> None:
         self.count, self.settings = count, settings
+        self.topology = topology or settings.topology
         self.device = settings.device
         self.lanes = 1 if self.device == "cpu" else LANES_ON_CUDA
-        self.solver = make_solver(settings)
-        self.state = make_state(count, settings.side, self.device)
+        self.solver = make_solver(settings, self.topology)
+        self.state = make_state(count, self.topology.shape, self.device)
 
     def execute(self, states: Float[np.ndarray, "worlds u v 3"], motion: Motion) -> Outcome:
         """Simulate grasp, motion, release and settling in each world, and return the outcome.

@@ -7,22 +7,26 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray, Shaped
 
 from clothkit.cloth import equivalents
 from clothkit.cloth.equivalents import relabel_batch, relabel_manipulation_batch
-from clothkit.manipulation.turns import planar, turn_manipulation, turn_mesh
+from clothkit.manipulation.turns import planar, turn, turn_manipulation, turn_mesh
 from clothkit.manipulation.vector import swap_grasps
-from clothkit.models.canonical import frame
+from clothkit.models.canonical import Canonicalised, Description
+from clothkit.models.forward import ForwardModel
 
 
 class Examples(NamedTuple):
-    """A batch of subsequences of n manipulations: inputs and targets of pEM*D [normalised]."""
+    """A batch of subsequences of n manipulations: inputs and targets of a forward model [normalised].
 
-    mesh: Float[Array, "batch u v 3"]
+    States are meshes [u v 3] or voxels [x y z], as are the grasp points geodesic or Cartesian.
+    """
+
+    state: Shaped[Array, "batch *state"]
     """The first state, centred: the input."""
     manipulations: Float[Array, "batch n 6"]
-    outcomes: Float[Array, "batch n u v 3"]
+    outcomes: Shaped[Array, "batch n *state"]
     """The state after each manipulation, centred."""
     shifts: Float[Array, "batch n 2"]
     """The displacement of the cloth's centre by each manipulation."""
@@ -36,10 +40,10 @@ def random_turns(batch: int, *, key: PRNGKeyArray) -> Float[Array, "batch 2 2"]:
 
 
 def turned(examples: Examples, matrices: Float[Array, "batch 2 2"]) -> Examples:
-    """The examples, each rotated or mirrored about z by its matrix."""
+    """Examples in meshes, each rotated or mirrored about z by its matrix."""
     per_step = jnp.broadcast_to(matrices[:, None], (*examples.shifts.shape, 2))
     return Examples(
-        mesh=turn_mesh(examples.mesh, matrices),
+        state=turn_mesh(examples.state, matrices),
         manipulations=turn_manipulation(examples.manipulations, per_step),
         outcomes=turn_mesh(examples.outcomes, per_step),
         shifts=jnp.sum(per_step * examples.shifts[..., None, :], axis=-1),
@@ -47,23 +51,36 @@ def turned(examples: Examples, matrices: Float[Array, "batch 2 2"]) -> Examples:
 
 
 def relabelled(examples: Examples, k: Array) -> Examples:
-    """The examples (inputs, outcomes and grasp points), each under the labels of its equivalent k, int [batch]."""
+    """Examples in meshes (states and grasp points), each under the labels of its equivalent k, int [batch]."""
     return Examples(
-        mesh=relabel_batch(examples.mesh, k),
+        state=relabel_batch(examples.state, k),
         manipulations=relabel_manipulation_batch(examples.manipulations, k),
         outcomes=relabel_batch(examples.outcomes, k),
         shifts=examples.shifts,
     )
 
 
-def examples_described(examples: Examples) -> Examples:
+def described(examples: Examples, description: Description) -> Examples:
     """The examples, each transformed to the canonical description of its first state."""
-    found = frame(examples.mesh)
-    return relabelled(turned(examples, found.matrix), found.k)
+    found = description.frame(examples.state)
+    per_step = jax.tree.map(lambda part: jnp.repeat(part[:, None], examples.shifts.shape[1], axis=1), found)
+    return Examples(
+        state=description.state(examples.state, found),
+        manipulations=description.manipulation(examples.manipulations, per_step),
+        outcomes=description.state(examples.outcomes, per_step),
+        shifts=turn(examples.shifts, per_step.matrix),
+    )
+
+
+def as_shown(model: ForwardModel, examples: Examples) -> tuple[ForwardModel, Examples]:
+    """The model that learns from examples, and the examples in the descriptions that are its inputs and outputs."""
+    if isinstance(model, Canonicalised):
+        return model.model, described(examples, model.description)
+    return model, examples
 
 
 def augment(examples: Examples, *, noise: float, key: PRNGKeyArray) -> Examples:
-    """Randomly transformed examples, with normal noise of that standard deviation [normalised] on the input mesh only.
+    """Randomly transformed examples in meshes, with normal noise of that deviation [normalised] on the input only.
 
     Each example is rotated or mirrored and gets the labels of a random equivalent; the two grasp points of each
     manipulation are swapped with probability 1/2.
@@ -74,5 +91,5 @@ def augment(examples: Examples, *, noise: float, key: PRNGKeyArray) -> Examples:
     examples = relabelled(examples, jax.random.randint(label_key, (batch,), 0, equivalents.COUNT))
     swap = jax.random.bernoulli(swap_key, shape=(batch, n, 1))
     manipulations = jnp.where(swap, swap_grasps(examples.manipulations), examples.manipulations)
-    mesh = examples.mesh + noise * jax.random.normal(noise_key, examples.mesh.shape) if noise else examples.mesh
-    return examples._replace(mesh=mesh, manipulations=manipulations)
+    mesh = examples.state + noise * jax.random.normal(noise_key, examples.state.shape) if noise else examples.state
+    return examples._replace(state=mesh, manipulations=manipulations)

@@ -13,10 +13,10 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 from clothkit.cloth import mesh as meshes
 from clothkit.dataset.store import STEPS, Dataset
 from clothkit.dataset.tasks import TASKS
-from clothkit.models.layers import run
-from clothkit.models.pemd import PEMD, initial
+from clothkit.models.forward import ForwardModel, forward_model, predict, rollout
+from clothkit.models.pemd import initial
 from clothkit.training import recipe
-from clothkit.training.augment import Examples, augment, examples_described
+from clothkit.training.augment import Examples, as_shown, augment
 from clothkit.training.devices import spread
 from clothkit.training.likelihood import held_nll
 from clothkit.training.loop import Problem, Trained, train
@@ -59,7 +59,7 @@ def draw(data: Sequences, n: int, batch: int, *, key: PRNGKeyArray) -> Examples:
     vertices = data.vertices[sequence[:, None], states]
     centre = data.centre[sequence[:, None], states]
     return Examples(
-        mesh=vertices[:, 0],
+        state=vertices[:, 0],
         manipulations=data.manipulation[sequence[:, None], states[:, :-1]],
         outcomes=vertices[:, 1:],
         shifts=centre[:, 1:] - centre[:, :-1],
@@ -72,33 +72,35 @@ def random_length(data: Sequences, *, key: PRNGKeyArray) -> Int[Array, ""]:
     return jax.random.randint(key, (), 1, longest + 1)
 
 
-def loss_shape(net: PEMD, params: PyTree, examples: Examples, *, hold: float = 0.0) -> Float[Array, ""]:
+def loss_shape(model: ForwardModel, params: PyTree, examples: Examples, *, hold: float = 0.0) -> Float[Array, ""]:
     """loss_s, eq. (8): `held_nll` with that `hold`, summed over the steps and averaged over the batch."""
-    predicted, _, _ = run(net, params, examples.mesh, examples.manipulations)
+    predicted, _ = predict(model, params, examples.state, examples.manipulations, unroll=True)
     return jnp.mean(jnp.sum(held_nll(jnp.moveaxis(examples.outcomes, 1, 0), predicted, hold), axis=0))
 
 
-def loss_position(net: PEMD, params: PyTree, examples: Examples) -> Float[Array, ""]:
+def loss_position(model: ForwardModel, params: PyTree, examples: Examples) -> Float[Array, ""]:
     """loss_p: mean squared error of the centre shifts [normalised squared] (section 4.6)."""
-    _, _, shifts = run(net, params, examples.mesh, examples.manipulations, method="unroll")
+    latent = model.encode(params, examples.state)
+    shifts = rollout(model, params, latent, examples.manipulations, unroll=True).shifts
     return jnp.mean((shifts - jnp.moveaxis(examples.shifts, 1, 0)) ** 2)
 
 
 def direction(
-    net: PEMD, settings: TrainPEMDConfig, params: PyTree, examples: Examples
+    model: ForwardModel, settings: TrainPEMDConfig, params: PyTree, examples: Examples
 ) -> tuple[PyTree, dict[str, Float[Array, ""]]]:
     """The gradient (or sign sum) that the optimiser takes, and the two losses by name: see `recipe.direction`."""
+    model, examples = as_shown(model, examples)
     hold = settings.hold if settings.training.recipe == "fast" else 0.0
     return recipe.direction(
-        lambda params: loss_shape(net, params, examples, hold=hold),
-        lambda params: loss_position(net, params, examples),
+        lambda params: loss_shape(model, params, examples, hold=hold),
+        lambda params: loss_position(model, params, examples),
         params,
         recipe=settings.training.recipe,
         shift_weight=settings.shift_weight,
     )
 
 
-def task_errors(net: PEMD, params: PyTree, data: Sequences) -> Float[Array, "6 sequences"]:
+def task_errors(model: ForwardModel, params: PyTree, data: Sequences) -> Float[Array, "6 sequences"]:
     """Errors of the means predicted from true meshes, for the six tasks of each sequence [cloth length].
 
     NaN where a sequence is too short for the task.
@@ -106,42 +108,39 @@ def task_errors(net: PEMD, params: PyTree, data: Sequences) -> Float[Array, "6 s
     errors = {}
     for start in range(STEPS):
         examples = Examples(
-            mesh=data.vertices[:, start],
+            state=data.vertices[:, start],
             manipulations=data.manipulation[:, start:],
             outcomes=data.vertices[:, start + 1 :],
             shifts=data.centre[:, start + 1 :] - data.centre[:, start:-1],
         )
-        if net.config.canonical:
-            examples = examples_described(examples)
-        predicted, _, _ = run(net, params, examples.mesh, examples.manipulations)
+        learner, examples = as_shown(model, examples)
+        predicted, _ = predict(learner, params, examples.state, examples.manipulations, unroll=True)
         for i, error in enumerate(meshes.error(predicted.mean, jnp.moveaxis(examples.outcomes, 1, 0))):
             errors[start, i + 1] = error
     return jnp.stack([errors[task] for task in TASKS])
 
 
 def _on_length(
-    net: PEMD, settings: TrainPEMDConfig, n: int, params: PyTree, data: Sequences, key: PRNGKeyArray
+    model: ForwardModel, settings: TrainPEMDConfig, n: int, params: PyTree, data: Sequences, key: PRNGKeyArray
 ) -> tuple[PyTree, dict[str, Any]]:
     draw_key, augment_key = jax.random.split(key)
     drawn = spread(draw(data, n, settings.training.batch, key=draw_key))
     examples = augment(drawn, noise=settings.noise, key=augment_key)
-    if settings.net.canonical:
-        examples = examples_described(examples)
-    return direction(net, settings, params, examples)
+    return direction(model, settings, params, examples)
 
 
 def problem(settings: TrainPEMDConfig, validation: Sequences) -> Problem:
     """The functions that the training loop needs for pEM*D; the training data are `Sequences`."""
-    net = PEMD(settings.net, settings.training.start)
+    model = forward_model(settings.net)
 
     def gradient(params: PyTree, data: Sequences, key: PRNGKeyArray) -> tuple[PyTree, dict[str, Any]]:
         length_key, batch_key = jax.random.split(key)
         n = random_length(data, key=length_key)
         # `switch` runs only the branch of the drawn length.
-        branches = [partial(_on_length, net, settings, length) for length in range(1, STEPS + 1)]
+        branches = [partial(_on_length, model, settings, length) for length in range(1, STEPS + 1)]
         return jax.lax.switch(n - 1, branches, params, data, batch_key)
 
-    validate = validation_of_tasks(partial(task_errors, net), validation)
+    validate = validation_of_tasks(partial(task_errors, model), validation)
     return Problem(lambda key: initial(settings.net, settings.training.start, key=key), gradient, validate)
 
 

@@ -1,7 +1,8 @@
 """A live session: search for a plan, simulate its first manipulation, observe, and search again.
 
-As in `planning.session`, with two differences: a person starts each action, and may execute a plan that is not expected
-to improve the state. If a file holds no mesh, the estimate is simulated; a tangled estimate takes long to simulate.
+The decisions are those of `planning.agent`, with two differences: a person starts each action, and may execute a plan
+that is not expected to improve the state. If a file holds no mesh, the estimate is simulated; a tangled estimate takes
+long to simulate.
 """
 
 import dataclasses
@@ -11,28 +12,22 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from clothkit.app.given import Seen, Settings
-from clothkit.app.planner import (
-    Believed,
-    Past,
-    Planned,
-    believed,
-    disagreement,
-    estimated,
-    goal_of,
-    mesh_of,
-    traces_after,
-    vtm_of,
-)
-from clothkit.app.viewer.session import Look, Mesh, Session, ShownPlan, Step, error_of, matched
-from clothkit.app.viewer.watched import Progress, Watch, find_watched
+from clothkit.app import planner as plans
+from clothkit.app.inputs import Input, Settings
+from clothkit.app.planner import epistemic_uncertainty, estimate_mesh, goal_of, load_vtm, mesh_of, observation_of
+from clothkit.app.viewer.search_progress import OnProgress, Progress, search_in_batches
+from clothkit.app.viewer.session import Mesh, Session, ShownPlan, StateEstimate, Step, error_of, matched
 from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.cloth.silhouette import centred
 from clothkit.errors import InputError
+from clothkit.estimation.estimate import estimate_probabilistic
 from clothkit.manipulation.vector import is_null, is_single
 from clothkit.observation.observe import observe
 from clothkit.observation.states import MeshState
+from clothkit.planning import agent
+from clothkit.planning.perception import Estimation
 from clothkit.planning.planner import Planner
+from clothkit.planning.types import Memory, Observation, Plan
 from clothkit.simulation.executor import execute
 
 
@@ -46,13 +41,12 @@ class Live:
     settings: Settings
     centre: Float[np.ndarray, "2"]
     """Position of the cloth's centre on the table [normalised]."""
-    goal: Believed
-    """The goal in the system's representation."""
-    look: Look
+    estimate: StateEstimate
     """The system's estimate of the current state, in the estimate's own labels."""
-    past: Past | None = None
-    planned: Planned | None = None
-    """The plan that waits to be executed."""
+    memory: Memory
+    """The agent's memory before the next plan, as a batch of one."""
+    plan: Plan | None = None
+    """The plan that waits to be executed, as a batch of one."""
 
     @property
     def at(self) -> int:
@@ -66,47 +60,48 @@ class Live:
 
 
 def begin(
-    planner: Planner, start: Seen, goal: Seen, length: int, *, title: str, data: Path, settings: Settings
+    planner: Planner, start: Input, goal: Input, length: int, *, title: str, data: Path, settings: Settings
 ) -> Live:
     """Start a session of `length` manipulations; it has no plan yet.
 
     The mesh in the file of `start` is simulated or, if there is none, the estimate. Raises InputError when the system
     cannot plan from these files.
     """
-    system = planner.system
-    look = look_at(planner, start, data, settings)
-    truth = mesh_of(start)
+    system, observation = planner.system, observation_of(planner, start, data, settings)
+    truth, mesh = mesh_of(start), mesh_of(goal)
+    if truth is None and system.voxels:
+        truth = np.asarray(estimate_mesh(load_vtm(data, settings), start, settings).mesh[0])
+    target = goal_of(system, goal, data, settings)
+    memory = plans.begin(planner, target, length)
+    estimate = estimate_state(planner, observation, memory)
     if truth is None:
-        truth = look.estimate
-        if system.voxels:
-            truth = np.asarray(estimated(vtm_of(data, settings), start, settings).mesh[0])
-    wanted = goal_of(system, goal, data, settings)
-    mesh = mesh_of(goal)
-    shown = Session(title, length, wanted if mesh is None else mesh, (truth,), (matched(Step(look), truth),))
+        truth = estimate.state
+    shown = Session(title, length, target if mesh is None else mesh, (truth,), (matched(Step(estimate), truth),))
     centre = np.asarray(start.pose.centre / start.pose.scale, np.float32)
-    return Live(shown, planner, data, settings, centre, wanted, look)
+    return Live(shown, planner, data, settings, centre, estimate, memory)
 
 
-def look_at(planner: Planner, seen: Seen, data: Path, settings: Settings, *, past: Past | None = None) -> Look:
-    """Return the system's estimate of a cloth, with standard deviations if it is a refined one. Raises InputError."""
-    system, expected = planner.system, past.expected if past else None
-    if system.voxels or system.true_meshes or not system.refine:
-        state, sigma = believed(system, seen, data, settings, expected=expected), None
-    else:
-        found = estimated(vtm_of(data, settings), seen, settings, expected=expected)
-        state, sigma = np.asarray(found.mesh[0]), np.asarray(found.probabilistic.std[0])
-    return Look(state, sigma, planner.sight.grasps(state, planner.grasping))
+def estimate_state(planner: Planner, observation: Observation, memory: Memory) -> StateEstimate:
+    """Return the system's estimate of a cloth, with standard deviations if it is a refined one."""
+    states, points = agent.perceive(planner, observation, memory)
+    sigma, perception = None, planner.perception
+    if isinstance(perception, Estimation) and perception.refine and observation.voxels is not None:
+        expected = memory.expected if memory.planned[0] else None
+        sigma = np.asarray(estimate_probabilistic(perception.vtm, observation.voxels, expected).std[0])
+    return StateEstimate(states[0], sigma, points[0][np.isfinite(points[0]).all(-1)])
 
 
-def plan(live: Live, *, seed: int, watch: Watch) -> Live:
+def plan(live: Live, *, seed: int, on_progress: OnProgress) -> Live:
     """Search for a plan for the manipulations that are left, and return the session with it.
 
     Raises InputError when no manipulation is left.
     """
     if not live.left:
         raise InputError("session: is over, expected manipulations that are left to plan")
-    progress = find_watched(
-        live.planner, live.look.estimate, live.goal, live.left, seed=seed, watch=watch, past=live.past
+    candidates = np.full((live.planner.grasping.most, 2), np.nan, np.float32)
+    candidates[: len(live.estimate.candidates)] = live.estimate.candidates
+    progress = search_in_batches(
+        live.planner, live.estimate.state, candidates, live.memory, seed=seed, on_progress=on_progress
     )
     return with_progress(live, progress)
 
@@ -115,21 +110,21 @@ def with_progress(live: Live, progress: Progress) -> Live:
     """Return the session with the best plan of a search so far."""
     best = progress.best
     if best is None:
-        return dataclasses.replace(live, planned=None, session=_with_step(live.session, Step(live.look)))
-    sight = live.planner.sight
-    sigmas = None
-    if not live.planner.system.voxels:
-        sigmas = np.stack([np.asarray(prediction.std) for prediction in best.predictions])
+        return dataclasses.replace(live, plan=None, session=_with_step(live.session, Step(live.estimate)))
+    planned = plans.planned_of(live.planner, best, live.memory)
     shown = ShownPlan(
-        manipulations=best.plan,
-        means=np.stack([sight.means(prediction) for prediction in best.predictions]),
-        sigmas=sigmas,
-        uncertainty=disagreement(live.planner, best),
-        loss=best.loss,
+        manipulations=planned.plan,
+        means=planned.means,
+        sigmas=planned.stds,
+        uncertainty=epistemic_uncertainty(live.planner, planned),
+        loss=planned.loss,
         progress=progress.lowest,
         tried=progress.tried,
+        improves=planned.improves,
+        expected=None if live.planner.system.voxels else planned.expected,
+        expected_no_action=None if live.planner.system.voxels else planned.expected_no_action,
     )
-    return dataclasses.replace(live, planned=best, session=_with_step(live.session, Step(live.look, shown)))
+    return dataclasses.replace(live, plan=best, session=_with_step(live.session, Step(live.estimate, shown)))
 
 
 def _with_step(session: Session, step: Step) -> Session:
@@ -142,23 +137,21 @@ def perform(live: Live) -> Live:
 
     Raises InputError when there is no plan or the outcome is not finite.
     """
-    planned = live.planned
-    if planned is None:
+    if live.plan is None:
         raise InputError("session: has no plan, expected one to execute")
-    null = bool(is_null(planned.plan[0]))
-    truth, centre = (live.session.states[-1], live.centre) if null else _simulated(live, planned.plan[0])
-    past = Past(planned.state, planned.traces, planned.relative, planned.plan[1:])
-    if not null:
-        better = live.planner.better
-        expected = np.asarray(live.planner.sight.means(planned.predictions[better])[0], np.float32)
-        past = past._replace(expected=expected, traces=traces_after(live.planner, planned))
-    look = live.look
+    first = live.plan.manipulations[0, 0]
+    null = bool(is_null(first))
+    truth, centre = (live.session.states[-1], live.centre) if null else _simulated(live, first)
+    memory = agent.remember(live.planner, live.memory, live.plan, executed=np.array([not null]))
+    estimate = live.estimate
     session = live.session._replace(states=(*live.session.states, truth), steps=_noted(live, null, truth))
     if not session.over:
         if not null:
-            look = look_at(live.planner, _seen(truth, centre, live.settings), live.data, live.settings, past=past)
-        session = session._replace(steps=(*session.steps, matched(Step(look), truth)))
-    return dataclasses.replace(live, session=session, centre=centre, look=look, past=past, planned=None)
+            source = _observe(truth, centre, live.settings)
+            observation = observation_of(live.planner, source, live.data, live.settings)
+            estimate = estimate_state(live.planner, observation, memory)
+        session = session._replace(steps=(*session.steps, matched(Step(estimate), truth)))
+    return dataclasses.replace(live, session=session, centre=centre, estimate=estimate, memory=memory, plan=None)
 
 
 def _noted(live: Live, null: bool, outcome: Mesh) -> tuple[Step, ...]:
@@ -172,7 +165,7 @@ def _noted(live: Live, null: bool, outcome: Mesh) -> tuple[Step, ...]:
 
 def _simulated(live: Live, manipulation: Float[np.ndarray, "6"]) -> tuple[Mesh, Float[np.ndarray, "2"]]:
     mesh = live.session.states[-1] + np.append(live.centre, 0).astype(np.float32)
-    places = live.planner.sight.places(live.look.estimate[None], manipulation[None, :4].reshape(1, 2, 2))
+    places = live.planner.representation.positions(live.estimate.state[None], manipulation[None, :4].reshape(1, 2, 2))
     run = partial(execute, settings=live.settings.simulation, workers=1)
     outcome = run(
         mesh[None],
@@ -185,7 +178,7 @@ def _simulated(live: Live, manipulation: Float[np.ndarray, "6"]) -> tuple[Mesh, 
     return centred(outcome)
 
 
-def _seen(truth: Mesh, centre: Float[np.ndarray, "2"], settings: Settings) -> Seen:
+def _observe(truth: Mesh, centre: Float[np.ndarray, "2"], settings: Settings) -> Input:
     """Observe the simulated cloth as a camera would."""
     state = MeshState(truth, centre, settings.app.side / CLOTH_SIDE)
-    return Seen("simulation", state, observe(state, cloth_side=settings.app.side, settings=settings.app.cloud))
+    return Input("simulation", state, observe(state, cloth_side=settings.app.side, settings=settings.app.cloud))

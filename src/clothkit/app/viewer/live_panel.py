@@ -6,13 +6,12 @@ from pathlib import Path
 
 import viser
 
-from clothkit.app.given import Seeing, Settings, keep_compiled_programs, look
-from clothkit.app.planner import planner_of
+from clothkit.app.inputs import ObservationOptions, Settings, keep_compiled_programs, read_input
+from clothkit.app.planner import load_planner
 from clothkit.app.viewer.live import Live, begin, perform, plan, with_progress
 from clothkit.app.viewer.player import Player, assign, by_hand
-from clothkit.app.viewer.session import unlikely
-from clothkit.app.viewer.tasks import Ask
-from clothkit.app.viewer.watched import Progress
+from clothkit.app.viewer.search_progress import Progress
+from clothkit.app.viewer.tasks import SessionFiles
 from clothkit.errors import InputError, system_error
 from clothkit.planning.systems import SYSTEMS, system
 
@@ -26,16 +25,22 @@ class LivePanel:
         self,
         server: viser.ViserServer,
         player: Player,
-        tasks: Mapping[str, Ask],
-        own: Ask | None,
+        tasks: Mapping[str, SessionFiles],
+        own: SessionFiles | None,
         *,
         chosen: str,
         data: Path,
         settings: Settings,
-        seeing: Seeing,
+        options: ObservationOptions,
         uploads: Path,
     ) -> None:
-        self._player, self._data, self._settings, self._seeing, self._uploads = player, data, settings, seeing, uploads
+        self._player, self._data, self._settings, self._options, self._uploads = (
+            player,
+            data,
+            settings,
+            options,
+            uploads,
+        )
         self._tasks, self._mask = dict(tasks), own.mask if own else None
         self._live: Live | None = None
         self._running, self._stopped = threading.Lock(), threading.Event()
@@ -50,15 +55,15 @@ class LivePanel:
             upload_state = gui.add_upload_button("upload state")
             upload_goal = gui.add_upload_button("upload goal")
         self._seed = gui.add_number("seed", 0, min=0, step=1, hint="Another seed, another search")
-        self._load = gui.add_button("load", color="gray", hint="Look at the cloth; nothing is planned yet")
+        self._load = gui.add_button("load", color="gray", hint="Observe the cloth; nothing is planned yet")
         self._plan = gui.add_button("plan", color="violet", disabled=True)
         self._stop = gui.add_button("stop the search", visible=False, color="gray")
         self._execute = gui.add_button("execute", color="green", disabled=True)
         self._bar = gui.add_progress_bar(0.0, visible=False)
-        self._said = gui.add_markdown("Pick a task or your own files and *load* them.")
+        self._message = gui.add_markdown("Pick a task or your own files and *load* them.")
         upload_state.on_upload(lambda event: self._uploaded("state", self._state, event.target.value))
         upload_goal.on_upload(lambda event: self._uploaded("goal", self._goal, event.target.value))
-        self._load.on_click(lambda _: self._work("looking at the cloth", self._begin))
+        self._load.on_click(lambda _: self._work("observing the cloth", self._begin))
         self._plan.on_click(lambda _: self._work("searching", self._search))
         self._execute.on_click(lambda _: self._work("simulating", self._perform))
         self._stop.on_click(lambda _: self._stopped.set())
@@ -67,7 +72,7 @@ class LivePanel:
 
     def begin(self) -> None:
         """Load the selected task."""
-        self._work("looking at the cloth", self._begin)
+        self._work("observing the cloth", self._begin)
 
     def _reload(self) -> None:
         if self._task.value != OWN or self._state.value:
@@ -77,12 +82,12 @@ class LivePanel:
         try:
             path = keep_upload(self._uploads, what, file.name, file.content)
         except InputError as error:
-            self._said.content = f"⚠ {error}"
+            self._message.content = f"⚠ {error}"
             return
         assign(field, str(path))
         assign(self._task, OWN)
         self._mask = None
-        self._said.content = f"{path.name} is here; *load* when state and goal are."
+        self._message.content = f"{path.name} is here; *load* when state and goal are."
 
     def _work(self, what: str, job: Callable[[], str]) -> None:
         """Run a job, unless another one is running; errors are shown on the page."""
@@ -91,32 +96,33 @@ class LivePanel:
         try:
             for control in (self._load, self._plan, self._execute, self._system, self._task):
                 control.disabled = True
-            self._said.content = f"{what} .."
-            self._said.content = job()
+            self._message.content = f"{what} .."
+            self._message.content = job()
         except InputError as error:
-            self._said.content = f"⚠ {error}"
+            self._message.content = f"⚠ {error}"
         except Exception as error:
-            self._said.content = f"⚠ {what} failed: {type(error).__name__}: {error}"
+            self._message.content = f"⚠ {what} failed: {type(error).__name__}: {error}"
             raise
         finally:
             for control in (self._load, self._system, self._task):
                 control.disabled = False
             self._plan.disabled = self._live is None or not self._live.left
-            self._execute.disabled = self._live is None or self._live.planned is None
+            self._execute.disabled = self._live is None or self._live.plan is None
             self._running.release()
 
     def _begin(self) -> str:
         self._live = None
-        own = Ask(self._state.value, self._goal.value, self._steps.value, self._mask)
-        name, ask = self._task.value, self._tasks.get(self._task.value, own)
-        if not ask.state or not ask.goal:
+        own = SessionFiles(self._state.value, self._goal.value, self._steps.value, self._mask)
+        name, files = self._task.value, self._tasks.get(self._task.value, own)
+        if not files.state or not files.goal:
             raise InputError("own files: state or goal is missing, expected a file for each")
         keep_compiled_programs()
-        planner = planner_of(system(self._system.value), self._data, self._settings)
-        start, goal = look(ask.state, self._seeing, mask=ask.mask), look(ask.goal, self._seeing)
-        title = f"{Path(ask.state).name} to {Path(ask.goal).name}" if ask is own else name
+        planner = load_planner(system(self._system.value), self._data, self._settings)
+        start = read_input(files.state, self._options, mask=files.mask)
+        goal = read_input(files.goal, self._options)
+        title = f"{Path(files.state).name} to {Path(files.goal).name}" if files is own else name
         title = f"{planner.system.name}, {title}"
-        self._live = begin(planner, start, goal, ask.steps, title=title, data=self._data, settings=self._settings)
+        self._live = begin(planner, start, goal, files.steps, title=title, data=self._data, settings=self._settings)
         self._player.show(self._live.session)
         return "\n\n".join(
             [f"{_count(self._live.left)} to plan.", *(f"⚠ {n}" for n in (*start.notices, *goal.notices))]
@@ -129,9 +135,9 @@ class LivePanel:
         self._stop.visible = self._bar.visible = True
         self._player.show(live.session, at=live.at, shown="estimate")
 
-        def watch(progress: Progress) -> bool:
+        def show(progress: Progress) -> bool:
             self._bar.value = 100.0 * progress.done / progress.strains  # type: ignore[misc]
-            self._said.content = (
+            self._message.content = (
                 f"searching: {progress.done} of {progress.strains} strains .."
                 if progress.done
                 else "searching; the first search of its kind is compiled first, which takes its time .."
@@ -141,14 +147,15 @@ class LivePanel:
             return not self._stopped.is_set()
 
         try:
-            self._live = plan(live, seed=int(self._seed.value), watch=watch)
+            self._live = plan(live, seed=int(self._seed.value), on_progress=show)
         finally:
             self._stop.visible = self._bar.visible = False
         session = self._live.session
         self._player.show(session, at=live.at)
-        if self._live.planned is None:
+        if self._live.plan is None:
             return "stopped before anything was found."
-        if unlikely(session.steps[live.at], session.goal):
+        planned = session.steps[live.at].plan
+        if planned is not None and not planned.improves:
             return "planned, but it is not expected to help: plan again with another seed, or execute all the same."
         return "planned: look at it, then *execute* its first manipulation."
 

@@ -4,12 +4,12 @@ from pathlib import Path
 
 import viser
 
-from clothkit.app.given import Seeing, Settings
+from clothkit.app.inputs import ObservationOptions, Settings
 from clothkit.app.viewer.live_panel import LivePanel
 from clothkit.app.viewer.player import Player
 from clothkit.app.viewer.recorded import systems_in
 from clothkit.app.viewer.recorded_panel import RecordedPanel
-from clothkit.app.viewer.tasks import Ask, test_tasks
+from clothkit.app.viewer.tasks import SessionFiles, test_tasks
 
 
 def build(
@@ -17,9 +17,9 @@ def build(
     *,
     data: Path,
     chosen: str,
-    own: Ask | None,
+    own: SessionFiles | None,
     settings: Settings,
-    seeing: Seeing,
+    options: ObservationOptions,
     uploads: Path,
 ) -> None:
     """Build the page, and show the first session on it. Raises InputError for artifacts that can't be read."""
@@ -37,7 +37,7 @@ def build(
             recorded = RecordedPanel(server, player, data, systems)
     with tabs.add_tab("Live"):
         live = LivePanel(
-            server, player, tasks, own, chosen=chosen, data=data, settings=settings, seeing=seeing, uploads=uploads
+            server, player, tasks, own, chosen=chosen, data=data, settings=settings, options=options, uploads=uploads
         )
     if systems and own is not None:
         with tabs.add_tab("Recorded"):

@@ -1,4 +1,4 @@
-"""Read sessions that the pipeline has recorded (planning.record), one at a time."""
+"""Read sessions that the pipeline has recorded (episodes.record), one at a time."""
 
 import os
 from pathlib import Path
@@ -6,10 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from clothkit.app.viewer.session import Look, Session, ShownPlan, Step, matched
+from clothkit.app.viewer.session import Session, ShownPlan, StateEstimate, Step, is_mesh, matched
+from clothkit.cloth.equivalents import relabel
+from clothkit.cloth.mesh import distance_aligned
 from clothkit.dataset import tables
 from clothkit.episodes import record
 from clothkit.evaluation import tidy
+from clothkit.manipulation.vector import is_null
 from clothkit.planning.systems import SYSTEMS
 
 _KEYS = ("sequence", "start", "length")
@@ -78,9 +81,10 @@ def _step(one: dict[str, np.ndarray], i: int, length: int) -> Step:
     points, left = one["candidates"][i], length - i
     sigmas = one["prediction_std"][i, :left].astype(np.float32)
     means = np.swapaxes(one["prediction_mean"][i, :left].astype(np.float32), 0, 1)
-    progress = one["progress"][i]
+    progress, manipulations = one["progress"][i], one["plan"][i, :left]
+    expected, no_action = _expected(one, i)
     plan = ShownPlan(
-        manipulations=one["plan"][i, :left],
+        manipulations=manipulations,
         means=means,
         # Predictions in voxels have no standard deviations.
         sigmas=np.swapaxes(sigmas, 0, 1) if sigmas.shape[2:] == means.shape[2:] else None,
@@ -88,9 +92,21 @@ def _step(one: dict[str, np.ndarray], i: int, length: int) -> Step:
         loss=float(one["loss"][i]),
         progress=progress[np.isfinite(progress)],
         tried=one["restarts"].shape[1],
+        improves=not one["cancelled"][i] and not bool(np.all(is_null(manipulations))),
+        expected=expected,
+        expected_no_action=no_action,
         note=_note(one, i),
     )
-    return Step(Look(one["estimate"][i], None, points[np.isfinite(points).all(-1)]), plan)
+    return Step(StateEstimate(one["estimate"][i], None, points[np.isfinite(points).all(-1)]), plan)
+
+
+def _expected(one: dict[str, np.ndarray], i: int) -> tuple[float | None, float | None]:
+    """The errors in the labelling that was found, of the predicted outcome and of the estimate; None for voxels."""
+    estimate = one["estimate"][i]
+    if not is_mesh(estimate):
+        return None, None
+    goal = relabel(one["goal"], int(one["relative"][i]))
+    return float(one["expected"][i]), float(distance_aligned(estimate, goal))
 
 
 def _note(one: dict[str, np.ndarray], i: int) -> str:

@@ -23,7 +23,7 @@ class RecordedPanel:
         self._steps = gui.add_dropdown("steps", ("all", "1", "2", "3"), hint="How many manipulations a session has")
         self._order = gui.add_dropdown("order", _ORDERS)
         self._task = gui.add_dropdown("task", ("none",), hint="From which state of which sequence to which")
-        self._said = gui.add_markdown("")
+        self._message = gui.add_markdown("")
         self._listed: dict[str, Entry] = {}
         for control in (self._system, self._split, self._steps, self._order):
             control.on_update(by_hand(self.list_tasks))
@@ -34,7 +34,7 @@ class RecordedPanel:
         try:
             found = entries(self._data, self._system.value)
         except InputError as error:
-            self._said.content = str(error)
+            self._message.content = str(error)
             return
         found = [entry for entry in found if entry.split == self._split.value]
         if self._steps.value != "all":
@@ -50,12 +50,12 @@ class RecordedPanel:
         """Play the selected session."""
         entry = self._listed.get(self._task.value)
         if entry is None:
-            self._said.content = "No such session is recorded."
+            self._message.content = "No such session is recorded."
             return
         try:
             session = session_of(self._data, self._system.value, entry)
         except InputError as error:
-            self._said.content = str(error)
+            self._message.content = str(error)
             return
-        self._said.content = ""
+        self._message.content = ""
         self._player.show(session)

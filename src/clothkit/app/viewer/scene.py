@@ -8,7 +8,7 @@ from jaxtyping import Float
 from clothkit.app.describe import heights
 from clothkit.app.viewer import colours
 from clothkit.app.viewer.colours import Colour, Mode, Scale
-from clothkit.app.viewer.session import Believed, Mesh, Session, disagreement, error_of, is_mesh, places
+from clothkit.app.viewer.session import Mesh, Session, State, disagreement, error_of, is_mesh, places
 from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.cloth.voxels import HEIGHT, RESOLUTION
 from clothkit.manipulation.geometry import arc, release_points, to_cartesian
@@ -31,7 +31,7 @@ class Shown(NamedTuple):
     """A state of the cloth that can be shown, with its uncertainties, grasp points and manipulation."""
 
     name: str
-    state: Believed
+    state: State
     sigma: Mesh | None = None
     apart: Float[np.ndarray, "u v"] | None = None
     """Distance between the two nets' predictions of each vertex [normalised]."""
@@ -106,14 +106,14 @@ def to_show(session: Session, at: int) -> list[Shown]:
     state = session.states[at]
     if at >= len(session.steps):
         return [Shown("outcome" if session.over and at == session.length else "state", state)]
-    look, plan = session.steps[at]
+    estimate, plan = session.steps[at]
     if plan is None:
-        known = Shown("state", state, candidates=look.candidates)
-        return [known, known._replace(name="estimate", state=look.estimate, sigma=look.sigma, column=1)]
+        known = Shown("state", state, candidates=estimate.candidates)
+        return [known, known._replace(name="estimate", state=estimate.state, sigma=estimate.sigma, column=1)]
     apart = disagreement(plan)
     end = None if apart is None else apart[-1]
-    first = Shown("state", state, None, end, look.candidates, plan.manipulations[0])
-    found = [first, first._replace(name="estimate", state=look.estimate, sigma=look.sigma, column=1)]
+    first = Shown("state", state, None, end, estimate.candidates, plan.manipulations[0])
+    found = [first, first._replace(name="estimate", state=estimate.state, sigma=estimate.sigma, column=1)]
     for net, means in enumerate(plan.means):
         for i, mean in enumerate(means):
             name = f"net {'ab'[net]}, after {i + 1}" if len(plan.means) > 1 else f"predicted after {i + 1}"
@@ -194,7 +194,7 @@ def _cloth(shown: Shown, offset: np.ndarray, scale: Scale) -> Cloth:
     return Cloth(mesh + offset, painted, painted)
 
 
-def _goal(goal: Believed, at: tuple[float, float], *, ghost: bool) -> Scene:
+def _goal(goal: State, at: tuple[float, float], *, ghost: bool) -> Scene:
     # The ghost is raised, because two surfaces at the same height flicker.
     offset = np.array([*at, 3 * LIFT if ghost else 0], np.float32)
     captions = () if ghost else (Caption("goal", offset + _BEFORE),)
@@ -205,7 +205,7 @@ def _goal(goal: Believed, at: tuple[float, float], *, ghost: bool) -> Scene:
     return Scene((Cloth(goal.astype(np.float32) + offset, front, back, 0.4 if ghost else 1.0),), captions=captions)
 
 
-def hand_paths(state: Believed, manipulation: Float[np.ndarray, "6"]) -> list[Points]:
+def hand_paths(state: State, manipulation: Float[np.ndarray, "6"]) -> list[Points]:
     """Return each hand's arc from grasp to release point (eq. 1, section 4.2.2); none for a null manipulation."""
     if bool(is_null(manipulation)):
         return []
@@ -219,7 +219,7 @@ def hand_paths(state: Believed, manipulation: Float[np.ndarray, "6"]) -> list[Po
     return list(np.stack([way.at(share) for share in np.linspace(0, 1, WAYPOINTS)], axis=1).astype(np.float32))
 
 
-def on_top(state: Believed, xy: Float[np.ndarray, "points 2"]) -> Points:
+def on_top(state: State, xy: Float[np.ndarray, "points 2"]) -> Points:
     """Place points xy [normalised] on the top layer of a state."""
     if not is_mesh(state):
         return np.column_stack([xy, heights(state, xy)]).astype(np.float32)
@@ -231,7 +231,7 @@ def on_top(state: Believed, xy: Float[np.ndarray, "points 2"]) -> Points:
     return np.column_stack([xy, top + LIFT]).astype(np.float32)
 
 
-def cubes(voxels: Believed, offset: Float[np.ndarray, "3"]) -> Dots:
+def cubes(voxels: State, offset: Float[np.ndarray, "3"]) -> Dots:
     """Return the occupied voxels as boxes, coloured by height."""
     occupied = np.argwhere(voxels >= _SURELY)
     size = np.array([2 / RESOLUTION[0], 2 / RESOLUTION[1], HEIGHT / RESOLUTION[2]])

@@ -15,17 +15,16 @@ from clothkit.cloth.grid import CLOTH_SIDE, SIDE
 from clothkit.cloth.mesh import error
 from clothkit.evaluation.errors import labels_of_truth
 from clothkit.manipulation.geometry import to_cartesian
-from clothkit.manipulation.vector import is_null
 
 Mesh = Float[np.ndarray, "u v 3"]
-Believed = Shaped[np.ndarray, "*state"]
+State = Shaped[np.ndarray, "*state"]
 """A mesh [u v 3], or voxels [x y z] for a system that plans in voxels."""
 
 
-class Look(NamedTuple):
+class StateEstimate(NamedTuple):
     """A system's estimate of the cloth, and its candidate grasp points."""
 
-    estimate: Believed
+    state: State
     sigma: Mesh | None
     """Standard deviations of the estimate; None: not known."""
     candidates: Float[np.ndarray, "points 2"]
@@ -45,6 +44,13 @@ class ShownPlan(NamedTuple):
     """The lowest loss up to each iteration of the search."""
     tried: int
     """Number of plans that each iteration evaluates."""
+    improves: bool
+    """Whether the plan is expected to improve the state, as the agent decided."""
+    expected: float | None = None
+    """Distance of the nets' mean predicted outcome from the goal in the labelling that was found [cloth length]; None
+    for voxels."""
+    expected_no_action: float | None = None
+    """The same of the estimated state."""
     note: str = ""
     """What happened to the plan, in words."""
 
@@ -52,7 +58,7 @@ class ShownPlan(NamedTuple):
 class Step(NamedTuple):
     """One state of a session: the system's estimate of it, and the plan from it, if there is one yet."""
 
-    look: Look
+    estimate: StateEstimate
     plan: ShownPlan | None = None
 
 
@@ -61,7 +67,7 @@ class Session(NamedTuple):
 
     title: str
     length: int
-    goal: Believed
+    goal: State
     states: tuple[Mesh, ...]
     """The true states, centred."""
     steps: tuple[Step, ...]
@@ -80,35 +86,36 @@ def is_mesh(state: np.ndarray) -> bool:
 
 def matched(step: Step, truth: Mesh) -> Step:
     """Relabel a step so that its estimate is nearest to the true state. Voxels have no labels and stay as they are."""
-    look, plan = step
-    if not is_mesh(look.estimate):
+    estimate, plan = step
+    if not is_mesh(estimate.state):
         return step
-    k = int(labels_of_truth(look.estimate[None].astype(np.float32), truth[None])[0])
+    k = int(labels_of_truth(estimate.state[None].astype(np.float32), truth[None])[0])
     # Candidates are grasp points, and are relabelled as those of a manipulation.
-    points = np.concatenate([np.tile(look.candidates, 2), np.zeros_like(look.candidates)], axis=1)
+    points = np.concatenate([np.tile(estimate.candidates, 2), np.zeros_like(estimate.candidates)], axis=1)
     candidates = np.asarray(relabel_manipulation(points, k))[:, :2]
-    look = Look(_relabelled(look.estimate, k), None if look.sigma is None else _relabelled(look.sigma, k), candidates)
+    sigma = None if estimate.sigma is None else _relabelled(estimate.sigma, k)
+    estimate = StateEstimate(_relabelled(estimate.state, k), sigma, candidates)
     if plan is not None:
         plan = plan._replace(
             manipulations=np.asarray(relabel_manipulation(plan.manipulations, k)),
             means=_relabelled(plan.means, k),
             sigmas=None if plan.sigmas is None else _relabelled(plan.sigmas, k),
         )
-    return Step(look, plan)
+    return Step(estimate, plan)
 
 
 def _relabelled(mesh: np.ndarray, k: int) -> np.ndarray:
     return np.asarray(relabel(mesh.astype(np.float32), k))
 
 
-def places(state: Believed, grasps: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, "points 2"]:
+def places(state: State, grasps: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, "points 2"]:
     """Return the positions of grasp points on a state, xy [normalised]."""
     if not is_mesh(state) or not len(grasps):
         return grasps
     return np.asarray(to_cartesian(np.broadcast_to(state, (len(grasps), *state.shape)), grasps))[:, :2]
 
 
-def error_of(state: Believed, goal: Shaped[np.ndarray, "*goal"]) -> float | None:
+def error_of(state: State, goal: Shaped[np.ndarray, "*goal"]) -> float | None:
     """Return a state's error against a goal [cloth length], aligned, any labels; None unless both are meshes."""
     if not is_mesh(state) or not is_mesh(goal):
         return None
@@ -126,18 +133,18 @@ def facts(session: Session, at: int) -> str:
     if now is not None and start is not None:
         lines.append(f"- error **{now:.3f}** ({start:.3f} if nothing had been done)" if at else f"- error {now:.3f}")
     if at < len(session.steps):
-        lines += _facts_of(session.steps[at], session.goal)
+        lines += _facts_of(session.steps[at].plan)
     return "\n".join(lines)
 
 
-def _facts_of(step: Step, goal: Believed) -> list[str]:
-    plan = step.plan
+def _facts_of(plan: ShownPlan | None) -> list[str]:
     if plan is None:
         return ["- no plan yet"]
     lines = []
-    expected, still = expectation(step, goal)
-    if expected is not None and still is not None:
-        lines.append(f"- expected error **{expected:.3f}** after the plan, {still:.3f} if nothing is done")
+    if plan.expected is not None and plan.expected_no_action is not None:
+        lines.append(
+            f"- expected error **{plan.expected:.3f}** after the plan, {plan.expected_no_action:.3f} if nothing is done"
+        )
     if plan.uncertainty is not None:
         lines.append(f"- epistemic uncertainty u = {plan.uncertainty:.3g}")
     apart = disagreement(plan)
@@ -145,28 +152,11 @@ def _facts_of(step: Step, goal: Believed) -> list[str]:
         by = ", ".join(f"{after.mean():.3f}" for after in apart / CLOTH_SIDE)
         lines.append(f"- the nets differ by {by} after each manipulation")
     lines.append(f"- loss {plan.loss:.3g}")
-    if unlikely(step, goal):
+    if not plan.improves:
         lines.append(f"- ⚠ **{UNLIKELY}**")
     if plan.note:
         lines.append(f"- {plan.note}")
     return lines
-
-
-def expectation(step: Step, goal: Believed) -> tuple[float | None, float | None]:
-    """Return the errors of the nets' mean prediction after the plan, and of the estimate; each None if not known."""
-    if step.plan is None or not len(step.plan.means):
-        return None, None
-    return error_of(step.plan.means[:, -1].mean(0), goal), error_of(step.look.estimate, goal)
-
-
-def unlikely(step: Step, goal: Believed) -> bool:
-    """Return whether there is a plan that is not expected to improve the state."""
-    if step.plan is None:
-        return False
-    if all(bool(is_null(manipulation)) for manipulation in step.plan.manipulations):
-        return True
-    expected, still = expectation(step, goal)
-    return expected is not None and still is not None and expected >= still
 
 
 def disagreement(plan: ShownPlan) -> Float[np.ndarray, "m u v"] | None:

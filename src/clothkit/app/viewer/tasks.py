@@ -10,8 +10,8 @@ from clothkit.dataset.store import SPLITS, load_splits
 from clothkit.dataset.tasks import tasks_of
 
 
-class Ask(NamedTuple):
-    """The task of a session."""
+class SessionFiles(NamedTuple):
+    """The task of a session, as files."""
 
     state: str
     """A file, in the notation of the commands; so is `goal`."""
@@ -24,14 +24,14 @@ MOST = 50
 """Number of sequences that are offered; a list of all would be too long."""
 
 
-def test_tasks(path: Path) -> dict[str, Ask]:
+def test_tasks(path: Path) -> dict[str, SessionFiles]:
     """Return the test tasks of a store of meshes, by name; none if there is no store. Raises InputError."""
     if not os.path.lexists(path):
         return {}
     split, length = load_splits(path)
     sequences = np.flatnonzero(split == SPLITS.index("test"))[:MOST]
     return {
-        f"sequence {s}, state {task.start} to {task.start + task.length}": Ask(
+        f"sequence {s}, state {task.start} to {task.start + task.length}": SessionFiles(
             f"{path}:{s}/{task.start}", f"{path}:{s}/{task.start + task.length}", task.length
         )
         for s in sequences.tolist()

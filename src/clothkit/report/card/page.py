@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from clothkit.cloth.grid import CLOTH_SIDE
+from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.cloth.voxels import HEIGHT
 from clothkit.report.card.columns import described
 from clothkit.report.card.inputs import PARTS, Inputs
@@ -166,11 +166,11 @@ def _summary(inputs: Inputs) -> str:
 
 
 def _words(inputs: Inputs) -> str:
-    smallest, largest = (f"{side / CLOTH_SIDE:.4g}" for side in inputs.sides)
+    smallest, largest = (f"{side / CLOTH_LENGTH:.4g}" for side in inputs.sides)
     metres = f", so 1 is {smallest} m here" if smallest == largest else f": 1 is {smallest} to {largest} m here"
     return (
         "- *World frame*: metres, z up, the table is z = 0. The flat cloth's sides lie along x and y.\n"
-        f"- *Normalised* lengths: the flat cloth's side is {CLOTH_SIDE}{metres}.\n"
+        f"- *Normalised* lengths: the flat cloth's side is {CLOTH_LENGTH}{metres}.\n"
         "- *Geodesic* coordinates (u, v): a point on the cloth, -1 to 1 from edge to edge; u runs along x on the flat "
         "cloth, v along y.\n"
         "- A *manipulation*: one or two hands grasp the cloth at (u1, v1) and (u2, v2), move on arcs, let go, and the "

@@ -8,8 +8,9 @@ from jaxtyping import Float, UInt8
 from matplotlib.axes import Axes
 
 from clothkit.cloth import voxels
-from clothkit.cloth.equivalents import INVERSE, relabel
 from clothkit.cloth.mesh import best_label
+from clothkit.cloth.symmetry import relabel
+from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.store import Dataset
 from clothkit.evaluation.camera_settings import UNMEASURED
 from clothkit.report import panels
@@ -97,7 +98,7 @@ def _bar(
 
 def labelled(mesh: Float[np.ndarray, "u v 3"], truth: Float[np.ndarray, "u v 3"]) -> Float[np.ndarray, "u v 3"]:
     """A mesh relabelled to match the truth, so that the same side of the cloth has the same colour in both."""
-    return np.asarray(relabel(mesh, int(INVERSE[int(best_label(mesh, truth))])))
+    return np.asarray(relabel(mesh, int(SQUARE.inverses[int(best_label(mesh, truth))])))
 
 
 def relief(heights: Float[np.ndarray, "row column"]) -> UInt8[np.ndarray, "side side 3"]:

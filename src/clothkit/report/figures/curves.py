@@ -1,6 +1,7 @@
 """Learning curves: validation errors of the nets during training."""
 
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from pathlib import Path
 
 import pandas as pd
@@ -25,7 +26,7 @@ def curves(forward: Mapping[str, pd.DataFrame], vtm: pd.DataFrame, path: Path) -
     is the mean error over all six tasks, from true meshes; that of VtM is the mean error of its means after one to
     three manipulations.
     """
-    names = sorted(forward)
+    names = list(forward)
     figure, axes = panels.chart(2 + len(names), width=3.8, height=2.9, columns=2)
     for axis in axes:
         axis.set_yscale("log")
@@ -40,7 +41,9 @@ def curves(forward: Mapping[str, pd.DataFrame], vtm: pd.DataFrame, path: Path) -
         axis.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.yaxis.set_minor_formatter("")
         axis.xaxis.set_major_locator(MaxNLocator(5, integer=True))
-    scores = [(forward[name], "score", f"net {name}", colour) for name, colour in zip(names, COLOURS, strict=False)]
+    scores = [
+        (forward[name], "score", f"net {name}", colour) for name, colour in zip(names, cycle(COLOURS), strict=False)
+    ]
     _panel(axes[0], "forward models: score, the mean of six tasks", scores)
     states = [(vtm, column, f"state {column[-1]}", COLOURS[colour]) for column, colour in STEPS.items()]
     _panel(axes[1], "VtM: score, and by state", [(vtm, "score", "score", panels.INK), *states])

@@ -1,4 +1,4 @@
-"""Figure 7: the eight Cartesian equivalents, meshes that describe one shape."""
+"""Figure 7: the Cartesian equivalents, meshes that describe one shape; the square has eight."""
 
 from pathlib import Path
 
@@ -7,8 +7,8 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.patheffects import withStroke
 
-from clothkit.cloth.equivalents import COUNT
-from clothkit.cloth.equivalents import equivalents as equivalents_of
+from clothkit.cloth.symmetry import equivalents as equivalents_of
+from clothkit.cloth.topology import SQUARE, Topology
 from clothkit.report import panels
 from clothkit.report.draw import EXTENT, draw
 
@@ -19,10 +19,11 @@ NEAR = 0.25
 """Distance of corners below which they share one text [normalised]."""
 
 
-def equivalents(mesh: Float[np.ndarray, "u v 3"], path: Path) -> None:
+def equivalents(mesh: Float[np.ndarray, "u v 3"], path: Path, topology: Topology = SQUARE) -> None:
     """Writes a figure of the shape under each labelling, coloured by geodesic coordinates; corners are labelled."""
-    figure, axes = panels.sheet([SIDE] * 2, [SIDE] * (COUNT // 2))
-    for axis, labelled in zip(axes.flat, np.asarray(equivalents_of(mesh)), strict=True):
+    rows = 2 if topology.count > 1 else 1
+    figure, axes = panels.sheet([SIDE] * rows, [SIDE] * (topology.count // rows))
+    for axis, labelled in zip(axes.flat, np.asarray(equivalents_of(mesh, topology)), strict=True):
         panels.show(axis, draw(labelled, texture="geodesic"))
         _corners(axis, labelled)
     panels.save(figure, path)

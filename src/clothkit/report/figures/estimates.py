@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from clothkit.cloth import voxels
-from clothkit.cloth.equivalents import relabel
+from clothkit.cloth.symmetry import relabel
 from clothkit.dataset.store import Dataset
 from clothkit.report import panels
 from clothkit.report.draw import draw, draw_heights

@@ -16,7 +16,7 @@ def predictions(
 ) -> None:
     """Writes a figure with two examples side by side: the recorded sequence above, the predicted one below.
 
-    Examples are the first `count` test sequences. Predictions are those of the main system's better net, from an
+    Examples are the first `count` test sequences. Predictions are those of the main system's best net, from an
     estimate of the first state. Errors [cloth length] of 1, 2 and 3 steps are from the tidy rows. Lilac shows sigma,
     the yellow arrow the predicted shift of the centre.
     """

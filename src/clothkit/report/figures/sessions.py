@@ -9,8 +9,9 @@ import pandas as pd
 from jaxtyping import Float
 from matplotlib.axes import Axes
 
-from clothkit.cloth.equivalents import INVERSE, relabel, relabel_manipulation
 from clothkit.cloth.mesh import best_label
+from clothkit.cloth.symmetry import relabel, relabel_manipulation
+from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.store import Dataset
 from clothkit.dataset.tasks import Task
 from clothkit.episodes.record import Sessions
@@ -162,7 +163,7 @@ def drawn(mesh: Float[np.ndarray, "u v 3"], *, goal: bool) -> np.ndarray:
 
 def _like(mesh: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, int]:
     """A mesh relabelled to match the truth, so that sides match in colour, and the index of the equivalent used."""
-    k = int(INVERSE[int(best_label(mesh, truth))])
+    k = int(SQUARE.inverses[int(best_label(mesh, truth))])
     return np.asarray(relabel(mesh, k)), k
 
 

@@ -11,19 +11,24 @@ from clothkit.simulation.kernels.state import HELD, PATH, Solver, State, synchro
 
 
 @wp.func
-def neighbours_difference(state: State, w: int, i: int, n: int, v: wp.vec3):
-    """Return the sum over the grid neighbours of vertex i of their velocity minus its velocity v, in m/s."""
+def neighbours_difference(solver: Solver, state: State, w: int, i: int, v: wp.vec3):
+    """Return the sum over the grid neighbours of vertex i of their velocity minus its velocity v, in m/s.
+
+    The differences along v are multiplied by `viscosity_ratio`.
+    """
+    n = solver.columns
     row = i / n
     column = i % n
+    ratio = solver.viscosity_ratio
     total = wp.vec3(0.0, 0.0, 0.0)
     if row > 0:
         total = total + state.velocity[w, i - n] - v
-    if row < n - 1:
+    if row < solver.rows - 1:
         total = total + state.velocity[w, i + n] - v
     if column > 0:
-        total = total + state.velocity[w, i - 1] - v
+        total = total + state.velocity[w, i - 1] * ratio - v * ratio
     if column < n - 1:
-        total = total + state.velocity[w, i + 1] - v
+        total = total + state.velocity[w, i + 1] * ratio - v * ratio
     return total
 
 
@@ -39,11 +44,11 @@ def move(solver: Solver, state: State, w: int, lane: int, lanes: int):
     age = state.list_age[w] + dt
     deviation = float(0.0)
     motion = float(0.0)
-    for i in range(lane, solver.side * solver.side, lanes):
+    for i in range(lane, solver.rows * solver.columns, lanes):
         x = state.position[w, i]
         state.previous[w, i] = x
         v = state.velocity[w, i]
-        v = v + neighbours_difference(state, w, i, solver.side, v) * solver.viscosity
+        v = v + neighbours_difference(solver, state, w, i, v) * solver.viscosity
         v = (v - wp.vec3(0.0, 0.0, solver.gravity * dt)) * damping
         x = x + v * (dt * state.free[w, i])
         state.position[w, i] = x
@@ -107,7 +112,7 @@ def finish(solver: Solver, state: State, w: int, lane: int, lanes: int):
     dt = solver.time_step
     largest_step = solver.top_speed * dt
     floor = 0.5 * solver.thickness
-    for i in range(lane, solver.side * solver.side, lanes):
+    for i in range(lane, solver.rows * solver.columns, lanes):
         x = state.position[w, i]
         if lanes > 1:
             x = x + state.correction[w, i]
@@ -142,7 +147,7 @@ def hold(solver: Solver, state: State, w: int, lane: int, lanes: int):
     Otherwise the lower layer's slip drags the upper layer along before the table's friction undoes that slip, and the
     upper layer creeps.
     """
-    for i in range(lane, solver.side * solver.side, lanes):
+    for i in range(lane, solver.rows * solver.columns, lanes):
         pressed = state.pressed[w, i]
         if pressed > 0.0 and state.free[w, i] > 0.0:
             x = state.position[w, i]
@@ -203,9 +208,8 @@ def guard(solver: Solver, state: State, w: int, lane: int, lanes: int, t: float,
     tries = wp.where(t > state.careful_until[w], 0, state.tries[w])
     back = crossings > state.saved_crossings[w] and tries < solver.care_tries
     speed = wp.where(tries > 0, 0.0, 1.0)
-    n = solver.side
     synchronise()
-    for i in range(lane, n * n, lanes):
+    for i in range(lane, solver.rows * solver.columns, lanes):
         if back:
             state.position[w, i] = state.saved_position[w, i]
             state.velocity[w, i] = state.saved_velocity[w, i] * speed
@@ -240,7 +244,7 @@ def check_rest(solver: Solver, state: State, w: int, lane: int, lanes: int, t: f
     """
     seconds = t - state.checked_time[w]
     farthest = float(0.0)
-    for i in range(lane, solver.side * solver.side, lanes):
+    for i in range(lane, solver.rows * solver.columns, lanes):
         x = state.position[w, i]
         d = x - state.checked[w, i]
         state.checked[w, i] = x

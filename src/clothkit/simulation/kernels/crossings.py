@@ -56,7 +56,7 @@ def crossings_with(x: Vectors, i: int, j: int, a: int, n: int):
 @wp.func
 def crossings_of(solver: Solver, state: State, w: int, x: Vectors, i: int, j: int):
     """Return how many triangles the edge i-j pierces, leaving out those that share a vertex with it."""
-    n = solver.side
+    n = solver.columns
     p = x[i]
     q = x[j]
     middle = (p + q) * 0.5
@@ -87,18 +87,19 @@ def count_crossings(solver: Solver, state: State, w: int, lane: int, lanes: int)
     Only edges on the border, in a bend or with a contact at an end are searched, by the last contact lists.
     """
     x = state.position[w]
-    n = solver.side
+    n = solver.columns
+    last = solver.rows - 1
     found = int(0)
-    for edge in range(lane, 3 * n * n, lanes):
+    for edge in range(lane, 3 * solver.rows * n, lanes):
         i = edge / 3
         kind = edge % 3
         row = i / n
         column = i % n
-        if (kind == 1 or row < n - 1) and (kind == 0 or column < n - 1):
+        if (kind == 1 or row < last) and (kind == 0 or column < n - 1):
             j = edge_end(edge, n)
             touched = state.contacts[w, i] + state.contacts[w, j]
             bent = state.in_bend[w, i] + state.in_bend[w, j]
-            border = row == 0 or column == 0 or row == n - 1 or column == n - 1
+            border = row == 0 or column == 0 or row == last or column == n - 1
             if touched > 0 or bent > 0 or border:
                 found += crossings_of(solver, state, w, x, i, j)
     return found

@@ -36,33 +36,34 @@ def nearest_on_lines(x: Vectors, a0: int, a1: int, b0: int, b1: int):
 
 
 @wp.func
-def bent(solver: Solver, c: wp.vec3, before: int):
-    """Return 1 if the second difference c is above the threshold for a bend, else 0.
+def bent(feature: float, c: wp.vec3, before: int):
+    """Return 1 if the second difference c is above the threshold `feature` for a bend, else 0.
 
     The threshold is halved where the last result, `before`, was 1 (hysteresis).
     """
-    limit = solver.bend_feature * wp.where(before == 1, 0.5, 1.0)
+    limit = feature * wp.where(before == 1, 0.5, 1.0)
     return wp.where(wp.dot(c, c) > limit * limit, 1, 0)
 
 
 @wp.func
 def mark_bends(solver: Solver, state: State, w: int):
     """Mark the vertices that lie in a bend and the quads that are twisted."""
-    n = solver.side
+    n = solver.columns
+    last = solver.rows - 1
     x = state.position[w]
-    for i in range(n * n):
+    for i in range(solver.rows * n):
         row = i / n
         column = i % n
         before = state.in_bend[w, i]
         found = int(0)
-        if row > 0 and row < n - 1:
-            found = bent(solver, x[i - n] - 2.0 * x[i] + x[i + n], before)
+        if row > 0 and row < last:
+            found = bent(solver.bend_u.feature, x[i - n] - 2.0 * x[i] + x[i + n], before)
         if found == 0 and column > 0 and column < n - 1:
-            found = bent(solver, x[i - 1] - 2.0 * x[i] + x[i + 1], before)
+            found = bent(solver.bend_v.feature, x[i - 1] - 2.0 * x[i] + x[i + 1], before)
         state.in_bend[w, i] = found
-        if row < n - 1 and column < n - 1:
+        if row < last and column < n - 1:
             twist = x[i] - x[i + 1] - x[i + n] + x[i + n + 1]
-            state.twisted[w, i] = bent(solver, twist, state.twisted[w, i])
+            state.twisted[w, i] = bent(solver.twist_feature, twist, state.twisted[w, i])
 
 
 @wp.func
@@ -71,18 +72,19 @@ def list_features(solver: Solver, state: State, w: int, everywhere: bool):
 
     With `everywhere`, list all edges.
     """
-    n = solver.side
+    n = solver.columns
+    last = solver.rows - 1
     x = state.position[w]
     count = int(0)
-    for i in range(n * n):
+    for i in range(solver.rows * n):
         row = i / n
         column = i % n
         for kind in range(3):
-            if (kind == 1 or row < n - 1) and (kind == 0 or column < n - 1):
+            if (kind == 1 or row < last) and (kind == 0 or column < n - 1):
                 edge = 3 * i + kind
                 j = edge_end(edge, n)
                 on_border = (kind == 0 and (column == 0 or column == n - 1)) or (
-                    kind == 1 and (row == 0 or row == n - 1)
+                    kind == 1 and (row == 0 or row == last)
                 )
                 twisted = kind == 2 and state.twisted[w, i] == 1
                 if everywhere or on_border or twisted or state.in_bend[w, i] == 1 or state.in_bend[w, j] == 1:
@@ -132,15 +134,15 @@ def remembered_pair(state: State, w: int, e: int, g: int):
 
 
 @wp.func
-def gap_of_pair(x: Vectors, side: int, spacing: float, thickness: float, e: int, g: int, allowance: float):
+def gap_of_pair(x: Vectors, columns: int, spacing: float, thickness: float, e: int, g: int, allowance: float):
     """Return (side, gap) of two edges; the gap is in metres, at most the thickness.
 
     The side is 1 or -1, 0 if the edges are parallel and within reach, and 2 if they are out of reach or share a vertex.
     """
     a0 = e / 3
-    a1 = edge_end(e, side)
+    a1 = edge_end(e, columns)
     b0 = g / 3
-    b1 = edge_end(g, side)
+    b1 = edge_end(g, columns)
     if a0 == b0 or a0 == b1 or a1 == b0 or a1 == b1:
         return wp.vec2(2.0, 0.0)
     reach = thickness + allowance
@@ -175,7 +177,7 @@ def gap_of_pair(x: Vectors, side: int, spacing: float, thickness: float, e: int,
 @wp.func
 def find_pair(solver: Solver, state: State, w: int, e: int, g: int, allowance: float, count: int):
     """Append the pair of edges e and g to the list if they may touch, and return the new number of pairs."""
-    found = gap_of_pair(state.position[w], solver.side, solver.spacing, solver.thickness, e, g, allowance)
+    found = gap_of_pair(state.position[w], solver.columns, solver.spacing, solver.thickness, e, g, allowance)
     side = int(found[0])
     kept = found[1]
     if side == 2:
@@ -196,7 +198,7 @@ def find_pair(solver: Solver, state: State, w: int, e: int, g: int, allowance: f
 @wp.func
 def sort_pairs(solver: Solver, state: State, w: int, count: int):
     """Sort the pairs by their edges, so that a remade list is solved in the same order as the last one."""
-    edges = 3 * solver.side * solver.side
+    edges = 3 * solver.rows * solver.columns
     for e in range(edges):
         state.cell[w, e] = 0
     for k in range(count):
@@ -272,9 +274,9 @@ def solve_pair(solver: Solver, state: State, w: int, k: int, lanes: int):
     e = state.pair[w, k, 0]
     g = state.pair[w, k, 1]
     a0 = e / 3
-    a1 = edge_end(e, solver.side)
+    a1 = edge_end(e, solver.columns)
     b0 = g / 3
-    b1 = edge_end(g, solver.side)
+    b1 = edge_end(g, solver.columns)
     x = state.position[w]
     near = nearest_on_lines(x, a0, a1, b0, b1)
     s = near[0]

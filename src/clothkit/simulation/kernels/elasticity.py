@@ -6,7 +6,7 @@ the following rows.
 
 import warp as wp
 
-from clothkit.simulation.kernels.state import Floats, Solver, State, Vectors, synchronise
+from clothkit.simulation.kernels.state import Bend, Floats, Solver, State, Vectors, synchronise
 
 
 @wp.func
@@ -24,7 +24,7 @@ def keep_distance(x: Vectors, free: Floats, i: int, j: int, rest: float, complia
 
 
 @wp.func
-def bend(solver: Solver, x: Vectors, previous: Vectors, free: Floats, i: int, j: int, k: int):
+def bend(settings: Bend, x: Vectors, previous: Vectors, free: Floats, i: int, j: int, k: int):
     """Apply the bending constraint of three successive vertices i, j, k of a grid line.
 
     The bending moment saturates, dry friction resists changes of the bend, and the outer vertices are kept at least
@@ -39,23 +39,23 @@ def bend(solver: Solver, x: Vectors, previous: Vectors, free: Floats, i: int, j:
     weight = wi + 4.0 * wj + wk + 1.0e-9
     c = xi - 2.0 * xj + xk
     squared = wp.dot(c, c)
-    compliance = solver.bending_compliance
-    if squared > solver.bending_saturation * solver.bending_saturation:
-        compliance = compliance * (wp.sqrt(squared) / solver.bending_saturation)
+    compliance = settings.compliance
+    if squared > settings.saturation * settings.saturation:
+        compliance = compliance * (wp.sqrt(squared) / settings.saturation)
     multiplier = c * (1.0 / (weight + compliance))
-    if solver.bending_friction > 0.0:
+    if settings.friction > 0.0:
         change = (c - previous[i] + 2.0 * previous[j] - previous[k]) * (1.0 / weight) - multiplier
         squared = wp.dot(change, change)
-        if squared > solver.bending_friction * solver.bending_friction:
-            change = change * (solver.bending_friction / wp.sqrt(squared))
+        if squared > settings.friction * settings.friction:
+            change = change * (settings.friction / wp.sqrt(squared))
         multiplier = multiplier + change
     xi = xi - multiplier * wi
     xk = xk - multiplier * wk
     d = xk - xi
     squared = wp.dot(d, d)
-    if squared < solver.crease_length * solver.crease_length:
+    if squared < settings.crease_length * settings.crease_length:
         length = wp.sqrt(squared) + 1.0e-9
-        s = (length - solver.crease_length) / ((wi + wk + solver.crease_compliance) * length)
+        s = (length - settings.crease_length) / ((wi + wk + settings.crease_compliance) * length)
         xi = xi + d * (wi * s)
         xk = xk - d * (wk * s)
     x[i] = xi
@@ -69,21 +69,22 @@ def solve_bending(solver: Solver, state: State, w: int, lane: int, lanes: int):
     x = state.position[w]
     previous = state.previous[w]
     free = state.free[w]
-    n = solver.side
+    rows = solver.rows
+    n = solver.columns
     width = wp.min(lanes, 32)
-    rows = lanes / width
+    lines = lanes / width
     row0 = lane / width
     column0 = lane % width
     for colour in range(3):
-        for i in range(row0 * 3 + colour, n - 2, rows * 3):
+        for i in range(row0 * 3 + colour, rows - 2, lines * 3):
             for j in range(column0, n, width):
                 a = i * n + j
-                bend(solver, x, previous, free, a, a + n, a + 2 * n)
+                bend(solver.bend_u, x, previous, free, a, a + n, a + 2 * n)
         synchronise()
-        for i in range(row0, n, rows):
+        for i in range(row0, rows, lines):
             for j in range(column0 * 3 + colour, n - 2, width * 3):
                 a = i * n + j
-                bend(solver, x, previous, free, a, a + 1, a + 2)
+                bend(solver.bend_v, x, previous, free, a, a + 1, a + 2)
         synchronise()
 
 
@@ -100,7 +101,7 @@ def shear(solver: Solver, x: Vectors, free: Floats, i: int, j: int):
     xj = x[j]
     d = xj - xi
     squared = wp.dot(d, d)
-    rest = solver.spacing * 1.41421356
+    rest = solver.spacing_u * solver.diagonal
     if squared <= rest * rest and squared >= solver.diagonal_shortest * solver.diagonal_shortest:
         return
     length = wp.sqrt(squared) + 1.0e-12
@@ -118,18 +119,19 @@ def solve_shear(solver: Solver, state: State, w: int, lane: int, lanes: int):
     """Solve the shear constraints of all quads, both diagonals, in two colours each."""
     x = state.position[w]
     free = state.free[w]
-    n = solver.side
+    rows = solver.rows
+    n = solver.columns
     width = wp.min(lanes, 32)
-    rows = lanes / width
+    lines = lanes / width
     row0 = lane / width
     column0 = lane % width
     for colour in range(2):
-        for i in range(row0 * 2 + colour, n - 1, rows * 2):
+        for i in range(row0 * 2 + colour, rows - 1, lines * 2):
             for j in range(column0, n - 1, width):
                 a = i * n + j
                 shear(solver, x, free, a, a + n + 1)
         synchronise()
-        for i in range(row0 * 2 + colour, n - 1, rows * 2):
+        for i in range(row0 * 2 + colour, rows - 1, lines * 2):
             for j in range(column0, n - 1, width):
                 a = i * n + j
                 shear(solver, x, free, a + 1, a + n)
@@ -141,19 +143,20 @@ def solve_stretch(solver: Solver, state: State, w: int, lane: int, lanes: int):
     """Solve the distance constraints of all grid edges, in two colours per direction."""
     x = state.position[w]
     free = state.free[w]
-    n = solver.side
+    rows = solver.rows
+    n = solver.columns
     width = wp.min(lanes, 32)
-    rows = lanes / width
+    lines = lanes / width
     row0 = lane / width
     column0 = lane % width
     for colour in range(2):
-        for i in range(row0 * 2 + colour, n - 1, rows * 2):
+        for i in range(row0 * 2 + colour, rows - 1, lines * 2):
             for j in range(column0, n, width):
                 a = i * n + j
-                keep_distance(x, free, a, a + n, solver.spacing, solver.stretch_compliance)
+                keep_distance(x, free, a, a + n, solver.spacing_u, solver.stretch_u)
         synchronise()
-        for i in range(row0, n, rows):
+        for i in range(row0, rows, lines):
             for j in range(column0 * 2 + colour, n - 1, width * 2):
                 a = i * n + j
-                keep_distance(x, free, a, a + 1, solver.spacing, solver.stretch_compliance)
+                keep_distance(x, free, a, a + 1, solver.spacing_v, solver.stretch_v)
         synchronise()

@@ -19,7 +19,7 @@ def remembered_side(state: State, w: int, vertex: int, count: int, quad: int):
 
 @wp.func
 def distance_beyond(x: Vectors, quad: int, n: int, r: wp.vec3):
-    """Return how far a point lies outside the quad's outline, as a fraction of the quad's side; negative inside.
+    """Return how far a point lies outside the quad's outline, as a fraction of the quad's side there; negative inside.
 
     r is the point's offset from the quad's centre, in metres.
     """
@@ -123,7 +123,7 @@ def side_of(x: Vectors, i: int, quad: int, n: int):
 @wp.func
 def list_contacts(solver: Solver, state: State, w: int, lane: int, lanes: int):
     """List, for every vertex, the quads that it may touch within the prediction time, without its own four quads."""
-    n = solver.side
+    n = solver.columns
     if lane == 0:
         sort_quads(solver, state, w)
         sort_heights(solver, state, w)
@@ -131,7 +131,7 @@ def list_contacts(solver: Solver, state: State, w: int, lane: int, lanes: int):
     low = state.low[w]
     largest = solver.cell * solver.cell
     position = state.position[w]
-    for i in range(lane, n * n, lanes):
+    for i in range(lane, solver.rows * n, lanes):
         x = position[i]
         v = state.velocity[w, i]
         speed = wp.length(v)
@@ -251,7 +251,7 @@ def solve_contact(solver: Solver, state: State, w: int, i: int, k: int, lanes: i
     stored side is updated to the current one.
     """
     position = state.position[w]
-    n = solver.side
+    n = solver.columns
     entry = state.contact[w, i, k]
     a = wp.abs(entry) - 1
     p00 = position[a]
@@ -297,7 +297,7 @@ def solve_contacts(solver: Solver, state: State, w: int, lane: int, lanes: int):
     In this order friction holds a lower layer before its slip acts on the layer above. Otherwise layers drag each other
     along.
     """
-    for place in range(lane, solver.side * solver.side, lanes):
+    for place in range(lane, solver.rows * solver.columns, lanes):
         i = state.upwards[w, place]
         for k in range(state.contacts[w, i]):
             solve_contact(solver, state, w, i, k, lanes)

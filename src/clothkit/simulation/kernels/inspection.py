@@ -82,16 +82,16 @@ def distance_to_triangle(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
 
 
 @wp.func
-def within_two(i: int, j: int, side: int):
+def within_two(i: int, j: int, columns: int):
     """Return whether a vertex lies in another's two-ring: at most two rows and two columns away."""
-    return wp.abs(i / side - j / side) <= 2 and wp.abs(i % side - j % side) <= 2
+    return wp.abs(i / columns - j / columns) <= 2 and wp.abs(i % columns - j % columns) <= 2
 
 
 @wp.kernel
 def measure_gaps(
     vertices: wp.array2d(dtype=wp.vec3),
     triangles: wp.array2d(dtype=int),
-    side: int,
+    columns: int,
     reach: float,
     gaps: wp.array2d(dtype=float),
 ):
@@ -114,7 +114,7 @@ def measure_gaps(
             and wp.max(a[2], wp.max(b[2], c[2])) > p[2] - best
             and wp.min(a[2], wp.min(b[2], c[2])) < p[2] + best
         ):
-            if not (within_two(i, ka, side) or within_two(i, kb, side) or within_two(i, kc, side)):
+            if not (within_two(i, ka, columns) or within_two(i, kb, columns) or within_two(i, kc, columns)):
                 d = float(distance_to_triangle(wp.vec3d(p), wp.vec3d(a), wp.vec3d(b), wp.vec3d(c)))
                 best = wp.min(best, d)
     gaps[w, i] = best

@@ -34,7 +34,7 @@ def cell_of(solver: Solver, low: wp.vec3, p: wp.vec3):
 def place_grid(solver: Solver, state: State, w: int):
     """Place the search grid's corner one cell below the smallest x and y of the cloth."""
     low = state.position[w, 0]
-    for i in range(solver.side * solver.side):
+    for i in range(solver.rows * solver.columns):
         low = wp.min(low, state.position[w, i])
     state.low[w] = low - wp.vec3(solver.cell, solver.cell, 0.0)
 
@@ -42,12 +42,13 @@ def place_grid(solver: Solver, state: State, w: int):
 @wp.func
 def sort_quads(solver: Solver, state: State, w: int):
     """Sort the quads by cell and store the geometry that the searches use (counting sort, one lane)."""
-    n = solver.side
+    n = solver.columns
+    quads = solver.rows * n - n
     place_grid(solver, state, w)
     low = state.low[w]
     for cell in range(CELLS * CELLS + 1):
         state.quad_first[w, cell] = 0
-    for quad in range(n * n - n):
+    for quad in range(quads):
         if quad % n < n - 1:
             centre = (state.position[w, quad] + state.position[w, quad + n + 1]) * 0.5
             cell = cell_of(solver, low, centre)
@@ -55,8 +56,8 @@ def sort_quads(solver: Solver, state: State, w: int):
             state.quad_first[w, cell] += 1
     for cell in range(CELLS * CELLS):
         state.quad_first[w, cell + 1] += state.quad_first[w, cell]
-    for back in range(n * n - n):
-        quad = n * n - n - 1 - back
+    for back in range(quads):
+        quad = quads - 1 - back
         if quad % n < n - 1:
             # Each cell is filled from its end backwards, so that `quad_first` ends up at the cell's start.
             place = state.quad_first[w, state.cell[w, quad]] - 1
@@ -101,7 +102,7 @@ def sort_features(solver: Solver, state: State, w: int):
 @wp.func
 def sort_heights(solver: Solver, state: State, w: int):
     """Sort the vertices by height (counting sort with bins of a quarter of the thickness, one lane)."""
-    count = solver.side * solver.side
+    count = solver.rows * solver.columns
     per_bin = 4.0 / solver.thickness
     for k in range(HEIGHTS):
         state.cell[w, k] = 0

@@ -4,7 +4,8 @@ A launch has the dimensions (worlds, lanes). On the CPU a world has one lane and
 constraints are solved by Gauss-Seidel. On CUDA a block of lanes advances a world: the lanes divide each loop by
 strides, with a barrier between colours.
 
-Vertices are numbered row by row: vertex = row * side + column. A quad has the number of its lowest vertex (so the
+Rows of the grid follow one another along u, columns along v. Vertices are numbered row by row: vertex =
+row * columns + column. A quad has the number of its lowest vertex (so the
 last row and column have none). An edge is 3 * vertex + kind: kind 0 leads to the next row, 1 to the next column, 2 to
 the vertex diagonally across. This diagonal splits the quad into its two triangles.
 """
@@ -31,29 +32,44 @@ Floats = wp.array(dtype=float)
 
 
 @wp.struct
+class Bend:
+    """Settings of the bends of grid lines along one direction; for units see Solver."""
+
+    compliance: float  # 1
+    friction: float  # m, limit of the multiplier by which dry friction resists changes of the bend
+    saturation: float  # m, the second difference beyond which the bending moment no longer grows
+    crease_compliance: float  # 1
+    crease_length: float  # m, least distance of vertices that are two apart on the grid line
+    feature: float  # m, the second difference above which a vertex lies in a bend
+
+
+@wp.struct
 class Solver:
     """Settings of the solver in SI units.
 
     Particles have unit mass; compliances are multiplied by the mass and divided by the squared time step.
     """
 
-    side: int  # vertices along a side
+    rows: int  # vertices along u
+    columns: int  # vertices along v
     substeps: int  # per launch
-    spacing: float  # m, rest length of a grid edge
+    spacing_u: float  # m, rest length of a grid edge along u
+    spacing_v: float  # m
+    spacing: float  # m, the smaller of the two
+    diagonal: float  # 1, rest length of a quad's diagonals in spacings along u
     time_step: float  # s
 
-    stretch_compliance: float  # 1
+    stretch_u: float  # 1, compliances of edges along u and along v
+    stretch_v: float  # 1
     shear_compliance: float  # 1
     diagonal_shortest: float  # m, diagonals are limited to this range
     diagonal_longest: float  # m
-    bending_compliance: float  # 1
-    bending_friction: float  # m, limit of the multiplier by which dry friction resists changes of the bend
-    bending_saturation: float  # m, the second difference beyond which the bending moment no longer grows
-    crease_compliance: float  # 1
-    crease_length: float  # m, least distance of vertices that are two apart on a grid line
+    bend_u: Bend  # of grid lines along u
+    bend_v: Bend
 
     gravity: float  # m/s^2
-    viscosity: float  # 1, fraction of the velocity difference to each neighbour that is added in a substep
+    viscosity: float  # 1, fraction of the velocity difference to each neighbour along u that is added in a substep
+    viscosity_ratio: float  # 1, the fraction along v, as a multiple of that along u
     drag: float  # 1/s
     top_speed: float  # m/s
 
@@ -63,7 +79,7 @@ class Solver:
     prediction_time: float  # s, contact lists are valid for the motion predicted over this time
     prediction_error: float  # m, a vertex further than this from its predicted position makes the lists stale
     memory_gap: float  # m, below this distance a vertex keeps its stored side of a quad
-    bend_feature: float  # m, the second difference above which a vertex lies in a bend
+    twist_feature: float  # m, the twist above which a quad's diagonal is a feature edge
     stretch_passes: int  # passes over the stretch constraints in a substep
     push_step: float  # m, penetration removed in a substep, beside twice the approach
     gap_growth: float  # m, by which the stored gap of a pair of edges grows in a substep
@@ -168,8 +184,8 @@ def synchronise():
 
 
 @wp.func
-def edge_end(edge: int, side: int):
+def edge_end(edge: int, columns: int):
     """Return the vertex at which an edge ends; it starts at edge / 3."""
     kind = edge % 3
     vertex = edge / 3
-    return wp.where(kind == 0, vertex + side, wp.where(kind == 1, vertex + 1, vertex + side + 1))
+    return wp.where(kind == 0, vertex + columns, wp.where(kind == 1, vertex + 1, vertex + columns + 1))

@@ -1,0 +1,288 @@
+"""The inputs of commands: settings, and states and goals that are read from files and observed as by a camera."""
+
+import dataclasses
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import click
+import jax
+import numpy as np
+from jaxtyping import Bool
+
+from clothkit.app.settings import AppConfig
+from clothkit.cache import ensure_jax_cache
+from clothkit.errors import InputError, system_error
+from clothkit.manipulation.candidates import CandidateConfig
+from clothkit.observation.cloud import Observation
+from clothkit.observation.files import State, read
+from clothkit.observation.observe import observe
+from clothkit.observation.plane import Plane, plane_of
+from clothkit.observation.pose import Pose
+from clothkit.observation.settings import CloudConfig, Triple
+from clothkit.observation.side import Stated
+from clothkit.observation.states import MeshState, PointCloud, VoxelState
+from clothkit.observation.waypoints import ReachConfig
+from clothkit.params import load_params
+from clothkit.planning.objective import Weights
+from clothkit.planning.settings import PlanConfig
+from clothkit.simulation.settings import SimulationConfig
+
+PARAMS = Path("params.yaml")
+COMPILED_BYTES = 2**30
+"""Size limit of the cache of compiled programs on disk."""
+_WEIGHTS = Weights(alpha=0.01, beta=5.0, gamma=1.25)
+
+Kind = Literal["mesh", "voxels", "points"]
+Usage = Literal["as it is", "estimated"]
+
+
+class Settings(NamedTuple):
+    """The settings that commands use."""
+
+    app: AppConfig
+    plan: PlanConfig
+    weights: Weights
+    grasping: CandidateConfig
+    simulation: SimulationConfig
+    members: tuple[int, ...]
+    """The members of the ensemble of forward models."""
+
+
+def load_settings() -> Settings:
+    """Read params.yaml in the current directory, at its selected scale; without such a file return the defaults.
+
+    Raises InputError if the file is invalid.
+    """
+    # lexists, because a broken or circular link must be reported and not replaced by the defaults.
+    if not os.path.lexists(PARAMS):
+        return Settings(AppConfig(), PlanConfig(), _WEIGHTS, CandidateConfig(), SimulationConfig(), (0, 1))
+    params = load_params(PARAMS)
+    simulate = params.stages.simulate
+    weights = Weights(params.alpha, params.beta, params.gamma)
+    return Settings(
+        params.app, params.stages.plan, weights, simulate.candidates, simulate.simulation, params.ensemble.members
+    )
+
+
+def keep_compiled_programs() -> None:
+    """Let JAX cache compiled programs on disk for the next call: compiling a search takes longer than running it."""
+    if jax.config.values.get("jax_compilation_cache_dir") is None:
+        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        jax.config.update("jax_compilation_cache_dir", str(home / "clothkit/compiled"))
+        jax.config.update("jax_compilation_cache_max_size", COMPILED_BYTES)
+    ensure_jax_cache()
+
+
+class ObservationOptions(NamedTuple):
+    """How files are read and observed."""
+
+    side: float
+    """Side of the flat cloth [m]."""
+    cloud: CloudConfig
+    table: Plane | None
+    stated: Stated = Stated()
+    """Up direction and viewpoint, if they are given, in the clouds' frame."""
+    y_up: bool = False
+    """Whether OBJ and PLY meshes have y up."""
+    as_points: bool = False
+    """Whether the vertices of a mesh that is no 32 x 32 grid are used as a measured point cloud."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Input:
+    """A state or a goal: the file's name, its content, and the observation of it."""
+
+    file: str
+    state: State
+    observation: Observation
+
+    @property
+    def kind(self) -> Kind:
+        """The kind of the file's content."""
+        if isinstance(self.state, MeshState):
+            return "mesh"
+        return "voxels" if isinstance(self.state, VoxelState) else "points"
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """Sentences on how the file was read, and on the parts of the cloth that were not observed."""
+        return (*self.state.notices, *self.observation.notices)
+
+    @property
+    def pose(self) -> Pose:
+        """The pose of the cloth."""
+        return self.observation.pose
+
+
+def read_input(file: str, options: ObservationOptions, *, mask: str | None = None) -> Input:
+    """Read a file and observe its cloth. Prints the notices on stderr.
+
+    `mask` names an NPY file [points] that marks the points of the cloth in a cloud. Raises InputError.
+    """
+    state = read(file, cloth_side=options.side, y_up=options.y_up, as_points=options.as_points)
+    for notice in state.notices:
+        click.echo(f"notice: {notice}", err=True)
+    if mask is not None:
+        if not isinstance(state, PointCloud):
+            raise InputError(f"{mask}: is a mask for points, but {file} holds none")
+        state = dataclasses.replace(state, cloth=_read_mask(Path(mask), len(state.points)))
+    cloud, table, stated = options.cloud, options.table, options.stated
+    if isinstance(state, PointCloud) and state.table is not None:
+        # The options describe a camera's cloud; these points are of a surface whose table is known.
+        cloud, table, stated = dataclasses.replace(cloud, box=None, table_colour=None), None, Stated()
+    observation = observe(state, cloth_side=options.side, settings=cloud, table=table, stated=stated, name=file)
+    for notice in observation.notices:
+        click.echo(f"notice: {notice}", err=True)
+    return Input(file, state, observation)
+
+
+def _read_mask(path: Path, count: int) -> Bool[np.ndarray, " points"]:
+    try:
+        with path.open("rb") as file:
+            mask: Any = np.load(file, allow_pickle=False)
+    except OSError as error:
+        if error.errno is not None:
+            raise system_error(error, path, expected="a mask as NPY") from error
+        raise InputError(f"{path}: can't be read as NPY, expected a mask") from error
+    except Exception as error:  # numpy's readers raise what they like
+        raise InputError(f"{path}: can't be read as NPY, expected a mask") from error
+    if not isinstance(mask, np.ndarray) or mask.shape != (count,) or not np.isin(mask, (0, 1)).all():
+        raise InputError(f"{path}: is no mask of {count} points, expected an array [{count}] of 0 and 1")
+    return mask.astype(bool)
+
+
+def with_observation_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Decorator that adds the options for reading and observing files; `observation_options` converts their values."""
+    for option in reversed(
+        (
+            click.option(
+                "--side",
+                type=float,
+                metavar="METRES",
+                help="Side of the flat cloth. [default: a given plan's, else app.side]",
+            ),
+            click.option(
+                "--mask", metavar="FILE", help="NPY [n] of 0 and 1: which points of the state's cloud are the cloth's."
+            ),
+            click.option(
+                "--as-points",
+                is_flag=True,
+                help="The vertices of a mesh that is no grid of 32 x 32 are what a camera measured; its faces are left "
+                "out.",
+            ),
+            click.option(
+                "--table",
+                type=float,
+                nargs=4,
+                metavar="A B C D",
+                help="The table's plane a x + b y + c z = d in metres and in the cloud's frame, (a, b, c) pointing up. "
+                "Without it the plane is looked for among the points that are not the cloth's.",
+            ),
+            click.option(
+                "--up",
+                type=float,
+                nargs=3,
+                metavar="X Y Z",
+                help="Which way is up in the clouds' frame, of any length. Without it the table's normal, the "
+                "viewpoint or the cloth tells.",
+            ),
+            click.option(
+                "--viewpoint",
+                type=float,
+                nargs=3,
+                metavar="X Y Z",
+                help="Where the camera is, metres in the clouds' frame. [default: where the cloud says; else the "
+                "origin, if the cloth lies on that side of its table]",
+            ),
+            click.option(
+                "--y-up",
+                is_flag=True,
+                default=None,
+                help="OBJ and PLY meshes have y up, and not z; so have clouds, unless --up or --table tells else.",
+            ),
+            click.option(
+                "--table-colour",
+                type=click.IntRange(0, 255),
+                nargs=6,
+                metavar="R G B R G B",
+                help="Least and greatest red, green, blue (0 to 255) of the table: all else is cloth.",
+            ),
+            click.option(
+                "--box",
+                type=float,
+                nargs=6,
+                metavar="X Y Z X Y Z",
+                help="Low and high corner of what is looked at, metres in the cloud's frame.",
+            ),
+        )
+    ):
+        command = option(command)
+    return command
+
+
+def observation_options(
+    app: AppConfig,
+    *,
+    side: float | None,
+    table: tuple[float, ...] | None,
+    table_colour: tuple[int, ...] | None = None,
+    box: tuple[float, ...] | None = None,
+    up: Triple | None = None,
+    viewpoint: Triple | None = None,
+    y_up: bool | None = None,
+    as_points: bool = False,
+) -> ObservationOptions:
+    """How files are read and observed, by option values and else by settings. Raises InputError for invalid values."""
+    cloud = app.cloud
+    if table_colour:
+        r, g, b, most_r, most_g, most_b = table_colour
+        least, most = (r, g, b), (most_r, most_g, most_b)
+        _ordered("--table-colour", least, most)
+        cloud = dataclasses.replace(cloud, table_colour=(least, most))
+    if box:
+        corners = _corners("--box", box)
+        cloud = dataclasses.replace(cloud, box=corners)
+    plane, camera, turned = table or app.table, viewpoint or app.viewpoint, app.y_up if y_up is None else y_up
+    # The normal of a table from an option points up, so `app.up` must not override it.
+    up = up or (None if table else app.up)
+    if turned and up is None and plane is None and camera is None:
+        up = (0.0, 1.0, 0.0)
+    for name, values in (("up", up), ("viewpoint", camera)):
+        if values is not None and not np.isfinite(values).all():
+            raise InputError(f"--{name}: expected three finite numbers, found {' '.join(f'{v:g}' for v in values)}")
+    if up is not None and not any(up):
+        raise InputError("--up: expected a direction, found 0 0 0")
+    return ObservationOptions(
+        app.side if side is None else side,
+        cloud,
+        plane_of(plane) if plane else None,
+        Stated(up, camera),
+        turned,
+        as_points,
+    )
+
+
+def reach_of(app: AppConfig, box: tuple[float, ...] | None) -> ReachConfig | None:
+    """Return the box that the hands reach, from the option or else the settings (None: no limit). Raises InputError."""
+    if box is None:
+        reach = app.reach
+        if reach is not None:
+            _ordered("params.yaml: app.reach", reach.low, reach.high)
+        return reach
+    low, high = _corners("--reach", box)
+    return ReachConfig(low=low, high=high)
+
+
+def _corners(name: str, box: tuple[float, ...]) -> tuple[Triple, Triple]:
+    if not np.isfinite(box).all():
+        raise InputError(f"{name}: expected six finite numbers, found {' '.join(f'{value:g}' for value in box)}")
+    x, y, z, to_x, to_y, to_z = box
+    _ordered(name, (x, y, z), (to_x, to_y, to_z))
+    return (x, y, z), (to_x, to_y, to_z)
+
+
+def _ordered(name: str, low: tuple[int, ...] | tuple[float, ...], high: tuple[int, ...] | tuple[float, ...]) -> None:
+    if any(a > b for a, b in zip(low, high, strict=True)):
+        raise InputError(f"{name}: {low} is not below {high}, expected the low corner first")

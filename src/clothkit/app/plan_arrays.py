@@ -1,0 +1,94 @@
+"""Convert the content of a plan file to the inputs of planning: arrays, normalised and centred."""
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from clothkit.app.plan_file import MeshState, Placed, Plan
+from clothkit.app.planner import State, Traces, traces_after
+from clothkit.errors import InputError
+from clothkit.planning.agent import no_traces
+from clothkit.planning.planner import Planner
+from clothkit.planning.types import Memory
+
+_SAME = 1e-6
+"""Relative difference up to which two sides count as equal."""
+
+
+def manipulations(plan: Plan) -> Float[np.ndarray, "n 6"]:
+    """Return the plan's manipulations as one array, the input of the nets."""
+    return np.array([step.manipulation for step in plan.steps], np.float32)
+
+
+def placed_state(plan: Plan, placed: Placed) -> State:
+    """Return a state of a plan: a mesh, or voxels (boolean if each is 0 or 1, else probabilities)."""
+    if not isinstance(placed.state, MeshState):
+        occupancy = np.array(placed.state.occupancy, np.float32)
+        return occupancy > 0 if np.isin(occupancy, (0, 1)).all() else occupancy
+    pose = plan.pose(placed.centre_m)
+    return pose.camera_to_normalised(np.array(placed.state.vertices_m, float)).astype(np.float32)
+
+
+def side_of(plan: Plan, side: float | None, name: Path) -> float:
+    """Return the cloth's side [m] that a plan was made for. Raises InputError if `side` is given and differs."""
+    if side is not None and abs(side / plan.side_m - 1) > _SAME:
+        raise InputError(f"--side: expected {plan.side_m:g}, for which {name} was planned, found {side:g}")
+    return plan.side_m
+
+
+def check_nets(plan: Plan, planner: Planner, data: Path, name: Path) -> None:
+    """Check that a plan's nets are those of a planner, whose nets come from `data`. Raises InputError."""
+    nets = tuple(prediction.net for prediction in plan.steps[0].predictions)
+    if nets != planner.members and not planner.system.single:
+        expected, found = (", ".join(map(str, names)) for names in (planner.members, nets))
+        raise InputError(f"{name}: was planned with nets {found}, expected {expected}, the ensemble's members")
+    best = planner.members[planner.best]
+    if nets[plan.memory.best] != best:
+        raise InputError(
+            f"{name}: memory.best: is net {nets[plan.memory.best]}, but of the nets in {data} net {best} is the best; "
+            "was it planned with other nets?"
+        )
+
+
+def traces_before(plan: Plan, planner: Planner, name: Path) -> Traces:
+    """Return the memory traces before a plan. Raises InputError when their shapes don't fit the planner's nets."""
+    first = tuple(trace[0] for trace in no_traces(planner, 1))
+    if plan.memory.traces_before is None:
+        return first
+    found = tuple(np.array(trace, np.float32) for trace in plan.memory.traces_before)
+    if [trace.shape for trace in found] != [trace.shape for trace in first]:
+        raise InputError(
+            f"{name}: memory.traces_before: has shapes {[trace.shape for trace in found]}, the nets expect "
+            f"{[trace.shape for trace in first]}; was it planned with other nets?"
+        )
+    return found
+
+
+def check_steps_left(plan: Plan, name: Path) -> None:
+    """Check that something is left of a plan after its first step. Raises InputError."""
+    if len(plan.steps) < 2:
+        raise InputError(f"{name}: has one step, so nothing is left to plan after it; plan afresh, without --after")
+
+
+def memory_of(plan: Plan, planner: Planner, blank: Memory, traces: Traces) -> Memory:
+    """Return what the next decision needs after a plan's first step (section 5.1), as a batch of one.
+
+    `blank` is the memory before a first decision, with the goal, and `traces` are those before the plan. A null
+    manipulation is not executed, so the expected state and the traces are those before it.
+    """
+    start, steps = placed_state(plan, plan.start), manipulations(plan)
+    first, expected = plan.steps[0], start
+    if not first.null:
+        placed = Placed(state=first.predictions[plan.memory.best].state, centre_m=first.centre_m)
+        expected = placed_state(plan, placed)
+        traces = traces_after(planner, start, steps, common=plan.memory.common, traces=traces)
+    rest = np.full_like(blank.rest, np.nan)
+    rest[0, : len(steps) - 1] = steps[1:]
+    return blank._replace(
+        planned=np.ones(1, bool),
+        relative=np.array([plan.memory.relative], np.int32),
+        rest=rest,
+        expected=expected[None].astype(np.float32),
+        traces=tuple(trace[None] for trace in traces),
+    )

@@ -1,0 +1,135 @@
+"""Sessions: an agent and a world in turn, until each task's manipulations are used up (section 5.1, design 6.11)."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Float, Int
+
+from clothkit.cloth.mesh import ProbabilisticMesh, error
+from clothkit.cloth.silhouette import centred
+from clothkit.episodes.record import Sessions, Step, Tasks, record, sizes_of
+from clothkit.episodes.sensors import Sensor, exact_sensor
+from clothkit.errors import InputError
+from clothkit.estimation.refine import refine
+from clothkit.manipulation.vector import is_null, is_single
+from clothkit.planning.agent import Keys, begin, decide
+from clothkit.planning.batches import in_batches, take
+from clothkit.planning.planner import Planner
+from clothkit.planning.types import Memory, Meshes, Observation, Plan
+
+Execute = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+"""Executes manipulations: meshes [w u v 3], grasp points xy [w 2 2], displacements [w 2], whether one-handed [w] ->
+resulting meshes [w u v 3]. Positions are relative to the table's origin [normalised], not to the cloth's centre."""
+
+TOGETHER = 24
+"""Batch size of refinement."""
+
+
+def run_sessions(tasks: Tasks, planner: Planner, execute: Execute, *, sensor: Sensor | None = None) -> Sessions:
+    """Run the sessions of a batch of tasks in parallel, and return their record.
+
+    At each step, the manipulations of all sessions are passed to `execute` in one call. Without a `sensor`, the planner
+    observes exactly. Raises InputError if an outcome is not finite.
+    """
+    sensor = sensor or exact_sensor(planner.perception)
+    lengths = np.array([task.length for task in tasks.task])
+    memory = begin(planner, planner.representation.of_meshes(np.asarray(tasks.goal, np.float32)), lengths)
+    state, centre = np.asarray(tasks.start, np.float32), np.asarray(tasks.centre, np.float32)
+    acting, steps = np.arange(len(lengths)), []
+    observation, shift = sensor(state, None)
+    for number in range(int(lengths.max())):
+        kept = lengths[acting] > number
+        acting, memory = acting[kept], take(memory, kept)
+        state, centre, observation, shift = take((state, centre, observation, shift), kept)
+        if number:
+            observation, shift = _observed(sensor, state, memory, observation, shift)
+        keys = _keys(tasks, acting, number, planner.settings.seed)
+        plan, memory = decide(planner, observation, memory, key=keys)
+        state, centre, otherwise = _executed(
+            plan, state, centre, shift, np.asarray(tasks.goal)[acting], number, planner, execute
+        )
+        steps.append(Step(acting, plan, _refined(planner, plan), state, centre, otherwise))
+    return record(tasks, steps, sizes_of(planner))
+
+
+def _observed(
+    sensor: Sensor, state: Meshes, memory: Memory, before: Observation, shift: np.ndarray
+) -> tuple[Observation, Float[np.ndarray, "task 2"]]:
+    """Observations of the cloths that were moved; those of the others stand."""
+    moved = np.flatnonzero(~memory.still)
+    if not len(moved):
+        return before, shift
+    found = sensor(state[moved], memory.expected[moved])
+
+    def merged(old: np.ndarray, new: np.ndarray) -> np.ndarray:
+        values = old.copy()
+        values[moved] = new
+        return values
+
+    return jax.tree.map(merged, (before, shift), tuple(found))
+
+
+def _keys(tasks: Tasks, acting: Int[np.ndarray, " acting"], step: int, seed: int) -> Keys:
+    """A random key for each search. It depends on the seed, the task and the step only, not on the batch."""
+    numbers = np.array([tasks.task[row][:3] for row in acting], np.uint32)
+    return _folded(np.uint32(seed), *numbers.T, np.uint32(step))
+
+
+@jax.jit
+def _folded(seed: Any, sequence: Any, start: Any, length: Any, step: Any) -> jax.Array:
+    def key(*parts: Any) -> jax.Array:
+        key = jax.random.key(seed)
+        for part in (*parts, step):
+            key = jax.random.fold_in(key, part)
+        return key
+
+    return jax.vmap(key)(sequence, start, length)
+
+
+def _refined(planner: Planner, plan: Plan) -> Meshes | None:
+    """The better net's predictions of the outcomes, refined to plausible meshes; None for voxels."""
+    if plan.stds is None:
+        return None
+    last = (np.arange(len(plan.length)), plan.length - 1, planner.best)
+    outcome = ProbabilisticMesh(plan.means[last], plan.stds[last])
+    return in_batches(lambda some: refine(some, some.mean, planner.settings.refine), TOGETHER, outcome)
+
+
+def _executed(
+    plan: Plan,
+    state: Meshes,
+    centre: Float[np.ndarray, "task 2"],
+    shift: Float[np.ndarray, "task 2"],
+    goal: Meshes,
+    number: int,
+    planner: Planner,
+    execute: Execute,
+) -> tuple[Meshes, Float[np.ndarray, "task 2"], Float[np.ndarray, " task"]]:
+    """Execute the manipulations that are not null; returns true states and centres after them.
+
+    Geodesic grasp points become Cartesian on the estimate, which is placed at the observed centre (design 6.11).
+    Manipulations that the null check cancelled are executed too, but only for their error to the goal, which is the
+    third value (NaN for all others).
+    """
+    first = plan.manipulations[:, 0]
+    state, centre, otherwise = state.copy(), centre.copy(), np.full(len(state), np.nan, np.float32)
+    cancelled = plan.useless & ~np.asarray(is_null(first))
+    tried = np.flatnonzero(~plan.null | cancelled)
+    if not len(tried):
+        return state, centre, otherwise
+    meshes = state[tried]
+    meshes[..., :2] += centre[tried, None, None]
+    places = planner.representation.positions(plan.state[tried], first[tried, :4].reshape(-1, 2, 2))
+    places = places + shift[tried, None]
+    outcomes = execute(meshes, places + centre[tried, None], first[tried, 4:], np.asarray(is_single(first[tried])))
+    if not np.isfinite(outcomes).all():
+        raise InputError(f"simulation: a manipulation of step {number} of a session has an outcome that is not finite")
+    for task, outcome in zip(tried, outcomes, strict=True):
+        after, middle = centred(outcome)
+        if cancelled[task]:
+            otherwise[task] = error(after, goal[task], aligned=True)
+        else:
+            state[task], centre[task] = after, middle
+    return state, centre, otherwise

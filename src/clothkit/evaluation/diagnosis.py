@@ -1,0 +1,126 @@
+"""Diagnosis of failures: compares a search's plan with the recorded manipulations (section 6.4).
+
+This uses true states and recorded manipulations, which no planner has.
+"""
+
+import dataclasses
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, Shaped
+
+from clothkit.cloth.equivalents import equivalents_of_manipulation, relabel_manipulation_batch
+from clothkit.cloth.grid import CLOTH_SIDE
+from clothkit.cloth.mesh import best_label
+from clothkit.episodes.record import Sessions, Tasks
+from clothkit.models.forward import ForwardModel
+from clothkit.planning.batches import in_batches
+from clothkit.planning.objective import Objective, evaluate, fix
+from clothkit.planning.planner import Planner
+from clothkit.planning.representation import Representation
+from clothkit.planning.types import UNKNOWN, Candidates, Meshes, Problem, States
+
+NEAR = 0.05 * CLOTH_SIDE
+"""Largest distance from a recorded grasp point to the nearest candidate at which it counts as offered [normalised]."""
+
+
+def diagnosed(sessions: Sessions, tasks: Tasks, planner: Planner) -> Sessions:
+    """The record with its fields `loss_recorded` and `offered` filled in, where the tasks have recorded manipulations.
+
+    `loss_recorded` is the objective's value for the recorded manipulations from the first estimate, and `offered` tells
+    whether the candidates of the first step include their grasp points. The recorded manipulations are relabelled to
+    match the first estimates.
+    """
+    if tasks.recorded is None:
+        return sessions
+    representation = planner.representation
+    goals = representation.of_meshes(sessions.goal)
+    labels = _labels(representation, sessions.estimate[:, 0], sessions.state[:, 0])
+    loss, offered = sessions.loss_recorded.copy(), sessions.offered.copy()
+    for length in np.unique(sessions.length).tolist():
+        chosen = np.flatnonzero(sessions.length == length)
+        recorded = [tasks.recorded[task] for task in chosen]
+        states, manipulations = (np.stack(parts) for parts in zip(*recorded, strict=True))
+        plan = np.asarray(_relabelled(representation.recorded(states, manipulations).plan, labels[chosen]))
+        estimate = sessions.estimate[chosen, 0]
+        value = partial(
+            losses,
+            planner.model,
+            representation,
+            0 if planner.labelled else UNKNOWN,
+            planner.nets,
+            planner.objective(length),
+        )
+        loss[chosen] = in_batches(value, planner.settings.batch, estimate, goals[chosen], plan)
+        wanted = representation.positions(estimate, plan[:, 0, :4].reshape(-1, 2, 2))
+        offered[chosen] = [
+            is_offered(wanted[i], _places(representation, estimate[i], sessions.candidates[task, 0]))
+            for i, task in enumerate(chosen)
+        ]
+    return dataclasses.replace(sessions, loss_recorded=loss, offered=offered)
+
+
+def _labels(representation: Representation, estimates: States, truth: Meshes) -> Int[np.ndarray, " task"]:
+    """Relabellings k that bring true states to the labels of the estimates."""
+    if representation.labels == 1:
+        return np.zeros(len(estimates), np.int64)
+    return np.asarray(_best_label(estimates, truth))
+
+
+def _places(
+    representation: Representation, estimate: Shaped[np.ndarray, "*state"], candidates: Float[np.ndarray, "c 2"]
+) -> Float[np.ndarray, "present 2"]:
+    present = np.isfinite(candidates[:, 0])
+    # Padding is converted too, so that shapes are the same for all states and the function is compiled only once.
+    pairs = np.repeat(np.nan_to_num(candidates)[:, None], 2, axis=1)
+    return representation.positions(np.repeat(estimate[None], len(candidates), axis=0), pairs)[present, 0]
+
+
+def is_offered(wanted: Float[np.ndarray, "2 2"], offers: Float[np.ndarray, "c 2"]) -> Bool[np.ndarray, ""]:
+    """Whether every wanted grasp point has a candidate within NEAR; both arguments are xy [normalised]."""
+    distance = np.linalg.norm(wanted[:, None] - offers, axis=-1)
+    return np.asarray((distance.min(axis=1) <= NEAR).all())
+
+
+@partial(jax.jit, static_argnums=(0, 1, 2))
+def losses(
+    model: ForwardModel,
+    representation: Representation,
+    relative: int,
+    nets: tuple[Any, ...],
+    objective: Objective,
+    states: Shaped[Array, "task *state"],
+    goals: Shaped[Array, "task *state"],
+    plans: Float[Array, "task n 6"],
+) -> Float[Array, " task"]:
+    """The objective's value for one given plan per task, `[task]`.
+
+    It is the minimum over the common equivalents and, where `relative` is UNKNOWN, over the goal's relabellings.
+    """
+    count = representation.labels
+
+    def one(state: Array, goal: Array, plan: Array) -> Array:
+        blank = [jax.eval_shape(model.encode, net, state) for net in nets]
+        traces = tuple(jnp.zeros((count, *latent.shape)) for latent in blank)
+        none = Candidates(jnp.zeros((1, 2)), jnp.int32(0))
+        problem = Problem(state, goal, none, traces, jnp.int32(relative), jnp.asarray(False), plan)
+        relabelled = jax.vmap(equivalents_of_manipulation, out_axes=1)(plan)[:count]
+        found = evaluate(
+            objective,
+            model,
+            representation,
+            nets,
+            fix(model, representation, nets, problem),
+            relabelled,
+            jnp.arange(count),
+            jnp.full(count, relative),
+        )
+        return jnp.min(found.loss)
+
+    return jax.vmap(one)(states, goals, plans)
+
+
+_relabelled, _best_label = jax.jit(relabel_manipulation_batch), jax.jit(best_label)

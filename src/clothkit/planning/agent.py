@@ -1,0 +1,225 @@
+"""The agent: observation and memory in, plan and new memory out (section 5.1, design 6.10 and 6.11).
+
+`decide` makes the same decision for episodes, the command line and the viewer. Its parts are public for those that need
+one of them: `perceive`, `pose`, `conclude`, `remember`.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int, Shaped
+
+from clothkit.clock import timed
+from clothkit.dataset.store import STEPS
+from clothkit.manipulation.vector import is_null
+from clothkit.planning.batches import in_batches, take
+from clothkit.planning.planner import Planner
+from clothkit.planning.predict import Prediction, differences, predict
+from clothkit.planning.types import UNKNOWN, Candidates, Found, Memory, Observation, Plan, Problem, States, Traces
+
+Keys = Shaped[jax.Array, " task"]
+
+Search = Callable[..., Found]
+"""problems, keys, length= -> `Found`: what `Planner.search` does, or something in its place."""
+
+
+def begin(planner: Planner, goals: States, lengths: Int[np.ndarray, " task"]) -> Memory:
+    """The memory before the first decision: a goal for each task, and the number of manipulations to reach it in."""
+    count, candidates = len(goals), planner.grasping.most
+    blank = np.zeros((count, *planner.representation.shape), np.float32)
+    return Memory(
+        goal=goals,
+        left=np.asarray(lengths, np.int64),
+        planned=np.zeros(count, bool),
+        still=np.zeros(count, bool),
+        state=blank,
+        candidates=np.full((count, candidates, 2), np.nan, np.float32),
+        relative=np.full(count, 0 if planner.labelled else UNKNOWN, np.int32),
+        rest=np.full((count, STEPS, 6), np.nan, np.float32),
+        expected=blank,
+        traces=no_traces(planner, count),
+    )
+
+
+def no_traces(planner: Planner, count: int) -> Traces:
+    """The initial memory traces t_0 for each net: zeros `[count, labels, latent]`."""
+    state = jnp.zeros(planner.representation.shape)
+    widths = [jax.eval_shape(planner.model.encode, net, state).shape[-1] for net in planner.nets]
+    return tuple(np.zeros((count, planner.representation.labels, width), np.float32) for width in widths)
+
+
+def decide(
+    planner: Planner, observation: Observation, memory: Memory, *, key: Keys, search: Search | None = None
+) -> tuple[Plan, Memory]:
+    """Plan for each task of a batch, and remember what the next decision needs.
+
+    `key` has one key per task, so that a task's plan does not depend on the batch. The new memory is that of an agent
+    whose plan's first manipulation is executed unless it is null; where that is not so, `remember` gives another one.
+    Tasks whose cloth lies as it lay keep their state, whatever is observed. `search` replaces the planner's own.
+    """
+    state, candidates = perceive(planner, observation, memory)
+    plans, places = [], []
+    for length in range(1, STEPS + 1):
+        rows = np.flatnonzero(memory.left == length)
+        if len(rows):
+            problems = pose(planner, state[rows], candidates[rows], take(memory, rows), length)
+            found = _searched(search or planner.search, problems, key[rows], length, planner.settings.batch)
+            plans.append(conclude(planner, problems, found, candidates[rows]))
+            places.append(rows)
+    order = np.argsort(np.concatenate(places), kind="stable")
+    plan = take(jax.tree.map(lambda *parts: np.concatenate(parts), *plans), order)
+    return plan, remember(planner, memory, plan, executed=~plan.null)
+
+
+def perceive(
+    planner: Planner, observation: Observation, memory: Memory
+) -> tuple[States, Float[np.ndarray, "task candidate 2"]]:
+    """The states and their candidate grasp points, NaN where there are fewer.
+
+    Estimates get the labels of the expected states, where something was executed before.
+    """
+    state, candidates = memory.state.copy(), memory.candidates.copy()
+    for rows, expected in (
+        (np.flatnonzero(~memory.planned), None),
+        (np.flatnonzero(memory.planned & ~memory.still), memory.expected),
+    ):
+        if not len(rows):
+            continue
+        state[rows] = planner.perception(take(observation, rows), None if expected is None else expected[rows])
+        for row in rows:
+            points = planner.representation.candidates(state[row], planner.grasping)
+            candidates[row] = np.nan
+            candidates[row, : len(points)] = points
+    return state, candidates
+
+
+def pose(
+    planner: Planner,
+    state: States,
+    candidates: Float[np.ndarray, "task candidate 2"],
+    memory: Memory,
+    length: int,
+) -> Problem:
+    """The problem that a search for plans of one length solves, for each task of a batch."""
+    covered = None
+    if planner.settings.search.fold:
+        covered = np.stack([planner.representation.covered(one) for one in state])
+    rest = np.where(memory.planned[:, None, None], memory.rest[:, :length], np.float32(0))
+    return Problem(
+        state=state,
+        goal=memory.goal,
+        candidates=Candidates(np.nan_to_num(candidates), np.isfinite(candidates[:, :, 0]).sum(1)),
+        traces=memory.traces,
+        relative=memory.relative.astype(np.int32),
+        later=memory.planned,
+        carried=rest,
+        covered=covered,
+    )
+
+
+def _searched(search: Search, problems: Problem, keys: Keys, length: int, batch: int) -> Found:
+    count = len(problems.state)
+    # The last batch is padded with copies, which are not counted as tasks.
+    counts = iter([min(batch, count - first) for first in range(0, count, batch)])
+
+    def timed_search(problems: Problem, keys: jax.Array) -> Found:
+        with timed(str(length), next(counts)):
+            return jax.block_until_ready(search(problems, keys, length=length))
+
+    return in_batches(timed_search, batch, problems, keys)
+
+
+def conclude(
+    planner: Planner, problems: Problem, found: Found, candidates: Float[np.ndarray, "task candidate 2"]
+) -> Plan:
+    """The plans that a search found, with the nets' predictions for them and the null check (section 5.1).
+
+    A plan is useless if the nets, in the mean, expect the state to end farther from the goal than it is, in the
+    labelling that the search found.
+    """
+    representation, settings = planner.representation, planner.settings
+    state, plan = np.asarray(problems.state), np.asarray(found.plan)
+    count, length = plan.shape[:2]
+    predictions: tuple[Prediction, ...] = in_batches(
+        lambda *batch: predict(planner.model, representation, planner.nets, *batch),
+        settings.batch,
+        state,
+        problems.traces,
+        plan,
+        found.common,
+    )
+    means = [representation.mean(prediction.states) for prediction in predictions]
+    stds = [std for prediction in predictions if (std := representation.std(prediction.states)) is not None]
+    apart = in_batches(partial(differences, representation), settings.batch, predictions)
+    goal = representation.relabel(np.asarray(problems.goal), np.asarray(found.relative))
+    expected = representation.distance(np.mean([mean[:, -1] for mean in means], axis=0), goal)
+    useless = expected > representation.distance(state, goal)
+    short = np.asarray(is_null(plan[:, 0]))
+    longest = settings.search.iterations(STEPS)
+    losses = np.asarray(found.losses)
+    return Plan(
+        state=state,
+        candidates=candidates,
+        length=np.full(count, length),
+        manipulations=_padded(plan, STEPS),
+        loss=np.asarray(found.loss),
+        terms=jax.tree.map(np.asarray, found.terms),
+        common=np.asarray(found.common),
+        relative=np.asarray(found.relative),
+        means=_padded(np.stack(means, axis=2), STEPS),
+        stds=_padded(np.stack(stds, axis=2), STEPS) if stds else None,
+        shifts=_padded(np.stack([np.asarray(prediction.shifts) for prediction in predictions], axis=2), STEPS),
+        traces=tuple(np.asarray(prediction.traces) for prediction in predictions),
+        differences=None if apart is None else _padded(apart, STEPS),
+        expected=expected,
+        useless=useless,
+        null=useless | short,
+        progress=_padded(np.minimum.accumulate(losses.min(-1), axis=1), longest),
+        restarts=best_of_restarts(losses, np.asarray(found.restarts), longest // settings.search.patience + 1),
+    )
+
+
+def _padded(values: Float[np.ndarray, "task length ..."], length: int) -> np.ndarray:
+    """The values with NaN appended along the second axis."""
+    missing = length - values.shape[1]
+    return np.pad(values, [(0, 0), (0, missing), *[(0, 0)] * (values.ndim - 2)], constant_values=np.nan)
+
+
+def best_of_restarts(
+    losses: Float[np.ndarray, "task iteration strain"], restarts: np.ndarray, most: int
+) -> Float[np.ndarray, "task strain restart"]:
+    """The lowest loss of each strain between consecutive restarts.
+
+    Periods after number `most` are merged into it. NaN where a period does not exist or has no finite loss.
+    """
+    run = np.minimum(np.cumsum(restarts, axis=1) - restarts, most - 1)
+    found = [np.where(run == number, losses, np.inf).min(1) for number in range(most)]
+    best = np.stack(found, axis=-1).astype(np.float32)
+    return np.where(np.isinf(best), np.nan, best).astype(np.float32)
+
+
+def remember(planner: Planner, memory: Memory, plan: Plan, *, executed: np.ndarray) -> Memory:
+    """The memory after a decision: `executed` tells for which tasks the plan's first manipulation is carried out.
+
+    Only there do the expected state and the memory traces move on by one manipulation.
+    """
+
+    def where(new: Any, old: Any) -> np.ndarray:
+        return np.where(executed.reshape(-1, *(1,) * (old.ndim - 1)), new, old)
+
+    return Memory(
+        goal=memory.goal,
+        left=memory.left - 1,
+        planned=np.ones_like(memory.planned),
+        still=~executed,
+        state=plan.state,
+        candidates=plan.candidates,
+        relative=plan.relative.astype(memory.relative.dtype),
+        rest=_padded(plan.manipulations[:, 1:], STEPS),
+        expected=where(plan.means[:, 0, planner.best], memory.expected),
+        traces=tuple(where(*pair) for pair in zip(plan.traces, memory.traces, strict=True)),
+    )

@@ -1,0 +1,224 @@
+"""The objective of a search: a sum of named terms over one prediction of each plan, eq. (13).
+
+The accuracy term is always there; it also decides which labelling of the goal a plan leads to. Any pytree with a
+`weight` and a `__call__` can be a further term (see `Term`), so that terms come from outside this package, too.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, Shaped
+
+from clothkit.cloth.equivalents import COUNT, INVERSE, compose
+from clothkit.models.ensemble import pairs
+from clothkit.models.forward import ForwardModel, rollout
+from clothkit.planning.representation import Representation
+from clothkit.planning.types import UNKNOWN, Problem, Scalar
+from clothkit.planning.uncertainty import Spread, uncertainty
+
+COMPOSED = np.array([[compose(j, k) for k in range(COUNT)] for j in range(COUNT)], np.int32)
+"""[j, k]: the index of the relabelling by j followed by that by k."""
+
+
+class Weights(NamedTuple):
+    """The weights of the paper's objective: alpha of eq. (13), beta and gamma of eq. (15)."""
+
+    alpha: Scalar
+    beta: Scalar
+    gamma: Scalar
+
+
+class Range(NamedTuple):
+    """The reference values low and high of eq. (14), for one net and one plan length."""
+
+    low: Scalar
+    high: Scalar
+
+
+class Reference(NamedTuple):
+    """Reference values of the loss for plans of one length: ranges of eq. (14) per net, moments of eq. (15)."""
+
+    spans: tuple[Range, ...]
+    spread: Spread
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """What the terms of an objective are computed from, for a batch of plans ("strains")."""
+
+    representation: Representation
+    plan: Float[Array, "strains n 6"]
+    """The plans, in the labels of each one's common equivalent."""
+    predictions: tuple[Any, ...]
+    """Each net's predicted states [n strains ..]; [1 strains ..], the outcomes alone, if no term needs the others."""
+
+    @property
+    def outcomes(self) -> tuple[Any, ...]:
+        """Each net's prediction of the state after the last manipulation, [strains ..]."""
+        return tuple(jax.tree.map(lambda part: part[-1], states) for states in self.predictions)
+
+
+@runtime_checkable
+class Term(Protocol):
+    """A further term of an objective: a pytree whose leaves are its parameters, such as a registered dataclass."""
+
+    every_step: ClassVar[bool]
+    """Whether the term needs the predicted states after each manipulation, and not the outcomes alone."""
+
+    @property
+    def weight(self) -> Scalar:
+        """The factor of this term in the sum."""
+        ...
+
+    def __call__(self, outlook: Outlook) -> Float[Array, " strains"]:
+        """The term's value for each plan, without its weight."""
+        ...
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Accuracy:
+    """The accuracy terms of eq. (13): how unlike each net's outcome is to the goal, in its range of eq. (14).
+
+    With K nets their sum is multiplied by 2 / K, so that it weighs as much as the paper's two. With one net (B2) the
+    term is that net's plain loss; `spans` is empty then.
+    """
+
+    spans: tuple[Range, ...]
+
+    def of_net(self, loss: Float[Array, "..."], net: int) -> Float[Array, "..."]:
+        """A net's loss in its range: 0 for recorded manipulations, 1 for random ones, in the median."""
+        if not self.spans:
+            return loss
+        span = self.spans[net]
+        return (loss - span.low) / (span.high - span.low)
+
+    def total(self, of_nets: list[Float[Array, "..."]]) -> Float[Array, "..."]:
+        """The term's value from those of all nets."""
+        return sum(of_nets[1:], of_nets[0]) * (2 / len(of_nets) if len(of_nets) > 2 else 1)
+
+
+def mean_difference(representation: Representation, predictions: Sequence[Any]) -> Float[Array, "n *batch"] | None:
+    """diff of eq. (15) between nets' predictions, in the mean over all pairs of nets; None for a single net."""
+    apart = [representation.difference(a, b) for a, b in pairs(predictions)]
+    return sum(apart[1:], apart[0]) / len(apart) if apart else None
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Uncertainty:
+    """The uncertainty term of eq. (13): u of eq. (15), from the mean difference over all pairs of nets."""
+
+    weight: Scalar
+    """alpha"""
+    spread: Spread
+    beta: Scalar
+    gamma: Scalar
+    every_step: ClassVar[bool] = True
+
+    def __call__(self, outlook: Outlook) -> Float[Array, " strains"]:
+        apart = mean_difference(outlook.representation, outlook.predictions)
+        assert apart is not None, "an ensemble of at least two nets"
+        return uncertainty(apart, self.spread, beta=self.beta, gamma=self.gamma)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Objective:
+    """The sum of the accuracy term and of further ones by name, each with its weight."""
+
+    accuracy: Accuracy
+    terms: Mapping[str, Term]
+
+    def with_term(self, name: str, term: Term) -> "Objective":
+        """The objective with one more term."""
+        return replace(self, terms={**self.terms, name: term})
+
+
+def objective_of(nets: int, reference: Reference, weights: Weights) -> Objective:
+    """The paper's objective for that number of nets, for plans of the length that `reference` is for.
+
+    Without alpha, or with one net, there is no uncertainty term.
+    """
+    accuracy = Accuracy(reference.spans if nets > 1 else ())
+    if nets == 1 or float(weights.alpha) == 0:
+        return Objective(accuracy, {})
+    return Objective(
+        accuracy, {"uncertainty": Uncertainty(weights.alpha, reference.spread, weights.beta, weights.gamma)}
+    )
+
+
+class Fixed(NamedTuple):
+    """Constants of a search: for each net, latents of the state's equivalents and traces; the goal's equivalents."""
+
+    latents: tuple[Float[Array, "labels latent"], ...]
+    traces: tuple[Float[Array, "labels latent"], ...]
+    goals: Float[Array, "labels *state"]
+
+
+def fix(model: ForwardModel, representation: Representation, nets: tuple[Any, ...], problem: Problem) -> Fixed:
+    """Compute the quantities that are constant during the search for one problem."""
+    states = representation.equivalents(jnp.asarray(problem.state))
+    return Fixed(
+        tuple(model.encode(net, states) for net in nets),
+        tuple(jnp.asarray(trace) for trace in problem.traces),
+        representation.equivalents(jnp.asarray(problem.goal)),
+    )
+
+
+class Evaluation(NamedTuple):
+    """The objective's value for each plan, its terms by name, and the goal's relative labelling."""
+
+    loss: Float[Array, " strains"]
+    terms: dict[str, Shaped[Array, "strains *net"]]
+    relative: Int[Array, " strains"]
+
+
+def evaluate(
+    objective: Objective,
+    model: ForwardModel,
+    representation: Representation,
+    nets: tuple[Any, ...],
+    fixed: Fixed,
+    plan: Float[Array, "strains n 6"],
+    common: Int[Array, " strains"],
+    relative: Int[Array, " strains"],
+    *,
+    stride: int = 1,
+) -> Evaluation:
+    """Evaluate plans, each in the labels of its common equivalent.
+
+    Where `relative` is `UNKNOWN`, the labelling of the goal that minimises the accuracy term is used, as in eq. (12).
+    Predictions and goals are compared at every `stride`-th vertex along u and v.
+    """
+    every_step = any(term.every_step for term in objective.terms.values())
+    decoded = slice(None) if every_step else slice(-1, None)
+    predictions = tuple(
+        model.decode(net, rollout(model, net, latent[common], plan, trace[common]).latents[decoded], stride)
+        for net, latent, trace in zip(nets, fixed.latents, fixed.traces, strict=True)
+    )
+    outlook = Outlook(representation, plan, predictions)
+    # Goals are thinned before they are whitened, because predictions are whitened by the moments of their own vertices.
+    goals = representation.target(representation.thinned(fixed.goals, stride))
+    of_each = [
+        objective.accuracy.of_net(representation.accuracy_of_each(goals, outcome), net)
+        for net, outcome in enumerate(outlook.outcomes)
+    ]
+    nearest = jnp.argmin(jax.lax.stop_gradient(sum(of_each)), axis=1)
+    found = jnp.asarray(COMPOSED)[nearest, jnp.asarray(INVERSE)[common]]
+    relative = jnp.where(relative == UNKNOWN, found, relative)
+    goal = goals[jnp.asarray(COMPOSED)[relative, common]]
+    accuracies = [
+        objective.accuracy.of_net(representation.accuracy(goal, outcome), net)
+        for net, outcome in enumerate(outlook.outcomes)
+    ]
+    loss = objective.accuracy.total(accuracies)
+    terms: dict[str, Array] = {"accuracy": jnp.stack(accuracies, axis=-1)}
+    for name, term in objective.terms.items():
+        terms[name] = term(outlook)
+        loss = loss + term.weight * terms[name]
+    return Evaluation(loss, terms, relative)

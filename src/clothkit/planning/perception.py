@@ -1,0 +1,91 @@
+"""Perception: from an observation to the state that a planner plans from (sections 4.7 and 5.1)."""
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import jax
+import numpy as np
+from jaxtyping import Shaped
+
+from clothkit.clock import timed
+from clothkit.cloth.equivalents import relabel
+from clothkit.cloth.mesh import best_label
+from clothkit.cloth.voxels import HEIGHT
+from clothkit.estimation.estimate import estimate, estimate_unrefined
+from clothkit.estimation.refine import RefineConfig
+from clothkit.models.net import Net
+from clothkit.planning.batches import in_batches
+from clothkit.planning.types import Meshes, Observation, States
+
+
+@runtime_checkable
+class Perception(Protocol):
+    """What turns observations of a batch of cloths into states of a planner's representation."""
+
+    @property
+    def height(self) -> float | None:
+        """The height of the viewport of the voxels that it takes [normalised]; None if it takes meshes."""
+        ...
+
+    def __call__(self, observation: Observation, expected: States | None) -> States:
+        """The states; `expected` are the predicted means of these states, None if nothing was predicted yet."""
+        ...
+
+
+@dataclass(frozen=True)
+class Estimation:
+    """Meshes are estimated from voxels by VtM and refined."""
+
+    vtm: Net
+    refinement: RefineConfig
+    refine: bool = True
+    """If False, estimates are VtM's means, in the labels that fit the prediction best (section 4.7)."""
+    batch: int = 24
+    """Number of cloths that are estimated in one call."""
+
+    @property
+    def height(self) -> float:
+        return self.vtm.config.height
+
+    def __call__(self, observation: Observation, expected: Meshes | None) -> Meshes:
+        assert observation.voxels is not None, "an observation to estimate from has voxels"
+
+        def meshes(voxels: np.ndarray, *expected: np.ndarray) -> jax.Array:
+            predicted = expected[0] if expected else None
+            if not self.refine:
+                return estimate_unrefined(self.vtm, voxels, predicted)
+            return estimate(self.vtm, voxels, self.refinement, predicted=predicted).mesh
+
+        with timed("estimates", len(observation.voxels)):
+            return in_batches(meshes, self.batch, observation.voxels, *(() if expected is None else (expected,)))
+
+
+@dataclass(frozen=True)
+class KnownMeshes:
+    """The observed meshes are the states."""
+
+    labelled: bool = True
+    """Whether their labels are those of the goal and stay the same. Else they follow the expected mesh's."""
+    height: None = None
+
+    def __call__(self, observation: Observation, expected: Meshes | None) -> Meshes:
+        assert observation.meshes is not None, "an observation that is planned from as it is has meshes"
+        if self.labelled or expected is None:
+            return observation.meshes
+        return np.stack([labelled_like(*pair) for pair in zip(observation.meshes, expected, strict=True)])
+
+
+@dataclass(frozen=True)
+class ObservedVoxels:
+    """The observed voxels are the states."""
+
+    height: float = HEIGHT
+
+    def __call__(self, observation: Observation, expected: States | None) -> States:
+        assert observation.voxels is not None, "an observation that is planned from as it is has voxels"
+        return observation.voxels
+
+
+def labelled_like(mesh: Shaped[np.ndarray, "u v 3"], expected: Shaped[np.ndarray, "u v 3"]) -> np.ndarray:
+    """The Cartesian equivalent of a mesh that is nearest to `expected`."""
+    return np.asarray(relabel(mesh, best_label(expected.astype(np.float32), mesh, aligned=True)))
