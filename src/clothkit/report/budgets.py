@@ -82,7 +82,7 @@ def _minutes(timings: pd.DataFrame | None, stage: str, members: Sequence[int] = 
     """
     if timings is None:
         return math.nan
-    own = timings[timings["stage"].map(lambda name: name.split("@")[0] == stage)]
+    own = timings[timings["stage"].astype(str).str.split("@").str[0] == stage]
     numbered = own[own["stage"].isin([f"{stage}@{member}" for member in members])]
     own = numbered if len(numbered) else own
     return float(own["cpu_seconds"].sum()) / 60 if len(own) else math.nan
