@@ -16,7 +16,7 @@ from clothkit.episodes.sensors import with_height
 from clothkit.errors import InputError
 from clothkit.estimation.estimate import estimate
 from clothkit.estimation.refine import RefineConfig
-from clothkit.evaluation.arrays import Named
+from clothkit.evaluation.arrays import NamedArray
 from clothkit.evaluation.camera_settings import UNMEASURED, Condition, EvaluateCameraConfig
 from clothkit.evaluation.errors import errors
 from clothkit.models.net import Net
@@ -59,7 +59,7 @@ class Estimation(NamedTuple):
     """Results of the evaluation of estimates under every condition."""
 
     rows: pd.DataFrame
-    arrays: dict[str, Named]
+    arrays: dict[str, NamedArray]
     """Pictures, voxels and estimates of some states under every condition, for figures."""
 
 
@@ -165,10 +165,10 @@ def estimation(
     views = [(observed.height, observed.voxels[stored], observed.mesh[stored]) for observed in observations[1:]]
     height, occupied, meshes = (np.stack(parts, axis=1) for parts in zip(*views, strict=True))
     arrays = {
-        "sequence": Named(sequence[stored], ("sequence",)),
-        "shown": Named(state[stored], ("sequence",)),
-        "height": Named(height, ("sequence", "condition", "row", "column")),
-        "voxels": Named(occupied, ("sequence", "condition", "x", "y", "z")),
-        "mesh": Named(meshes, ("sequence", "condition", "u", "v", "xyz")),
+        "sequence": NamedArray(sequence[stored], ("sequence",)),
+        "shown": NamedArray(state[stored], ("sequence",)),
+        "height": NamedArray(height, ("sequence", "condition", "row", "column")),
+        "voxels": NamedArray(occupied, ("sequence", "condition", "x", "y", "z")),
+        "mesh": NamedArray(meshes, ("sequence", "condition", "u", "v", "xyz")),
     }
     return Estimation(pd.concat(rows, ignore_index=True), arrays)

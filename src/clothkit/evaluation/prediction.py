@@ -16,7 +16,7 @@ from clothkit.cloth.voxels import HEIGHT
 from clothkit.dataset.store import SPLITS, STATES, STEPS, Dataset
 from clothkit.dataset.tasks import TASKS
 from clothkit.errors import InputError
-from clothkit.evaluation.arrays import Named
+from clothkit.evaluation.arrays import NamedArray
 from clothkit.evaluation.errors import errors, relabelled, sigma_ratio
 from clothkit.evaluation.occupancy import TALL, TALL_MEASURE, differences, occluded_occupancy, occupancy
 from clothkit.evaluation.settings import EvaluatePredictionConfig
@@ -107,7 +107,7 @@ def rows(dataset: Dataset, initial: Starts, ensemble: Ensemble, settings: Evalua
     return pd.concat(tidy, ignore_index=True)
 
 
-def stored(dataset: Dataset, initial: Starts, net: Net, settings: EvaluatePredictionConfig) -> dict[str, Named]:
+def stored(dataset: Dataset, initial: Starts, net: Net, settings: EvaluatePredictionConfig) -> dict[str, NamedArray]:
     """Return main's predictions after 1, 2 and 3 manipulations, for the first sequences of each split.
 
     The arrays are sequence, start (the initial mesh), mean, std [normalised] and shift (each step's centre shift, xy),
@@ -123,11 +123,11 @@ def stored(dataset: Dataset, initial: Starts, net: Net, settings: EvaluatePredic
         values[np.arange(STEPS)[:, None] >= dataset.length[initial.sequence[first]]] = np.nan
     vertices = ("u", "v", "xyz")
     return {
-        "sequence": Named(initial.sequence[first], ("sequence",)),
-        "start": Named(start, ("sequence", *vertices)),
-        "mean": Named(np.moveaxis(mean, 0, 1), ("sequence", "step", *vertices)),
-        "std": Named(np.moveaxis(std, 0, 1), ("sequence", "step", *vertices)),
-        "shift": Named(np.moveaxis(shift, 0, 1), ("sequence", "step", "xy")),
+        "sequence": NamedArray(initial.sequence[first], ("sequence",)),
+        "start": NamedArray(start, ("sequence", *vertices)),
+        "mean": NamedArray(np.moveaxis(mean, 0, 1), ("sequence", "step", *vertices)),
+        "std": NamedArray(np.moveaxis(std, 0, 1), ("sequence", "step", *vertices)),
+        "shift": NamedArray(np.moveaxis(shift, 0, 1), ("sequence", "step", "xy")),
     }
 
 
