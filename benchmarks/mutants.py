@@ -77,7 +77,7 @@ class Outcome(NamedTuple):
     late: bool
     """Whether it was killed by the time limit."""
     seconds: float
-    said: str
+    text: str
     """pytest's output."""
 
 
@@ -177,11 +177,11 @@ def run_tests(copy: Path, tests: list[str], limit: float) -> Outcome:
                 late = True
                 os.killpg(process, signal.SIGKILL)
         output.seek(0)
-        said = output.read().decode(errors="replace")
+        text = output.read().decode(errors="replace")
     status = os.waitstatus_to_exitcode(ended[1])
     if not late and status not in (_NO_FAILURE, _FAILURES, _INTERRUPTED, _INTERNAL):
-        raise SystemExit(f"pytest could not run {' '.join(tests)}:\n{said}")
-    return Outcome(status != _NO_FAILURE, late, time.perf_counter() - started, said)
+        raise SystemExit(f"pytest could not run {' '.join(tests)}:\n{text}")
+    return Outcome(status != _NO_FAILURE, late, time.perf_counter() - started, text)
 
 
 def _run_here(copy: Path, tests: list[str], output: int) -> int:
@@ -243,7 +243,7 @@ def main() -> None:
                     # Tests that fail without a mutant would kill every mutant.
                     plain = run_tests(copy, tests, 10 * options.limit)
                     if plain.killed:
-                        raise SystemExit(f"{plain.said}\n{' '.join(tests)}: fails without a mutant")
+                        raise SystemExit(f"{plain.text}\n{' '.join(tests)}: fails without a mutant")
                     sound.add(tuple(tests))
                 (copy / mutant.path).write_text(mutant.code)
                 outcome = run_tests(copy, tests, options.limit)

@@ -81,12 +81,12 @@ def main() -> None:
                 clothkit("plan", "--state", file, "--goal", goal, "--steps", asked.length, "--out", plan)
                 seconds = time.perf_counter() - began
                 true = folder / ("start_below_camera.obj" if form == "cloud" else "start.obj")
-                said = clothkit(
+                printed = clothkit(
                     "simulate", "--state", true, "--plan", plan, "--goal", goal, "--out", folder / "outcome.glb"
                 )
                 expected = json.loads(plan.read_text())["expected"]
-                error = re.search(r"\(([\d.]+) cloth lengths\)", said)
-                assert error, said
+                error = re.search(r"\(([\d.]+) cloth lengths\)", printed)
+                assert error, printed
                 found[form].append(
                     {
                         "seconds": seconds,

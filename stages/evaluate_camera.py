@@ -30,12 +30,15 @@ def main() -> None:
         weights = Weights(s.shared.alpha, s.shared.beta, s.shared.gamma)
         plan, simulate = s.shared.stages.plan, s.shared.stages.simulate
         dataset = store.load(MESHES)
-        estimation = camera.estimation(dataset, load(found["vtm"], "vtm"), s.params, plan.refine)
+        # The name contains a hash, so that pieces of a run with other weights or another simulator are not reused.
+        pieces = work / hashlib.sha256(repr((weights, plan, simulate)).encode()).hexdigest()[:16]
+        estimation = camera.estimation(
+            dataset, load(found["vtm"], "vtm"), s.params, plan.refine, work=pieces / "states"
+        )
         planner = assemble(system, DATA, weights, plan, simulate.candidates, members)
-        made_with = hashlib.sha256(repr((weights, plan, simulate)).encode()).hexdigest()[:16]
         simulator = partial(execute, settings=simulate.simulation, workers=simulate.workers)
-        without = record.load(SESSIONS)
-        planning = camera_planning.planning(dataset, planner, simulator, without, s.params, work=work / made_with)
+        baseline = record.load(SESSIONS)
+        planning = camera_planning.planning(dataset, planner, simulator, baseline, s.params, work=pieces / "sessions")
         end_workers()
         arrays.save(work / "pictures.zarr", estimation.arrays, s.attributes)
         write_rows(work / "estimation.parquet", estimation.rows, s.attributes)

@@ -33,8 +33,8 @@ def main(name: str) -> None:
         simulate = s.shared.stages.simulate
         planner = assemble(system, DATA, weights, s.params, simulate.candidates, members)
         # The name contains a hash, so that pieces of a run with other weights or another simulator are not reused.
-        made_with = (planner.weights, planner.grasping, simulate.simulation)
-        pieces = work / hashlib.sha256(repr(made_with).encode()).hexdigest()[:16]
+        settings = (planner.weights, planner.grasping, simulate.simulation)
+        pieces = work / hashlib.sha256(repr(settings).encode()).hexdigest()[:16]
         simulator = partial(execute, settings=simulate.simulation, workers=simulate.workers)
         annotate = partial(diagnosed, planner=planner)
         sessions, times = evaluate(store.load(MESHES), planner, simulator, work=pieces, annotate=annotate)

@@ -21,9 +21,9 @@ def main() -> None:
         report = s.work(inputs=paths(DATA, members, s.params)) / "report"
         shutil.rmtree(report, ignore_errors=True)
         build(report, read(DATA, members, s.params), s.params)
-        made_with = s.shared.model_dump(mode="json")
-        made_with["scales"] = {s.shared.scale: made_with["scales"][s.shared.scale]}
-        YAML().dump(made_with, report / "params.yaml")
+        settings = s.shared.model_dump(mode="json")
+        settings["scales"] = {s.shared.scale: settings["scales"][s.shared.scale]}
+        YAML().dump(settings, report / "params.yaml")
         timings(TIMINGS).to_csv(report / "timings.csv", index=False, lineterminator="\n")
         speed = table_8(TIMINGS, s.params.planners)
         speed.to_csv(report / "table_8.csv", index=False, float_format="%.5g", lineterminator="\n")

@@ -19,13 +19,13 @@ def main() -> None:
         work = s.work(inputs=files(sequences))
         raw = work / "raw"
         shutil.rmtree(raw, ignore_errors=True)
-        made_with = s.attributes
+        attributes = s.attributes
         for indifferent in ("block", "workers"):
-            del made_with["params"][indifferent]
+            del attributes["params"][indifferent]
         if sequences:
-            print(import_runs(raw, sequences, work=work, attributes=made_with))
+            print(import_runs(raw, sequences, work=work, attributes=attributes))
         else:
-            print(generate(raw, s.params, work=work, attributes=made_with))
+            print(generate(raw, s.params, work=work, attributes=attributes))
         for part in PARTS:
             s.publish(raw / part, RAW / part)
 

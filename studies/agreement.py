@@ -3,8 +3,8 @@
 Estimates the states of the first validation sequences (default: all) as `clothkit estimate` does, and compares each
 estimate with the observation that it was made from (`estimation.agreement`). A row per condition and state goes to
 reports/<scale>/studies/agreement.csv: the intersection over union of silhouettes and of heights, and the estimate's
-error. Existing rows are not computed again; rows made with another net, other data or other settings (`made_with`) are
-dropped.
+error. Existing rows are not computed again; rows made with another net, other data or other settings (`fingerprint`)
+are dropped.
 
 The conditions `voxels` (voxels as in training, without noise) and `camera` (pictures as in evaluate_camera, noise x 1)
 show states like those in the training data. The proposed thresholds (`app.agreement`) give warnings for at most the
@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from made_with import NAME, joined, made_with, read
+from fingerprint import COLUMN, append, fingerprint, read
 
 from clothkit.cloth import voxels
 from clothkit.dataset import store as meshes
@@ -77,8 +77,8 @@ def main() -> None:
     )
     folder = Path("reports") / params.scale / "studies"
     folder.mkdir(parents=True, exist_ok=True)
-    path, made = folder / "agreement.csv", made_with(paths, refine, pictures)
-    table = read(path, ["condition", "sequence", "state", "silhouette", "heights", "error"], made)
+    path, current = folder / "agreement.csv", fingerprint(paths, refine, pictures)
+    table = read(path, ["condition", "sequence", "state", "silhouette", "heights", "error"], current)
     sequences = dataset.indices("validation")[: asked.sequences]
     for name, show in conditions(net, pictures).items():
         done = set(table.loc[table["condition"] == name, "sequence"])
@@ -96,7 +96,7 @@ def main() -> None:
             of_batch = of_batch.assign(silhouette=agreed.silhouette, heights=agreed.heights)
             found.append(of_batch.assign(error=errors(estimated, truth[kept])))
         if found:
-            table = joined(table, pd.concat(found).assign(condition=name, **{NAME: made}))
+            table = append(table, pd.concat(found).assign(condition=name, **{COLUMN: current}))
             table.to_csv(path, index=False, lineterminator="\n", float_format="%.5g")
             print(f"{name}: {len(places)} states", flush=True)
     table = table[table["sequence"].isin(sequences)]

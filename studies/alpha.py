@@ -3,7 +3,7 @@
 Plans and executes all tasks of the first validation sequences (default: 10) with one system, for several values of
 alpha, and, with alpha from params.yaml, for other values of beta and gamma (eqs. 13 and 15). A row per setting and task
 goes to reports/<scale>/studies/alpha.csv. Existing rows are not computed again; rows made with other nets or other
-settings (`made_with`) are dropped. The figure alpha.png shows the error against alpha, beta and gamma for each start
+settings (`fingerprint`) are dropped. The figure alpha.png shows the error against alpha, beta and gamma for each start
 and plan length, as mean and 95 % bootstrap interval over sequences. Needs the nets, the normalisation and the dataset
 (`dvc repro normalise`).
 
@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from made_with import NAME, joined, made_with, read
+from fingerprint import COLUMN, append, fingerprint, read
 
 from clothkit.dataset import store
 from clothkit.episodes.evaluate import try_out
@@ -69,8 +69,8 @@ def main() -> None:
     folder.mkdir(parents=True, exist_ok=True)
     name = asked.system
     inputs = [meshes, *artifacts(SYSTEMS[name], data, members).values()]
-    made = made_with(inputs, params.stages.plan, simulate.candidates, simulate.simulation)
-    table = read(path, [*NAMES, "sequence", "length", "error"], made)
+    current = fingerprint(inputs, params.stages.plan, simulate.candidates, simulate.simulation)
+    table = read(path, [*NAMES, "sequence", "length", "error"], current)
     for weights in settings:
         done = set(known(table, weights)["sequence"])
         missing = [sequence for sequence in sequences if sequence not in done]
@@ -79,8 +79,8 @@ def main() -> None:
             simulator = partial(execute, settings=simulate.simulation)
             annotate = partial(diagnosed, planner=planner)
             sessions, _ = try_out(dataset, missing, "validation", planner, simulator, annotate=annotate)
-            found = rows(sessions, name).assign(**weights._asdict(), **{NAME: made})
-            table = joined(table, found)
+            found = rows(sessions, name).assign(**weights._asdict(), **{COLUMN: current})
+            table = append(table, found)
             with unfinished(path) as part:
                 table.to_csv(part, index=False, lineterminator="\n", float_format="%.5g")
         means = known(table, weights).groupby("length")["error"].mean().round(4).tolist()

@@ -6,7 +6,7 @@ same when params.yaml changes. For each variant the study measures its time per 
 fit into MINUTES CPU minutes, and trains it with its schedule over them. The validation score after each tenth goes to
 reports/<scale>/studies/recipes_<net>.csv with the iterations, the CPU minutes (without compilation and validation), the
 variant, its settings and its seed. Existing rows are not computed again; rows made with other data or another base
-(`made_with`) are dropped. The figure is recipes_<net>.png. Scores of pemd and vtm are in cloth lengths, those of
+(`fingerprint`) are dropped. The figure is recipes_<net>.png. Scores of pemd and vtm are in cloth lengths, those of
 emd_voxel are mean voxel differences. Needs `dvc repro augment`.
 """
 
@@ -21,7 +21,7 @@ from typing import Any
 
 import jax
 import pandas as pd
-from made_with import NAME, joined, made_with, read
+from fingerprint import COLUMN, append, fingerprint, read
 
 from clothkit.dataset import store
 from clothkit.params import load_params
@@ -200,8 +200,8 @@ def main() -> None:
     path = Path("reports") / params.scale / "studies" / f"recipes_{asked.net}.csv"
     path.parent.mkdir(parents=True, exist_ok=True)
     inputs = [Path("data/meshes.zarr"), *([Path("data/augmented.zarr")] if asked.net in FORWARD else [])]
-    made = made_with(inputs, changed(settings, {**BASES[asked.net], **OWN}))
-    table = read(path, ["budget", "variant", "seed", "changes"], made)
+    current = fingerprint(inputs, changed(settings, {**BASES[asked.net], **OWN}))
+    table = read(path, ["budget", "variant", "seed", "changes"], current)
     for seed in asked.seeds:
         for variant in asked.variants or VARIANTS[asked.net]:
             changes = VARIANTS[asked.net][variant]
@@ -211,7 +211,7 @@ def main() -> None:
                 wanted = {**BASES[asked.net], **changes, "training.seed": seed}
                 rows = study(asked.net, changed(settings, wanted), asked.minutes)
                 of = {"budget": asked.minutes, "variant": variant, "changes": json.dumps(changes), "seed": seed}
-                table = joined(table, pd.DataFrame([{**of, **row, NAME: made} for row in rows]))
+                table = append(table, pd.DataFrame([{**of, **row, COLUMN: current} for row in rows]))
                 with unfinished(path) as part:
                     table.to_csv(part, index=False, lineterminator="\n", float_format="%.5g")
                 known = table.index >= len(table) - len(rows)

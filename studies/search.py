@@ -5,7 +5,7 @@ sizes: different numbers of strains; and, with the strains of params.yaml, diffe
 the vertices in the loss, fractions of restarts near the best plan, and the other value of `fold` (whether a first
 manipulation must fold the cloth). A row per search and task goes to reports/<scale>/studies/search.csv, with the
 seconds per plan of that length, and the results of the restarts to search_restarts.csv. Existing rows are not computed
-again; rows made with other nets or other settings (`made_with`) are dropped.
+again; rows made with other nets or other settings (`fingerprint`) are dropped.
 
 The figure search.png shows, for each plan length, the error, the search failures (the recorded plan has the lower loss)
 and the first plan's loss against the number of loss evaluations per plan (strains times iterations), and, for the
@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from made_with import NAME, joined, made_with, read
+from fingerprint import COLUMN, append, fingerprint, read
 
 from clothkit.clock import Clock
 from clothkit.dataset import store
@@ -133,9 +133,9 @@ def main() -> None:
     optimiser: Any = plan.search.optimiser
     others = {name: value for name, value in dataclasses.asdict(optimiser).items() if name not in KEYS}
     inputs = [meshes, *artifacts(SYSTEMS["main"], data, members).values()]
-    made = made_with(inputs, others, plan.refine, weights, simulate.candidates, simulate.simulation)
-    table = read(path, [*KEYS, "sequence"], made)
-    restarts = read(of_restarts, [*KEYS, "length", "restart", "best", "least"], made)
+    current = fingerprint(inputs, others, plan.refine, weights, simulate.candidates, simulate.simulation)
+    table = read(path, [*KEYS, "sequence"], current)
+    restarts = read(of_restarts, [*KEYS, "length", "restart", "best", "least"], current)
     for size in searches(plan.search, asked):
         of_search = {name: value_of(size, name) for name in KEYS}
         done = set(table.loc[_same(table, of_search), "sequence"])
@@ -149,11 +149,11 @@ def main() -> None:
             annotate = partial(diagnosed, planner=planner)
             sessions, times = try_out(dataset, missing, "validation", planner, simulator, annotate=annotate)
             seconds = seconds_per_plan(times)
-            found = rows(sessions, "main").assign(**of_search, **{NAME: made})
+            found = rows(sessions, "main").assign(**of_search, **{COLUMN: current})
             found["seconds"] = found["length"].map(seconds)
-            table = joined(table[~_same(table, of_search)], found)
-            of_size = by_restart(sessions).assign(**of_search, **{NAME: made})
-            restarts = joined(restarts[~_same(restarts, of_search)], of_size)
+            table = append(table[~_same(table, of_search)], found)
+            of_size = by_restart(sessions).assign(**of_search, **{COLUMN: current})
+            restarts = append(restarts[~_same(restarts, of_search)], of_size)
             with unfinished(of_restarts) as part:
                 restarts.to_csv(part, index=False, lineterminator="\n", float_format="%.5g")
             with unfinished(path) as part:

@@ -50,9 +50,10 @@ def system_error(
 
 
 def damaged_piece(error: Exception, path: Path) -> InputError:
-    """The sentence for a piece of work that a power cut or a full disk has damaged: a run goes on from whole ones."""
+    """Return the sentence for a stored piece of work that a power cut or a full disk has damaged."""
     reason = (str(error).splitlines() or [type(error).__name__])[0]
-    return InputError(f"{path}: what an earlier run left is damaged ({reason}); delete this file and run again")
+    kind = "folder" if path.is_dir() else "file"
+    return InputError(f"{path}: what an earlier run left is damaged ({reason}); delete this {kind} and run again")
 
 
 def untold_error(error: Exception) -> InputError | None:

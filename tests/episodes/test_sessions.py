@@ -19,12 +19,18 @@ from clothkit.cloth.silhouette import centred
 from clothkit.dataset.store import SPLITS, Dataset
 from clothkit.dataset.tasks import Task
 from clothkit.episodes import record
-from clothkit.episodes.evaluate import cost, evaluate
+from clothkit.episodes.evaluate import TIMED_SESSIONS, cost, evaluate
 from clothkit.episodes.record import Pieces, Tasks, blank, join, load, save, save_piece, sizes_of, tasks_of_dataset
 from clothkit.episodes.sensors import Sensed
 from clothkit.episodes.sessions import run_sessions
 from clothkit.errors import InputError
 from clothkit.evaluation.session_rows import rows
+from clothkit.planning.agent import best_of_restarts
+from clothkit.planning.mesh_representation import MESH
+from clothkit.planning.perception import KnownMeshes
+from clothkit.planning.planner import Planner
+from clothkit.planning.types import Found, Observation, Problem
+from clothkit.resumable import load_piece
 from tests.planning import toy
 
 MANIPULATIONS = np.array([[-1, -1, -1, -1, 0.6, 0.5], [1, 1, 1, 1, -0.7, -0.3], [-1, 1, -1, 1, 0.5, -0.6]], np.float32)
@@ -249,7 +255,7 @@ def test_an_interrupted_run_goes_on_to_the_same_rows(tmp_path: Path) -> None:
     # Sequences of one manipulation have one task each.
     data = dataset()
     data, planner = dataclasses.replace(data, length=np.ones_like(data.length)), toy.planner("b1")
-    whole, times = evaluate(data, planner, toy.execute, work=tmp_path / "whole")
+    whole, seconds = evaluate(data, planner, toy.execute, work=tmp_path / "whole")
     calls = 0
 
     def killed(*arguments: np.ndarray) -> np.ndarray:
@@ -261,11 +267,14 @@ def test_an_interrupted_run_goes_on_to_the_same_rows(tmp_path: Path) -> None:
 
     with pytest.raises(KeyboardInterrupt):
         evaluate(data, planner, killed, work=tmp_path / "broken")
-    assert sorted(p.name for p in (tmp_path / "broken").iterdir()) == ["seconds_000.json", "sessions_000.npz"]
+    assert [p.name for p in (tmp_path / "broken").iterdir()] == ["sessions_000000"]
+    done = tmp_path / "broken/sessions_000000"
+    times = [path.stat().st_mtime_ns for path in sorted(done.iterdir())]
     resumed, _ = evaluate(data, planner, toy.execute, work=tmp_path / "broken")
+    assert [path.stat().st_mtime_ns for path in sorted(done.iterdir())] == times
     pd.testing.assert_frame_equal(rows(whole.whole(), "b1"), rows(resumed.whole(), "b1"))
     # Two pieces of one task; the first search, which compiles, is not counted.
-    assert cost(times)["plans"] == {"1": (1, pytest.approx(times["1"][1][1], abs=1e-3))}
+    assert cost(seconds)["plans"] == {"1": (1, pytest.approx(seconds["1"][1][1], abs=1e-3))}
     save(tmp_path / "a.zarr", whole, {"system": "b1"})
     save(tmp_path / "b.zarr", resumed, {"system": "b1"})
     files = [sorted(p for p in (tmp_path / f"{n}.zarr").rglob("*") if p.is_file()) for n in "ab"]
@@ -274,6 +283,20 @@ def test_an_interrupted_run_goes_on_to_the_same_rows(tmp_path: Path) -> None:
     np.testing.assert_array_equal(back.plan, whole.whole().plan)
     assert back.split.tolist() == ["test"] * 2
     assert len(join([back, back])) == 4
+
+
+@pytest.mark.parametrize("name", ["sessions.npz", "seconds.json"])
+def test_a_damaged_piece_is_told_by_its_folder(tmp_path: Path, name: str) -> None:
+    sessions = blank(tasks(Task(0, 0, 3)), sizes_of(toy.planner("b1")))
+    seconds = {"1": [(2, 0.1)], "estimates": [(1, 0.2)]}
+    TIMED_SESSIONS.save(tmp_path / "piece", (sessions, seconds))
+    loaded, loaded_seconds = load_piece(tmp_path / "piece", TIMED_SESSIONS)
+    np.testing.assert_array_equal(loaded.state, sessions.state)
+    assert loaded_seconds == seconds
+    path = tmp_path / "piece" / name
+    path.write_bytes(path.read_bytes()[:-5])
+    with pytest.raises(InputError, match=r"piece: what an earlier run left is damaged \(.*; delete this folder"):
+        load_piece(tmp_path / "piece", TIMED_SESSIONS)
 
 
 def test_memory_does_not_grow_with_the_number_of_tasks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

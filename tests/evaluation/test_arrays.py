@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from clothkit.errors import InputError
-from clothkit.evaluation.arrays import ESTIMATES, PICTURES, Named, load, save
+from clothkit.evaluation.arrays import ESTIMATES, PICTURES, NamedArray, load, save
 
 Arrays = dict[str, np.ndarray]
 
@@ -26,7 +26,7 @@ def estimates() -> Arrays:
 
 
 def write(path: Path, arrays: Arrays) -> Path:
-    save(path, {name: Named(values, ESTIMATES[name].dimensions) for name, values in arrays.items()}, {})
+    save(path, {name: NamedArray(values, ESTIMATES[name].dimensions) for name, values in arrays.items()}, {})
     return path
 
 
@@ -95,10 +95,14 @@ def test_pictures_of_what_was_not_seen(tmp_path: Path) -> None:
         "voxels": np.zeros((2, 3, 32, 32, 16), bool),
         "mesh": rng.normal(size=(2, 3, 32, 32, 3)).astype(np.float32),
     }
-    save(tmp_path / "p.zarr", {name: Named(values, PICTURES[name].dimensions) for name, values in arrays.items()}, {})
+    save(
+        tmp_path / "p.zarr",
+        {name: NamedArray(values, PICTURES[name].dimensions) for name, values in arrays.items()},
+        {},
+    )
     assert not load(tmp_path / "p.zarr", PICTURES)["voxels"].any()
     for shown in ([0, 1], [1, 4]):
         arrays["shown"] = np.array(shown)
-        save(tmp_path / "p.zarr", {name: Named(v, PICTURES[name].dimensions) for name, v in arrays.items()}, {})
+        save(tmp_path / "p.zarr", {name: NamedArray(v, PICTURES[name].dimensions) for name, v in arrays.items()}, {})
         with pytest.raises(InputError, match="array shown: expected states 1 to 3"):
             load(tmp_path / "p.zarr", PICTURES)

@@ -6,6 +6,7 @@ from unittest import mock
 
 import jax
 import numpy as np
+import pandas as pd
 import pytest
 
 from clothkit.cloth import voxels
@@ -61,8 +62,8 @@ def dataset() -> Dataset:
     )
 
 
-def test_states_are_seen_and_estimated_under_every_condition(dataset: Dataset, net: Net) -> None:
-    found = camera.estimation(dataset, net, SETTINGS, REFINE)
+def test_states_are_seen_and_estimated_under_every_condition(dataset: Dataset, net: Net, tmp_path: Path) -> None:
+    found = camera.estimation(dataset, net, SETTINGS, REFINE, work=tmp_path)
     rows = found.rows
     assert rows["condition"].drop_duplicates().tolist() == ["voxels", "above", "noisy"]
     assert rows.groupby("condition").size().tolist() == [5, 5, 5]
@@ -88,10 +89,32 @@ def test_states_are_seen_and_estimated_under_every_condition(dataset: Dataset, n
     assert 0.002 < found.arrays["height"].values[:, 0][measured].max() < 0.03
 
 
-def test_what_no_picture_shows_is_missing(dataset: Dataset, net: Net) -> None:
+def test_an_interrupted_estimation_goes_on_with_the_next_condition(dataset: Dataset, net: Net, tmp_path: Path) -> None:
+    whole = camera.estimation(dataset, net, SETTINGS, REFINE, work=tmp_path / "whole")
+    count = len(whole.rows) // 3
+
+    def stopped(*arguments: object) -> Picture:
+        pictures.append(arguments)
+        if len(pictures) == count + 2:
+            raise KeyboardInterrupt
+        return take(*arguments)  # type: ignore[arg-type]
+
+    pictures: list[object] = []
+    with mock.patch.object(camera, "take", stopped), pytest.raises(KeyboardInterrupt):
+        camera.estimation(dataset, net, SETTINGS, REFINE, work=tmp_path / "broken")
+    with mock.patch.object(camera, "take", stopped):
+        resumed = camera.estimation(dataset, net, SETTINGS, REFINE, work=tmp_path / "broken")
+    assert len(pictures) == count + 2 + count
+    pd.testing.assert_frame_equal(resumed.rows, whole.rows)
+    for name, array in whole.arrays.items():
+        np.testing.assert_array_equal(resumed.arrays[name].values, array.values)
+
+
+def test_what_no_picture_shows_is_missing(dataset: Dataset, net: Net, tmp_path: Path) -> None:
     away = dataclasses.replace(PICTURE, camera=dataclasses.replace(SMALL, aim=(3.0, 0.0)), off=0.0)
     with mock.patch.object(camera, "take", lambda mesh, settings: take(mesh + np.float32([50, 0, 0]), settings)):
-        rows = camera.estimation(dataset, net, dataclasses.replace(SETTINGS, picture=away), REFINE).rows
+        settings = dataclasses.replace(SETTINGS, picture=away)
+        rows = camera.estimation(dataset, net, settings, REFINE, work=tmp_path).rows
     before = rows[rows["condition"] != "voxels"]
     assert not before["seen"].any()
     assert before[["voxel_error", "centre_error", "iou", "error"]].isna().all(axis=None)
@@ -109,7 +132,7 @@ def test_a_camera_gives_the_voxels_and_shifts_of_its_pictures(net: Net) -> None:
         blind, first = camera(truth, truth[::-1]), camera(truth, None)
     assert not blind.shift.any()
     np.testing.assert_array_equal(blind.observation.voxels, voxels.observe(truth[::-1]))
-    np.testing.assert_array_equal(first.observation.voxels, [voxels.observe(flat())] * 2)
+    np.testing.assert_array_equal(first.observation.voxels, [voxels.observe(SQUARE.flat())] * 2)
 
 
 def test_sensors_see_as_high_as_the_net_knows(net: Net) -> None:

@@ -15,7 +15,7 @@ from clothkit.dataset.tasks import TASKS
 from clothkit.errors import InputError
 from clothkit.estimation.refine import RefineConfig
 from clothkit.evaluation import arrays, estimation, prediction
-from clothkit.evaluation.occupancy import occupancy, seen_occupancy
+from clothkit.evaluation.occupancy import occluded_occupancy, occupancy
 from clothkit.evaluation.settings import EvaluateEstimationConfig, EvaluatePredictionConfig
 from clothkit.models import pemd, vtm
 from clothkit.models.ensemble import Ensemble
@@ -104,13 +104,13 @@ def test_prediction_rows(dataset: Dataset, forward: Ensemble, estimates: estimat
     made, _ = predicted_by(
         forward.nets[1], given.meshes["main"][given.sequence == 2, 1], dataset.manipulation[2:3, 1:3]
     )
-    expected = seen_occupancy(
+    expected = occluded_occupancy(
         ProbabilisticMesh(*(np.asarray(part)[1] for part in made)), draws=256, key=jax.random.key(9)
     )
     assert row["voxel_error"] == pytest.approx(np.abs(np.asarray(expected)[0] - views[1]).mean(), rel=0.05)
     tall = [np.asarray(voxels.observe(dataset.vertices[2, i], height=0.25)) for i in (1, 3)]
     assert row["voxel_error_025_no_action"] == pytest.approx(np.mean(tall[0] != tall[1]), rel=1e-4)
-    expected = seen_occupancy(
+    expected = occluded_occupancy(
         ProbabilisticMesh(*(np.asarray(part)[1] for part in made)), draws=32, height=0.25, key=jax.random.key(9)
     )
     assert row["voxel_error_025"] == pytest.approx(np.abs(np.asarray(expected)[0] - tall[1]).mean(), rel=0.05)

@@ -1,4 +1,4 @@
-"""Eq. (16): exact integrals against samples, against logarithms in double precision, and by hand."""
+"""Eq. (16): exact integrals against logarithms in double precision, and by hand."""
 
 import jax
 import numpy as np
@@ -10,7 +10,7 @@ from scipy.stats import norm
 from clothkit.cloth import voxels
 from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.cloth.topology import SQUARE
-from clothkit.evaluation.occupancy import differences, occupancy, sampled_occupancy, seen_occupancy
+from clothkit.evaluation.occupancy import differences, occluded_occupancy, occupancy
 
 
 def prediction(seed: int, *, spread: float = 0.1, batch: int = 1) -> ProbabilisticMesh:
@@ -43,19 +43,6 @@ def test_it_is_the_product_of_eq_16_in_double_precision() -> None:
         np.testing.assert_allclose(found[i], by_logarithms(one), atol=2e-5)
 
 
-def test_samples_agree_within_their_error() -> None:
-    mesh = prediction(1)
-    exact = np.asarray(occupancy(mesh))[0]
-    draws = np.stack([sampled_occupancy(mesh, samples=256, key=jax.random.key(k))[0] for k in range(8)])
-    # Samples of different vertices are independent, so their product is unbiased; only its spread is left.
-    error = draws.std(0, ddof=1) / np.sqrt(len(draws))
-    deviation = (draws.mean(0) - exact)[error > 0] / error[error > 0]
-    assert abs(draws.mean() - exact.mean()) < 4 * draws.mean((1, 2, 3)).std(ddof=1) / np.sqrt(len(draws)) + 1e-6
-    # Student's t with seven degrees of freedom: its median absolute value is 0.711.
-    assert np.median(np.abs(deviation[exact[error > 0] > 0.2])) == pytest.approx(0.711, abs=0.1)
-    assert np.abs(draws.mean(0) - exact).max() < 0.06
-
-
 @given(st.floats(-1.2, 1.2), st.floats(-1.2, 1.2), st.floats(-0.1, 0.2), st.floats(0.01, 0.5))
 def test_a_cloth_of_equal_vertices_by_hand(x: float, y: float, z: float, std: float) -> None:
     """n equal vertices: 1 - (1 - p)^n; the shares of one sum to its probability of being above the viewport's floor."""
@@ -76,7 +63,6 @@ def test_a_certain_prediction_is_the_voxels_of_its_mesh() -> None:
     certain = ProbabilisticMesh(mean.astype(np.float32), np.full(mean.shape, 1e-5, np.float32))
     truth = np.asarray(voxels.of_mesh(certain.mean))
     np.testing.assert_allclose(occupancy(certain), truth, atol=1e-5)
-    np.testing.assert_allclose(sampled_occupancy(certain, samples=8, key=jax.random.key(0)), truth, atol=1e-6)
     assert float(differences(occupancy(certain), truth)[0]) == pytest.approx(0, abs=1e-6)
 
 
@@ -84,7 +70,7 @@ def test_a_certain_prediction_occluded_is_what_a_camera_sees_of_its_mesh() -> No
     rng = np.random.default_rng(3)
     mesh = SQUARE.flat() + np.array([0.013, 0.017, 0.004]) + rng.normal(0, [0.003, 0.003, 0.02], (1, 32, 32, 3))
     certain = ProbabilisticMesh(mesh.astype(np.float32), np.full(mesh.shape, 1e-6, np.float32))
-    found = np.asarray(seen_occupancy(certain, key=jax.random.key(0)))
+    found = np.asarray(occluded_occupancy(certain, key=jax.random.key(0)))
     # But for a vertex that lies on the border of voxels.
     assert np.mean(np.abs(found - np.asarray(voxels.observe(certain.mean))) > 1e-3) < 1e-3
 
@@ -94,7 +80,7 @@ def test_what_is_seen_of_one_uncertain_height_by_hand() -> None:
     mean = np.broadcast_to(np.array([0.03, 0.03, 0.001], np.float32), (1, 32, 32, 3)).copy()
     std = np.full_like(mean, 1e-6)
     mean[0, 5, 5, 2], std[0, 5, 5, 2] = 0.06, 0.01
-    found = np.asarray(seen_occupancy(ProbabilisticMesh(mean, std), draws=2000, key=jax.random.key(1)))[0, 16, 16]
+    found = np.asarray(occluded_occupancy(ProbabilisticMesh(mean, std), draws=2000, key=jax.random.key(1)))[0, 16, 16]
     edges = np.arange(16) * 0.125 / 16
     np.testing.assert_allclose(found, np.where(edges > 0, norm.sf(edges, 0.06, 0.01), 1), atol=0.04)
 

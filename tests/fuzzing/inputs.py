@@ -16,7 +16,7 @@ from clothkit.dataset.regularise import regularise
 from clothkit.dataset.rows import write_rows
 from clothkit.episodes import record
 from clothkit.evaluation import arrays
-from clothkit.evaluation.arrays import Named
+from clothkit.evaluation.arrays import NamedArray
 from clothkit.params import Params, load_params
 from clothkit.simulation.records import write_raw
 from clothkit.training import checkpoint
@@ -84,10 +84,10 @@ def _write_tables(data: Path, params: Params) -> None:
     write_rows(planning / "main.parquet", planning_rows(["main"], sequences=2), about("plan"))
     meshes, order = dataset.vertices[:3], ("sequence", "state", "u", "v", "xyz")
     estimates = {
-        "sequence": Named(np.arange(3), ("sequence",)),
-        **{name: Named(meshes, order) for name in ("mean", "mesh")},
-        "std": Named(np.full_like(meshes, 0.02), order),
-        "label": Named(np.zeros((3, 4), np.int32), ("sequence", "state")),
+        "sequence": NamedArray(np.arange(3), ("sequence",)),
+        **{name: NamedArray(meshes, order) for name in ("mean", "mesh")},
+        "std": NamedArray(np.full_like(meshes, 0.02), order),
+        "label": NamedArray(np.zeros((3, 4), np.int32), ("sequence", "state")),
     }
     arrays.save(data / "evaluation/estimates.zarr", estimates, about("evaluate_estimation"))
     keys = product(("test", "train"), range(2), (1, 2, 3), ("pmr", "dmr"))

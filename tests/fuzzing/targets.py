@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 from unittest import mock
@@ -31,8 +32,9 @@ from clothkit.planning import agent, normalisation
 from clothkit.planning.batches import take
 from clothkit.planning.planner import Planner
 from clothkit.planning.types import Memory, Observation
-from clothkit.report import made_with
+from clothkit.report import run_settings
 from clothkit.report.timings import table_8
+from clothkit.resumable import load_piece
 from clothkit.simulation import arcsim_obj, arcsim_runs, arcsim_scene, generation
 from clothkit.training import checkpoint
 from tests.app.plans import BOTH, ONE
@@ -173,7 +175,7 @@ def _table(declared: tables.Table) -> Callable[[Path], Any]:
 
 def _settings(path: Path) -> Any:
     """What a report says that it was made with, less the text of its file."""
-    return dataclasses.replace(made_with.read(path), text="")
+    return dataclasses.replace(run_settings.read(path), text="")
 
 
 def _imported(runs: Path) -> Any:
@@ -224,7 +226,7 @@ LOADERS = (
     loader("reference values", REFERENCE.path, "json", normalisation.load),
     Target("net", (*NETS[:2], *VTM), lambda _: [nets.load(Path(f"data/nets/{name}")) for name in ("pemd/0", "vtm")]),
     loader("piece of sessions", "work/sessions_000.npz", "npz", record.load_piece),
-    loader("block of attempts", "work/block.npz", "bytes", generation.read_block),
+    loader("block of attempts", "work/block.npz", "bytes", partial(load_piece, storage=generation.BLOCKS)),
     loader("checkpoint", "work/checkpoint", "bytes", lambda path: checkpoint.read(path, [0, 0])),
     loader(
         "note of a stage's cost",

@@ -1,13 +1,10 @@
 """Arcs by hand, in metres and seconds; turns that keep the cloth as it is; boxes that a robot reaches."""
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from clothkit.cloth.silhouette import centred
 from clothkit.cloth.topology import SQUARE
-from clothkit.errors import InputError
-from clothkit.manipulation.turns import turn_mesh
 from clothkit.observation.pose import Pose
 from clothkit.observation.waypoints import (
     HandPaths,
@@ -16,15 +13,13 @@ from clothkit.observation.waypoints import (
     beyond,
     hand_paths,
     symmetries,
-    turned,
-    within_reach,
 )
 from tests.observation.scenes import SCALE, folded
 from tests.observation.scenes import turned as turned_mesh
 
+EVERYWHERE = ReachConfig(low=(-9.0, -9.0, -9.0), high=(9.0, 9.0, 9.0))
 POSE = Pose(np.eye(3), np.zeros(3), np.array([0.5, 0.1]), SCALE)
 HALF = np.array([1.0, -1.0, 1.0, 1.0, -1.4, 0.0], np.float32)
-EVERYWHERE = ReachConfig(low=(-9.0, -9.0, -9.0), high=(9.0, 9.0, 9.0))
 
 
 def test_a_half_fold_in_metres_and_seconds() -> None:
@@ -84,34 +79,6 @@ def test_crumpled_cloth_is_not_turned() -> None:
     bent = SQUARE.flat().copy()
     bent[20:, 12:, :2] -= [0.4, 0.1]
     assert len(symmetries(centred(bent)[0])) == 1
-
-
-def test_a_turned_plan_does_to_the_turned_cloth_what_the_plan_does_to_the_cloth() -> None:
-    mesh = folded()
-    matrix = symmetries(SQUARE.flat())[3]
-    moved = np.asarray(turn_mesh(jnp.asarray(mesh), jnp.asarray(matrix, jnp.float32)))
-    manipulation = np.array([-1, 0.5, -0.5, -1, 0.6, 0.5], np.float32)
-    rotated = np.append(manipulation[:4], manipulation[4:] @ matrix.T).astype(np.float32)
-    expected = hand_paths(rotated, moved, POSE)
-    found = turned(hand_paths(manipulation, mesh, POSE), matrix, about=POSE.centre)
-    np.testing.assert_allclose(found.points, expected.points, atol=1e-6)
-    np.testing.assert_allclose(found.times, expected.times, atol=1e-6)
-
-
-def test_a_plan_is_turned_into_reach_and_says_how() -> None:
-    paths = [hand_paths(HALF, SQUARE.flat(), POSE)]
-    untouched = within_reach(paths, EVERYWHERE, SQUARE.flat(), POSE)
-    np.testing.assert_array_equal(untouched.matrix, np.eye(2))
-    np.testing.assert_array_equal(untouched.paths[0].points, paths[0].points)
-    # The single hand takes a corner on the left alone: the box has no more than that half.
-    single = np.array([1, 1, 1, 1, 0.0, -0.6], np.float32)
-    left = ReachConfig(low=(0.2, -1.0, -0.01), high=(0.5, 1.0, 0.3))
-    fitted = within_reach([hand_paths(single, SQUARE.flat(), POSE)], left, SQUARE.flat(), POSE)
-    assert beyond(fitted.paths, left) == 0
-    corner = np.array([0.2, 0.2]) @ fitted.matrix.T + POSE.centre
-    np.testing.assert_allclose(fitted.paths[0].points[0, 0, :2], corner, atol=1e-6)
-    with pytest.raises(InputError, match=r"plan: out of reach, .* at least 0\.1 m outside the box"):
-        within_reach(paths, ReachConfig(low=(0.4, -1.0, -1.0), high=(1.0, 1.0, 1.0)), SQUARE.flat(), POSE)
 
 
 def test_beyond_by_hand() -> None:

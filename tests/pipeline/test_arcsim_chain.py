@@ -116,7 +116,7 @@ def test_the_chain_runs_on_from_arcsims_runs(tmp_path: Path) -> None:
         trained = train_pemd(PEMD, training, validation, work=work, key=jax.random.key(member))
         nets.append(Net(PEMD.net, trained.params))
         histories[str(member)] = trained.history
-    both = tuple(nets)
+    ensemble = Ensemble((0, 1), tuple(nets))
     (tmp_path / "voxel").mkdir()
     trained = train_emd_voxel(VOXEL, training, validation, work=tmp_path / "voxel", key=jax.random.key(3))
     voxel_net = Net(VOXEL.net, trained.params)
@@ -130,16 +130,15 @@ def test_the_chain_runs_on_from_arcsims_runs(tmp_path: Path) -> None:
     settings = EvaluatePredictionConfig(batch=4, stored=3)
     given = prediction.starts(dataset, estimates)
     arrays.save(tmp_path / "predictions.zarr", prediction.stored(dataset, given, nets[0], settings), {})
-    both = (nets[0], nets["b"])
     planner = Planner(
         system("main"),
         representation=MESH,
-        model=model,
-        members=(0, 1),
-        nets=weights,
+        model=ensemble.model,
+        members=ensemble.members,
+        nets=ensemble.params,
         best=0,
         perception=Estimation(vtm, PLAN.refine),
-        normalisation=normalise(model, MESH, weights, validation, NormaliseConfig(draws=1)),
+        normalisation=normalise(ensemble.model, MESH, ensemble.params, validation, NormaliseConfig(draws=1)),
         weights=Weights(1.0, 5.0, 1.25),
         settings=PLAN,
         grasping=CandidateConfig(),
@@ -148,11 +147,11 @@ def test_the_chain_runs_on_from_arcsims_runs(tmp_path: Path) -> None:
     pieces, _ = evaluate(dataset, planner, toy.execute, work=tmp_path / "plan", annotate=annotate)
     sessions = pieces.whole()
 
-    seen = camera.estimation(dataset, vtm, CAMERA, REFINE)
+    seen = camera.estimation(dataset, vtm, CAMERA, REFINE, work=tmp_path / "states")
     arrays.save(tmp_path / "pictures.zarr", seen.arrays, {})
     before = camera_planning.planning(dataset, planner, toy.execute, sessions, CAMERA, work=tmp_path / "camera")
 
-    of_meshes = prediction.rows(dataset, given, Ensemble((0, 1), both), settings)
+    of_meshes = prediction.rows(dataset, given, ensemble, settings)
     of_voxels = voxel_prediction.rows(dataset, given.sequence, Ensemble((0,), (voxel_net,)), settings)
     predicted = pd.concat([of_meshes, of_voxels], ignore_index=True)
     planned = rows(sessions, "main").merge(viewport.rows(sessions, "main"), validate="one_to_one")

@@ -13,11 +13,11 @@ from clothkit.dataset.store import Dataset
 from clothkit.dataset.tasks import TASKS
 from clothkit.evaluation import camera_planning, planning
 from clothkit.evaluation.comparisons import of_predictions
-from clothkit.report import camera_tables, contents, planning_tables, tables, timings
+from clothkit.report import camera_tables, contents, pages, planning_tables, tables, timings
 from clothkit.report.blocks import Section
 from clothkit.report.budgets import budgets
 from clothkit.report.rows import VOXEL_SYSTEMS
-from clothkit.report.sections import sections
+from clothkit.report.sections import TABLES, sections
 from tests.evaluation import camera_rows
 from tests.evaluation.planning_rows import planning_rows
 
@@ -129,7 +129,7 @@ def write_report(folder: Path, made: dict[str, pd.DataFrame], figures: Sequence[
     (folder / "tables").mkdir(parents=True)
     (folder / "figures").mkdir()
     for name, table in made.items():
-        path = folder / ("" if name in contents.COSTS else "tables") / f"{name}.csv"
+        path = folder / ("" if f"{name}.csv" in TABLES else "tables") / f"{name}.csv"
         table.to_csv(path, index=False, float_format="%.5g", lineterminator="\n")
     for name in figures:
         picture = np.full((300, 1700, 3), 255, np.uint8)
@@ -141,10 +141,10 @@ def write_report(folder: Path, made: dict[str, pd.DataFrame], figures: Sequence[
 
 def contents_of(folder: Path, planners: tuple[str, ...], figures: Sequence[str] = ()) -> contents.Contents:
     """What pages show of made-up rows."""
-    return contents.read(write_report(folder, tables_of(planners), figures))
+    return pages.read(write_report(folder, tables_of(planners), figures))
 
 
 def parts_of(shown: contents.Contents) -> list[Section]:
     """The sections of its pages."""
     own = shown.tables["table_6"].query("source == 'clothkit'")["system"].drop_duplicates()
-    return sections(shown, budgets(shown.made_with, shown.tables.get("timings"), [s for s in own if s != "no action"]))
+    return sections(shown, budgets(shown.settings, shown.tables.get("timings"), [s for s in own if s != "no action"]))

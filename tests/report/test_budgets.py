@@ -9,11 +9,11 @@ import pytest
 
 from clothkit.errors import InputError
 from clothkit.models.settings import EnsembleConfig, PEMDConfig
-from clothkit.report import made_with
-from clothkit.report.budgets import budgets, differ, told, told_of_nets
+from clothkit.report import run_settings
+from clothkit.report.budgets import budgets, differ, difference, difference_of_training
 from tests.report.contents import LAPTOP
 
-MADE_WITH = made_with.read(LAPTOP / "params.yaml")
+RUN = run_settings.read(LAPTOP / "params.yaml")
 
 
 def times(**cpu_seconds: float) -> pd.DataFrame:
@@ -22,7 +22,7 @@ def times(**cpu_seconds: float) -> pd.DataFrame:
 
 
 TIMES = times(train_pemd__0=600, train_pemd__1=660, train_emd_voxel__0=300, train_emd_voxel__1=330, plan__b4=9)
-TABLE = budgets(MADE_WITH, TIMES, ["main", "b2", "b4", "b5"])
+TABLE = budgets(RUN, TIMES, ["main", "b2", "b4", "b5"])
 
 
 def row(source: str, system: str) -> dict[str, float]:
@@ -45,19 +45,19 @@ def test_budgets_by_hand() -> None:
 
 def test_an_ensembles_budget_is_that_of_its_members() -> None:
     """Not of nets that were trained for another ensemble; of older reports it is that of all."""
-    made = dataclasses.replace(MADE_WITH, ensemble=EnsembleConfig(members=(0, 1, 3)))
+    of_three = dataclasses.replace(RUN, ensemble=EnsembleConfig(members=(0, 1, 3)))
     notes = times(train_pemd__0=60, train_pemd__1=60, train_pemd__2=6000, train_pemd__3=120)
-    of = budgets(made, notes, ["main", "b2"]).set_index(["source", "system"])
+    of = budgets(of_three, notes, ["main", "b2"]).set_index(["source", "system"])
     assert (of.loc[("clothkit", "main"), "nets"], of.loc[("clothkit", "b2"), "nets"]) == (3, 1)
     assert of.loc[("clothkit", "main"), "training_cpu_minutes"] == 4
     assert of.loc[("paper", "main"), "nets"] == 2
-    before = budgets(MADE_WITH, times(train_pemd__a=600, train_pemd__b=660), ["main"])
+    before = budgets(RUN, times(train_pemd__a=600, train_pemd__b=660), ["main"])
     assert before["training_cpu_minutes"].iloc[0] == 21
 
 
 def test_parameters_of_a_small_net_by_hand() -> None:
     small = PEMDConfig(latent=2, encoder=(3,), manipulation=2, decoder=(3,))
-    made = dataclasses.replace(MADE_WITH, pemd=dataclasses.replace(MADE_WITH.pemd, net=small))
+    made = dataclasses.replace(RUN, pemd=dataclasses.replace(RUN.pemd, net=small))
     found = int(budgets(made, None, ["main"])["parameters"].iloc[0])
     encoder = 3072 * 3 + 3 + 3 * 2 + 2
     decoder = 2 * 3 + 3 + 3 * 6144 + 6144
@@ -74,18 +74,18 @@ def test_unequal_means_are_told_apart() -> None:
     assert not differ(TABLE, "b4", "b5")
     assert not differ(TABLE, "main", "b2")
     assert not differ(TABLE, "main", "b9")
-    assert told(TABLE) == (
+    assert difference(TABLE) == (
         "*b4* and *b5* search with 5.3 to 6.4 times fewer evaluations of the loss than *main*; their nets were trained "
         "for 10 CPU minutes, those of *main* for 21"
     )
-    assert told(budgets(MADE_WITH, TIMES, ["main"])) == ""
+    assert difference(budgets(RUN, TIMES, ["main"])) == ""
     # Equal searches and, as far as is known, equal training: nothing to mark; one more minute in ten: marked.
-    same = dataclasses.replace(MADE_WITH, voxel_search=MADE_WITH.search)
+    same = dataclasses.replace(RUN, voxel_search=RUN.search)
     assert not differ(budgets(same, None, ["main", "b4"]), "main", "b4")
     for minutes, apart in ((10.4, False), (11, True)):
         trained = times(train_pemd__0=600, train_emd_voxel__0=60 * minutes)
         assert differ(budgets(same, trained, ["main", "b4"]), "main", "b4") == apart
-    assert "a time that is not known" in told_of_nets(budgets(same, None, ["main", "b4"]), "a2's")
+    assert "an unknown time" in difference_of_training(budgets(same, None, ["main", "b4"]), "a2's")
 
 
 @pytest.mark.parametrize(
@@ -102,9 +102,9 @@ def test_bad_settings_are_named(tmp_path: Path, change: tuple[str, str], sentenc
     assert change[0] in text
     (tmp_path / "params.yaml").write_text(text.replace(*change))
     with pytest.raises(InputError, match=sentence):
-        made_with.read(tmp_path / "params.yaml")
+        run_settings.read(tmp_path / "params.yaml")
 
 
 def test_settings_that_are_not_there_are_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"params\.yaml: not found"):
-        made_with.read(tmp_path / "params.yaml")
+        run_settings.read(tmp_path / "params.yaml")

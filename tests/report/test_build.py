@@ -16,13 +16,12 @@ from clothkit.episodes.record import Sessions, Sizes, blank, tasks_of_dataset
 from clothkit.evaluation import calibration, camera_planning, planning
 from clothkit.evaluation.comparisons import of_predictions
 from clothkit.report import pages, panels, timings
-from clothkit.report.build import build, picked
-from clothkit.report.captions import CAPTIONS
-from clothkit.report.contents import TABLES
+from clothkit.report.build import build, example_tasks
 from clothkit.report.figures.largest import Failure, largest
 from clothkit.report.figures.sessions import median, of_record, sessions
 from clothkit.report.inputs import Inputs
 from clothkit.report.rows import VOXEL_SYSTEMS
+from clothkit.report.sections import CAPTIONS, TABLES
 from clothkit.report.settings import ReportConfig
 from tests.evaluation import camera_rows
 from tests.evaluation.planning_rows import planning_rows
@@ -150,11 +149,11 @@ def test_a_report_is_complete(inputs: Inputs, tmp_path: Path) -> None:
     report = tmp_path / "report"
     made = build(report, inputs, SETTINGS)
     found = set(contents(report))
-    assert made.keys() == TABLES.keys()
+    tables = {path for path in TABLES if path.startswith("tables/")} | {"tables/planned.csv"}
+    assert {f"tables/{name}.csv" for name in made} == tables
     pictures = {f"figures/{name}.png" for name in CAPTIONS}
-    csv = {f"tables/{name}.csv" for name in TABLES}
     data = {f"plots/{name}.csv" for name in ("learning", "calibration", "prediction", "planning", "table_6")}
-    assert found == {"metrics.json", "metrics.csv", "figures/captions.json"} | csv | data | pictures
+    assert found == {"metrics.json", "metrics.csv", "figures/captions.json"} | tables | data | pictures
     assert len((report / "tables/largest.csv").read_text().splitlines()) == 1 + SETTINGS.largest
     # Its pages show all of it.
     shutil.copy(LAPTOP / "params.yaml", report)
@@ -163,11 +162,11 @@ def test_a_report_is_complete(inputs: Inputs, tmp_path: Path) -> None:
     pages.write(report, report)
     page, markup = ((report / name).read_text() for name in ("README.md", "index.html"))
     assert all(picture in page for picture in pictures)
-    assert all(f"(tables/{name}.csv)" in page for name in TABLES if name != "planned")
+    assert all(f"({path})" in page for path in TABLES)
     assert "every task of 2 test sequences" in page
     assert "Too few test sequences were planned for (2)" in page
     assert len(tree(markup).all("img")) == len(pictures)
-    assert "No stage has left a note." in markup
+    assert "No stage has recorded its time." in markup
     assert len(markup) < 8e6
 
 
@@ -180,7 +179,7 @@ def test_a_session_is_drawn_from_its_record(inputs: Inputs, dataset: Dataset, tm
     np.testing.assert_allclose(session.steps[1].candidates, dataset.vertices[1, 2][[0, 31], 0, :2], atol=1e-6)
     assert of_record(inputs.sessions, dataset, rows, Task(7, 0, 1), net=1) is None
     for name in ("one.png", "two.png"):
-        sessions([session], tmp_path / name, abreast=1)
+        sessions([session], tmp_path / name, per_row=1)
     assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
 
 
@@ -232,8 +231,8 @@ def test_the_median_case_is_shown_and_named(inputs: Inputs) -> None:
 
 
 def test_pictures_take_the_starts_in_turn() -> None:
-    assert picked([5, 6, 7, 8], [3] * 4, 1) == [Task(5, 0, 1), Task(6, 1, 1), Task(7, 2, 1), Task(8, 0, 1)]
-    assert picked([5, 6], [3, 3], 3) == [Task(5, 0, 3), Task(6, 0, 3)]
+    assert example_tasks([5, 6, 7, 8], [3] * 4, 1) == [Task(5, 0, 1), Task(6, 1, 1), Task(7, 2, 1), Task(8, 0, 1)]
+    assert example_tasks([5, 6], [3, 3], 3) == [Task(5, 0, 3), Task(6, 0, 3)]
     # Short sequences have fewer starts, or none.
-    assert picked([5, 6, 7], [1, 1, 2], 1) == [Task(5, 0, 1), Task(6, 0, 1), Task(7, 0, 1)]
-    assert picked([5, 6], [1, 2], 2) == [Task(6, 0, 2)]
+    assert example_tasks([5, 6, 7], [1, 1, 2], 1) == [Task(5, 0, 1), Task(6, 0, 1), Task(7, 0, 1)]
+    assert example_tasks([5, 6], [1, 2], 2) == [Task(6, 0, 2)]

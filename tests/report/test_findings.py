@@ -19,24 +19,24 @@ def compared(against: str, sequences: int = 100, **told: tuple[float, float]) ->
 
 def test_worse_and_no_lead() -> None:
     term = compared("b3", s1_2=(0.0124, 0.0014), s2_1=(0.01351, 0.0019), s2_all=(0.0086, 0.0203))
-    said = findings(pd.concat([term, compared("b2")]))
-    assert said == [
-        "Plans were no better with the uncertainty term (alpha) than without it (*main* against *b3*, which differs "
-        "from it in this alone; 100 test sequences), and worse in one-step plans from state 2 (mean error 0.0124 "
+    paragraphs = findings(pd.concat([term, compared("b2")]))
+    assert paragraphs == [
+        "Plans were no better with the uncertainty term (alpha) than without it (*main* compared with *b3*, which "
+        "differs in nothing else; 100 test sequences), and worse in one-step plans from state 2 (mean error 0.0124 "
         "larger, p 0.0014) and two-step plans from state 1 (mean error 0.0135 larger, p 0.0019).\n",
-        "The lead that *main* has over *b2* (one net) and *b3* (without the term) in the paper was not found.\n",
+        "In the paper *main* is better than *b2* (one net) and *b3* (without the term); here this was not found.\n",
         RULE,
     ]
 
 
 def test_no_difference_is_not_told_from_p_alone() -> None:
     # Of eight columns one is below 0.05 in every third table without any difference.
-    said = findings(compared("b3", s1_0=(-0.02, 0.0063)))
-    assert said[0].endswith("100 test sequences): no difference was found.\n")
-    said = findings(compared("b3", s1_0=(-0.02, 0.0062)))
-    assert "Plans were better with the uncertainty term (alpha) than without it" in said[0]
-    assert said[0].endswith(": one-step plans from the flat cloth (mean error 0.0200 smaller, p 0.0062).\n")
-    assert said[1].startswith("The paper's lead of *main* over *b3* (without the term) was found in one-step")
+    paragraphs = findings(compared("b3", s1_0=(-0.02, 0.0063)))
+    assert paragraphs[0].endswith("100 test sequences): no difference was found.\n")
+    paragraphs = findings(compared("b3", s1_0=(-0.02, 0.0062)))
+    assert "Plans were better with the uncertainty term (alpha) than without it" in paragraphs[0]
+    assert paragraphs[0].endswith(": one-step plans from the flat cloth (mean error 0.0200 smaller, p 0.0062).\n")
+    assert paragraphs[1].startswith("As in the paper, *main* was better than *b3* (without the term) in one-step")
     both = findings(compared("b3", s1_0=(-0.02, 0.001), s3_all=(0.03, 0.001)))[0]
     assert "plans were better than without it" in both
     assert both.endswith("and worse in three-step plans (mean error 0.0300 larger, p 0.001).\n")
@@ -44,17 +44,19 @@ def test_no_difference_is_not_told_from_p_alone() -> None:
 
 def test_too_few_sequences_tell_nothing() -> None:
     worse = {"s1_2": (0.5, 0.0001)}
-    said = findings(pd.concat([compared(name, 9, **worse) for name in ("b2", "b3", "unrefined")]))
-    assert said[0] == "Too few test sequences were planned for (9) to tell what the uncertainty term is worth.\n"
-    assert "enough to tell" in said[1]
-    assert said[2].endswith("too few sequences were planned for here to tell.\n")
+    paragraphs = findings(pd.concat([compared(name, 9, **worse) for name in ("b2", "b3", "unrefined")]))
+    assert (
+        paragraphs[0] == "Too few test sequences were planned for (9) to measure the effect of the uncertainty term.\n"
+    )
+    assert "enough to tell" in paragraphs[1]
+    assert paragraphs[2].endswith("too few sequences were planned for here to compare.\n")
 
 
 def test_what_refinement_is_worth_is_told_of_plans_without_it() -> None:
-    said = findings(compared("unrefined", s1_all=(-0.02, 0.001)))[0]
-    assert said.endswith("here it harmed one-step plans from every start (mean error 0.0200 larger, p 0.001).\n")
-    said = findings(compared("unrefined", s1_all=(0.02, 0.001)))[0]
-    assert "plans without it were better in one-step plans from every start (mean error 0.0200 smaller" in said
+    paragraphs = findings(compared("unrefined", s1_all=(-0.02, 0.001)))[0]
+    assert paragraphs.endswith("here it harmed one-step plans from every start (mean error 0.0200 larger, p 0.001).\n")
+    paragraphs = findings(compared("unrefined", s1_all=(0.02, 0.001)))[0]
+    assert "plans without it were better in one-step plans from every start (mean error 0.0200 smaller" in paragraphs
     assert "no difference was found" in findings(compared("unrefined"))[0]
 
 

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from clothkit.report.captions import CAPTIONS
+from clothkit.report.sections import CAPTIONS
 from tests.report.web import made_up_page
 
 CHROMIUM = shutil.which("chromium")

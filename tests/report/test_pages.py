@@ -7,10 +7,14 @@ import pytest
 
 from clothkit.errors import InputError
 from clothkit.evaluation import comparisons
-from clothkit.report import contents, page, pages, printed, said
-from clothkit.report.captions import CAPTIONS
+from clothkit.report import formatting, pages, sections, texts
+from clothkit.report.blocks import Picture
+from clothkit.report.entries import Figure, Section, Table, Text
+from clothkit.report.markdown.page import page
+from clothkit.report.sections import CAPTIONS, TABLES
 from tests.evaluation.planning_rows import SYSTEMS
 from tests.report.contents import contents_of, parts_of, tables_of, write_report
+from tests.report.web import tree
 
 REPORTS = Path(__file__).parents[2] / "reports"
 
@@ -25,11 +29,15 @@ def test_the_committed_pages_are_made_from_the_committed_tables(scale: str, tmp_
 
 @pytest.mark.parametrize(
     "missing",
-    [("table_4_025", "table_7_025", "planned"), tuple(set(contents.TABLES) - {"table_6"}), ("timings", "table_8")],
+    [
+        ("table_4_025", "table_7_025", "planned"),
+        tuple({Path(path).stem for path in TABLES} - {"table_6"}),
+        ("timings", "table_8"),
+    ],
 )
 def test_what_an_older_report_lacks_is_not_missed(tmp_path: Path, missing: tuple[str, ...]) -> None:
     made = {name: table for name, table in tables_of(SYSTEMS).items() if name not in missing}
-    text = page.page("laptop", parts_of(contents.read(write_report(tmp_path / "report", made))))
+    text = page("Report: laptop", parts_of(pages.read(write_report(tmp_path / "report", made))))
     for name in missing:
         assert f"tables/{name}.csv" not in text
     assert "every task of" in text
@@ -38,19 +46,54 @@ def test_what_an_older_report_lacks_is_not_missed(tmp_path: Path, missing: tuple
     )
 
 
+def test_a_section_is_left_out_where_a_report_lacks_its_data(tmp_path: Path) -> None:
+    made = {"table_6": tables_of(SYSTEMS)["table_6"]}
+    parts = parts_of(pages.read(write_report(tmp_path / "report", made, ["sequences"])))
+    assert [section.id for section in parts] == [
+        *("short", "planning", "prediction", "estimation", "data", "time", "params")
+    ]
+    text = page("Report: laptop", parts)
+    # Of its parts those are left out that are not there: neither the dataset's tables nor the learning curves.
+    (found,) = (section for section in parts if section.id == "data")
+    assert [type(block) for block in found.blocks] == [Picture]
+    assert "depth camera" not in text
+
+
+def test_a_section_is_one_entry_for_both_renderers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = write_report(tmp_path / "report", tables_of(SYSTEMS))
+    more = Section(
+        "hands",
+        "Hands",
+        (
+            Text(lambda report: f"{len(report.table('splits'))} splits.\n"),
+            Table("splits", "Hands by split", ("split", "single_handed"), rows=lambda _, rows: rows[["split"]]),
+            Figure("hands", "Hands", "Not drawn."),
+        ),
+    )
+    monkeypatch.setattr(sections, "SECTIONS", (*sections.SECTIONS, more))
+    pages.write(folder, tmp_path)
+    text, markup = ((tmp_path / name).read_text() for name in ("README.md", "index.html"))
+    assert "## Hands\n\n3 splits.\n\n### Hands by split\n\n[CSV](tables/splits.csv)\n\n| split |" in text
+    (found,) = tree(markup).all("section", id="hands")
+    assert [head.text for head in found.all("h3")] == ["Hands by split"]
+    assert found.all("p")[0].text == "3 splits."
+    assert tree(markup).all("a", href="#hands")
+    assert "Not drawn" not in text + markup
+
+
 def test_intervals_of_too_few_sequences_are_not_shown(tmp_path: Path) -> None:
-    assert printed.LEAST == comparisons.LEAST, "what evaluations leave out is called too few, and nothing else is"
+    assert formatting.LEAST == comparisons.LEAST, "what evaluations leave out is called too few, and nothing else is"
     folder = write_report(tmp_path / "report", tables_of(SYSTEMS))
     few = pd.read_csv(folder / "tables/planned.csv").assign(sequences=[12, 9])
     few.to_csv(folder / "tables/planned.csv", index=False)
     compared = pd.read_csv(folder / "tables/planning_comparisons.csv")
     compared.loc[compared["column"] == "3/all", "sequences"] = 9
     compared.to_csv(folder / "tables/planning_comparisons.csv", index=False)
-    shown = contents.read(folder)
+    shown = pages.read(folder)
     intervals = shown.tables["table_7"].query("statistic in ('mean 95 % low', 'mean 95 % high')")
     assert intervals.groupby("split")["1/0"].count().to_dict() == {"test": 12, "train": 0}
     assert shown.tables["table_7"].query("statistic == 'mean'").notna().all(axis=None)
-    text = page.page("laptop", parts_of(shown))
+    text = page("Report: laptop", parts_of(shown))
     assert "| train | b2 | mean 95 % high | clothkit |" + 8 * " too few |" in text
     (line,) = (line for line in text.splitlines() if line.startswith("| error | main | b1 | 3/all |"))
     assert line.endswith("| too few | too few | too few |")
@@ -63,41 +106,41 @@ def test_intervals_of_too_few_sequences_are_not_shown(tmp_path: Path) -> None:
 def test_reports_of_before_sequences_were_counted_tell_them_by_their_comparisons(tmp_path: Path) -> None:
     made = tables_of(SYSTEMS, sequences=11)
     del made["planned"]
-    assert contents.read(write_report(tmp_path / "one", made)).planned == {"test": 11, "train": 11}
+    assert pages.read(write_report(tmp_path / "one", made)).planned == {"test": 11, "train": 11}
     del made["planning_comparisons"]
     # Then by their settings.
-    assert contents.read(write_report(tmp_path / "two", made)).planned == {"test": 20, "train": 5}
+    assert pages.read(write_report(tmp_path / "two", made)).planned == {"test": 20, "train": 5}
 
 
 def test_a_study_of_the_memory_trace_is_linked_where_there_is_one(tmp_path: Path) -> None:
     shown = contents_of(tmp_path / "report", SYSTEMS)
-    assert "What it is worth was not measured for this report." in page.page("laptop", parts_of(shown))
+    assert "The effect was not measured for this report." in page("Report: laptop", parts_of(shown))
     (tmp_path / "report/studies").mkdir()
     (tmp_path / "report/studies/memory.csv").write_text("system\n")
-    assert "[A study](studies/memory.csv)" in page.page("laptop", parts_of(contents.read(tmp_path / "report")))
+    assert "[A study](studies/memory.csv)" in page("Report: laptop", parts_of(pages.read(tmp_path / "report")))
 
 
 def test_whole_figures_stay_figures_and_counts_stay_counts(tmp_path: Path) -> None:
     made = tables_of(SYSTEMS)
     compared = made["planning_comparisons"].assign(difference=2.0)
-    shown = contents.read(write_report(tmp_path / "report", {**made, "planning_comparisons": compared}))
+    shown = pages.read(write_report(tmp_path / "report", {**made, "planning_comparisons": compared}))
     line = next(
-        line for line in page.page("laptop", parts_of(shown)).splitlines() if line.startswith("| error | main |")
+        line for line in page("Report: laptop", parts_of(shown)).splitlines() if line.startswith("| error | main |")
     )
     assert "| 1/all | 12 | 2.00 |" in line
 
 
 def test_pictures_keep_the_captions_that_they_were_drawn_with(tmp_path: Path) -> None:
     folder = write_report(tmp_path / "report", tables_of(SYSTEMS), ["curves"])
-    assert contents.read(folder).figures == {"curves": CAPTIONS["curves"]}
+    assert pages.read(folder).figures == {"curves": CAPTIONS["curves"]}
     (folder / "figures/captions.json").write_text('{"curves": "As of *then*.", "scatter": "Not there."}')
-    shown = contents.read(folder)
-    assert "*As of *then*.*" in page.page("laptop", parts_of(shown))
+    shown = pages.read(folder)
+    assert "*As of *then*.*" in page("Report: laptop", parts_of(shown))
     assert shown.figures == {"curves": "As of *then*."}
     for text in ("{", "[]", "{}"):
         (folder / "figures/captions.json").write_text(text)
         with pytest.raises(InputError, match=r"captions\.json: expected a JSON object with a caption"):
-            contents.read(folder)
+            pages.read(folder)
 
 
 def test_where_voxel_tables_stand_is_told_in_times_of_the_papers(tmp_path: Path) -> None:
@@ -108,8 +151,8 @@ def test_where_voxel_tables_stand_is_told_in_times_of_the_papers(tmp_path: Path)
     table.loc[own & (table["system"] == "main"), ["1/all", "2/all", "3/all"]] = [0.01122, 0.01814, 0.02975]
     errors = made["table_6"].copy()
     errors.loc[own & (errors["system"] == "main"), ["1/all", "2/all", "3/all"]] = [0.0495, 0.04095, 0.109]
-    shown = contents.read(write_report(tmp_path / "report", {**made, "table_7": table, "table_6": errors}))
-    told = said.viewport(shown, "table_7", "table_6")
+    shown = pages.read(write_report(tmp_path / "report", {**made, "table_7": table, "table_6": errors}))
+    told = texts.viewport(shown, "table_7", "table_6")
     assert told.startswith(
         "Of our means by length, those of *main* are 2.00 to 2.50 times the paper's (0.50 to 1.00 times in table 6), "
     )
@@ -123,11 +166,11 @@ def test_bad_tables_are_named(tmp_path: Path) -> None:
     path = folder / "tables/table_5.csv"
     pd.read_csv(path).drop(columns="2").to_csv(path, index=False)
     with pytest.raises(InputError, match=r"table_5\.csv: expected the columns .*; 2 not found"):
-        contents.read(folder)
+        pages.read(folder)
     path.write_bytes(b"\xff\xfe,\n")
     with pytest.raises(InputError, match=r"table_5\.csv: expected a table as CSV"):
-        contents.read(folder)
+        pages.read(folder)
     (folder / "tables/table_6.csv").unlink()
     path.unlink()
     with pytest.raises(InputError, match=r"table_6\.csv: not found; run the stage"):
-        contents.read(folder)
+        pages.read(folder)

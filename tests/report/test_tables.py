@@ -11,8 +11,10 @@ from clothkit.dataset.tables import read
 from clothkit.errors import InputError
 from clothkit.evaluation import planning
 from clothkit.evaluation.tidy import PLANNING, PREDICTION
-from clothkit.report import markdown, page, paper, planning_tables, tables, timings
+from clothkit.report import paper, planning_tables, tables, timings
 from clothkit.report.layout import TASKS
+from clothkit.report.markdown import tables as markdown
+from clothkit.report.markdown.page import page
 from tests.evaluation.planning_rows import SYSTEMS, planning_rows
 from tests.report.contents import contents_of, dataset, parts_of, tidy_estimates, tidy_tasks
 
@@ -160,7 +162,7 @@ def test_markdown_puts_the_papers_row_below_ours_and_marks_the_better() -> None:
     mean, median = (ours & (table["split"] == "test") & (table["statistic"] == name) for name in ("mean", "median"))
     table.loc[mean & (table["system"] == "main"), list(TASKS)] = [0.02, 0.05, 0.0783, 0.06, 0.07, 0.1, 0.08, 0.2]
     table.loc[median & (table["system"] == "main"), "1/0"] = 0.001
-    lines = markdown.table(table, ["split", "system", "statistic"]).splitlines()
+    lines = markdown.paired(table, ["split", "system", "statistic"]).splitlines()
     assert lines[0] == "| split | system | statistic | source | 1/0 | 1/1 | 1/2 | 1/all | 2/0 | 2/1 | 2/all | 3/all |"
     assert lines[2].startswith("| test | main | mean | clothkit | **0.0200** | 0.0500 | 0.0783 | 0.0600 | **0.0700** |")
     assert lines[2].endswith("| 0.100 | **0.0800** | 0.200 |")
@@ -174,7 +176,7 @@ def test_markdown_puts_the_papers_row_below_ours_and_marks_the_better() -> None:
 def test_markdown_says_where_sequences_were_too_few() -> None:
     tidy = planning_rows(("main",), sequences=9)
     table = planning_tables.planning(tidy, planning.intervals(tidy), ("main",))
-    lines = markdown.table(table, ["split", "system", "statistic"]).splitlines()
+    lines = markdown.paired(table, ["split", "system", "statistic"]).splitlines()
     assert "| test | main | mean 95 % low | clothkit |" + 8 * " too few |" in lines
 
 
@@ -210,7 +212,7 @@ def test_timings(tmp_path: Path) -> None:
 
 def test_the_page_shows_tables_and_figures(tmp_path: Path) -> None:
     shown = contents_of(tmp_path / "report", SYSTEMS, ["sessions_2", "curves"])
-    text = page.page("laptop", parts_of(shown))
+    text = page("Report: laptop", parts_of(shown))
     assert "figures/sessions_2.png" in text
     assert "figures/scatter.png" not in text
     # The first thing that is read, below the title.
@@ -231,9 +233,11 @@ def test_the_page_shows_tables_and_figures(tmp_path: Path) -> None:
 
 
 def test_a_page_of_one_planner_compares_nothing(tmp_path: Path) -> None:
-    text = page.page("laptop", parts_of(contents_of(tmp_path / "report", ("main",))))
+    text = page("Report: laptop", parts_of(contents_of(tmp_path / "report", ("main",))))
     assert "tables/planning_comparisons.csv" not in text
     assert "| test | main | mean 95 % low | clothkit |" in text
     assert "| b4 |" not in text.replace("| b4 | paper |", "")
     assert "†" not in text
-    assert text.splitlines()[2].startswith("Planned and executed: every task of 12 test and 12 train sequences.")
+    assert text.splitlines()[2].startswith(
+        "This report planned and executed every task of 12 test and 12 train sequences."
+    )

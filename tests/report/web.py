@@ -4,8 +4,8 @@ from dataclasses import dataclass, field
 from html.parser import HTMLParser
 from pathlib import Path
 
-from clothkit.report.captions import CAPTIONS
 from clothkit.report.html.page import page
+from clothkit.report.sections import CAPTIONS
 from tests.evaluation.planning_rows import SYSTEMS
 from tests.report.contents import contents_of, parts_of
 
@@ -67,4 +67,4 @@ def tree(markup: str) -> Node:
 def made_up_page(folder: Path) -> str:
     """A page of every table and every figure, pictures as wide as the real ones."""
     shown = contents_of(folder, SYSTEMS, list(CAPTIONS))
-    return page(shown, parts_of(shown), folder / "figures")
+    return page("Report: laptop", parts_of(shown), folder / "figures")

@@ -26,7 +26,6 @@ SCALE = 1.4 / runs.SIDE
 
 
 def record(runs_folder: Path, out: Path, most: int = 1000) -> Path:
-    (out / "work").mkdir(parents=True, exist_ok=True)
     import_runs(out / "raw", read_runs(str(runs_folder), most), work=out / "work", attributes={"stage": "simulate"})
     return out / "raw"
 

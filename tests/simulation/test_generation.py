@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Callable
-from concurrent.futures import Future
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +15,11 @@ from clothkit.errors import InputError
 from clothkit.simulation import generation, world
 from clothkit.simulation.attempts import Attempts, folds, to_metres
 from clothkit.simulation.executor import execute, grasp, perform
-from clothkit.simulation.generation import generate, read_block
+from clothkit.simulation.generation import BLOCKS, generate
 from clothkit.simulation.settings import Limits, SimulateConfig, SimulationConfig
 from clothkit.simulation.solver import flat_state
 from clothkit.simulation.world import Worlds
+from tests.pool import SerialPool
 from tests.tiny import attempts
 
 SIDE = 16
@@ -35,7 +35,6 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def record(folder: Path, settings: SimulateConfig) -> Path:
-    (folder / "work").mkdir(parents=True, exist_ok=True)
     generate(folder / "raw", settings, work=folder / "work", attributes={"seed": settings.seed})
     return folder / "raw"
 
@@ -192,18 +191,6 @@ def made_up(monkeypatch: pytest.MonkeyPatch, accepted: Callable[[int], bool]) ->
     return made
 
 
-class Here:
-    """A pool of worker processes that is none: what is submitted is done at once."""
-
-    def submit(self, work: Callable[..., Path], *arguments: object) -> "Future[Path]":
-        done: Future[Path] = Future()
-        done.set_result(work(*arguments))
-        return done
-
-    def shutdown(self, **_: object) -> None:
-        pass
-
-
 @pytest.mark.parametrize(
     ("wanted", "block", "workers", "most"),
     [
@@ -217,9 +204,8 @@ def test_no_more_blocks_are_begun_than_are_likely_to_be_needed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wanted: int, block: int, workers: int, most: int
 ) -> None:
     made = made_up(monkeypatch, lambda number: True)
-    monkeypatch.setattr(generation, "make_pool", lambda workers: Here())
+    monkeypatch.setattr(generation, "make_pool", lambda workers: SerialPool())
     settings = SimulateConfig(sequences=wanted, block=block, workers=workers)
-    (tmp_path / "work").mkdir()
     found = generate(tmp_path / "raw", settings, work=tmp_path / "work", attributes={})
     assert found.accepted == found.attempts == wanted
     assert made == list(range(len(made)))
@@ -250,11 +236,9 @@ def test_an_attempt_whose_budget_is_spent_is_rejected(tmp_path: Path, monkeypatc
         record(tmp_path, SETTINGS)
 
 
-def test_a_damaged_block_of_work_is_told(tmp_path: Path) -> None:
-    path = tmp_path / "block_4_000000.npz"
-    np.savez(path, **attempts()._asdict())  # type: ignore[arg-type]
-    np.testing.assert_array_equal(read_block(path).states, attempts().states)
-    for content in (b"", path.read_bytes()[:-200]):
-        path.write_bytes(content)
-        with pytest.raises(InputError, match=r"block_4_000000\.npz: what an earlier run left is damaged"):
-            read_block(path)
+def test_a_stored_block_is_the_attempts(tmp_path: Path) -> None:
+    BLOCKS.save(tmp_path / "block.npz", attempts(3))
+    found = BLOCKS.load(tmp_path / "block.npz")
+    for name, array in attempts(3)._asdict().items():
+        np.testing.assert_array_equal(getattr(found, name), array)
+        assert getattr(found, name).dtype == array.dtype

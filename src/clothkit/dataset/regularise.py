@@ -63,7 +63,7 @@ def interpolation(
     a, b, c = (material[triangles[:, k]].astype(float) for k in range(3))
     edge_b, edge_c = b - a, c - a
     area = edge_b[:, 0] * edge_c[:, 1] - edge_b[:, 1] * edge_c[:, 0]
-    target, triangle = _near(targets.reshape(*topology.shape, 2), np.stack([a, b, c]))
+    target, triangle = _candidate_pairs(targets.reshape(*topology.shape, 2), np.stack([a, b, c]))
     target, triangle = (index[area[triangle] != 0] for index in (target, triangle))
     edge_b, edge_c, area, offset = edge_b[triangle], edge_c[triangle], area[triangle], targets[target] - a[triangle]
     weight_b = (offset[:, 0] * edge_c[:, 1] - offset[:, 1] * edge_c[:, 0]) / area
@@ -79,7 +79,7 @@ def interpolation(
     return Interpolation(triangles[triangle[order[first]]], chosen / chosen.sum(-1, keepdims=True), topology.shape)
 
 
-def _near(
+def _candidate_pairs(
     targets: Float[np.ndarray, "u v 2"], corners: Float[np.ndarray, "3 triangles 2"]
 ) -> tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"]]:
     """Pairs of a target (index u * side + v) and a triangle whose bounding box contains it.
@@ -149,15 +149,15 @@ class Mesher:
 
     def __init__(self, topologies: Topologies, topology: Topology = SQUARE) -> None:
         self.topologies, self.topology = topologies, topology
-        self.made: dict[int, tuple[Interpolation, float]] = {}
+        self.cache: dict[int, tuple[Interpolation, float]] = {}
 
     def __call__(self, where: str, number: int, vertices: np.ndarray) -> Float[np.ndarray, "u v 3"]:
         shared, positions = self.topologies(where, number, vertices)
-        if number not in self.made:
-            if len(self.made) == KEPT:
-                self.made.clear()
-            self.made[number] = self._make(number, shared)
-        interpolate, scale = self.made[number]
+        if number not in self.cache:
+            if len(self.cache) == KEPT:
+                self.cache.clear()
+            self.cache[number] = self._make(number, shared)
+        interpolate, scale = self.cache[number]
         return (interpolate(positions) * scale).astype(np.float32)
 
     def _make(self, number: int, shared: Triangulation) -> tuple[Interpolation, float]:

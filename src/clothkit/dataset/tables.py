@@ -203,9 +203,9 @@ def _check_values(path: Path, name: str, table: Table, values: pa.ChunkedArray, 
     if column.kind.startswith(_LIST):
         _check_lists(path, name, table, values, frame)
     elif column.among:
-        strange = ~frame[name].isin(column.among) & ~nothing
-        if strange.any():
-            _refuse(path, name, table, frame, strange, repr(frame.loc[strange, name].iloc[0])[:60])
+        unlisted = ~frame[name].isin(column.among) & ~nothing
+        if unlisted.any():
+            _refuse(path, name, table, frame, unlisted, repr(frame.loc[unlisted, name].iloc[0])[:60])
     elif column.kind.endswith("numbers"):
         wrong = _wrong(column, frame[name].to_numpy(np.float64, na_value=np.nan))
         if wrong.any():
@@ -219,14 +219,14 @@ def _check_lists(path: Path, name: str, table: Table, values: pa.ChunkedArray, f
     for chunk in values.chunks:
         # The conversion to NumPy turns null items into NaN.
         items = chunk.flatten().to_numpy(zero_copy_only=False)
-        if not _surely_right(table.columns[name], items) and (wrong := _wrong(table.columns[name], items)).any():
+        if not _extremes_valid(table.columns[name], items) and (wrong := _wrong(table.columns[name], items)).any():
             item = int(np.argmax(wrong))
             row = first + pc.list_parent_indices(chunk)[item].as_py()
             _refuse(path, name, table, frame, np.arange(len(frame)) == row, f"{items[item]:g}")
         first += len(chunk)
 
 
-def _surely_right(column: Column, values: np.ndarray) -> bool:
+def _extremes_valid(column: Column, values: np.ndarray) -> bool:
     """Whether minimum and maximum alone show that all values are valid: a fast test for millions of coordinates."""
     if not len(values):
         return True

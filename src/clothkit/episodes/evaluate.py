@@ -11,13 +11,14 @@ from tqdm import tqdm
 from clothkit.clock import Clock, clock
 from clothkit.dataset.store import Dataset
 from clothkit.dataset.tasks import Task, tasks_of
-from clothkit.episodes.record import Pieces, Sessions, Tasks, join, save_piece, tasks_of_dataset
+from clothkit.episodes.record import Pieces, Sessions, Tasks, join, load_piece, save_piece, tasks_of_dataset
 from clothkit.episodes.sensors import Sensor
 from clothkit.episodes.sessions import Execute, run_sessions
 from clothkit.errors import InputError
 from clothkit.json_file import read_json
 from clothkit.planning.planner import Planner
 from clothkit.planning.settings import PlanConfig
+from clothkit.resumable import Storage, resumable_map
 
 
 def pieces(dataset: Dataset, settings: PlanConfig) -> list[tuple[str, list[Task]]]:
@@ -55,26 +56,54 @@ def evaluate(
     Without a `sensor`, the planner observes exactly. Returns all sessions, which are read from `work` piece by piece so
     that memory does not grow with the number of tasks, and the times that searches and estimates took.
     """
-    work.mkdir(parents=True, exist_ok=True)
     todo = pieces(dataset, planner.settings)
     # Raises InputError now, not hours later, if a plan length has no reference values.
     planner.normalisation.reference(max(task.length for _, tasks in todo for task in tasks))
-    done, times = [], defaultdict[str, list[tuple[int, float]]](list)
+
+    def run(piece: tuple[str, list[Task]]) -> tuple[Sessions, Clock]:
+        split, tasks = piece
+        batch = tasks_of_dataset(dataset, tasks, split)
+        with clock() as calls:
+            sessions = run_sessions(batch, planner, execute, sensor=sensor)
+        return annotate(sessions, batch), calls
+
+    paths, times = [], defaultdict[str, list[tuple[int, float]]](list)
     with tqdm(total=sum(len(tasks) for _, tasks in todo), desc=planner.system.name, unit="session") as bar:
-        for number, (split, tasks) in enumerate(todo):
-            path, seconds = work / f"sessions_{number:03d}.npz", work / f"seconds_{number:03d}.json"
-            if not path.exists():
-                batch = tasks_of_dataset(dataset, tasks, split)
-                with clock() as calls:
-                    sessions = run_sessions(batch, planner, execute, sensor=sensor)
-                seconds.write_text(json.dumps(calls))
-                save_piece(path, annotate(sessions, batch))
-            done.append(path)
-            spent = read_json(seconds, expected="seconds of calls (delete this file and the sessions of its number)")
-            for what, of_piece in spent.items():
-                times[what] += [(count, each) for count, each in of_piece]
-            bar.update(len(tasks))
-    return Pieces(done), dict(times)
+        finished = resumable_map(
+            run,
+            todo,
+            folder=work,
+            name="sessions",
+            storage=TIMED_SESSIONS,
+            bar=bar,
+            count=lambda piece: len(piece[0]),
+        )
+        for path, (_, calls) in finished:
+            paths.append(path / SESSIONS)
+            for part, of_piece in calls.items():
+                times[part] += of_piece
+    return Pieces(paths), dict(times)
+
+
+SESSIONS, SECONDS = "sessions.npz", "seconds.json"
+"""Files of a piece: its sessions, and the times of its searches and estimates."""
+
+
+def _save(folder: Path, piece: tuple[Sessions, Clock]) -> None:
+    sessions, calls = piece
+    folder.mkdir()
+    save_piece(folder / SESSIONS, sessions)
+    (folder / SECONDS).write_text(json.dumps(calls))
+
+
+def _load(folder: Path) -> tuple[Sessions, Clock]:
+    calls = read_json(folder / SECONDS, expected="the seconds of calls")
+    pairs = {part: [(int(count), float(seconds)) for count, seconds in found] for part, found in calls.items()}
+    return load_piece(folder / SESSIONS), pairs
+
+
+TIMED_SESSIONS = Storage(_save, _load)
+"""Storage of a piece in a work directory, as a folder of two files."""
 
 
 def try_out(

@@ -39,14 +39,14 @@ PICTURES = {
 }
 
 
-class Named(NamedTuple):
-    """An array and the names of its dimensions; the first one is the sequence."""
+class NamedArray(NamedTuple):
+    """An array and the names of its dimensions, of which the first is the sequence."""
 
     values: np.ndarray
     dimensions: tuple[str, ...]
 
 
-def save(path: Path, arrays: Mapping[str, Named], attributes: Mapping[str, Any]) -> None:
+def save(path: Path, arrays: Mapping[str, NamedArray], attributes: Mapping[str, Any]) -> None:
     """Write a zarr v3 group with a chunk per sequence and one shard per array; equal arrays give equal bytes."""
     group = zarr.open_group(path, mode="w", zarr_format=3, attributes=dict(attributes))
     for name, (values, dimensions) in arrays.items():

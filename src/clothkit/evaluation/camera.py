@@ -1,7 +1,8 @@
 """Effect of a depth camera's view and noise on estimates, compared to noise-free voxels of the mesh (section 6.5)."""
 
 import dataclasses
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -15,7 +16,7 @@ from clothkit.episodes.sensors import with_height
 from clothkit.errors import InputError
 from clothkit.estimation.estimate import estimate
 from clothkit.estimation.refine import RefineConfig
-from clothkit.evaluation.arrays import Named
+from clothkit.evaluation.arrays import NamedArray
 from clothkit.evaluation.camera_settings import UNMEASURED, Condition, EvaluateCameraConfig
 from clothkit.evaluation.errors import errors
 from clothkit.models.net import Net
@@ -23,6 +24,7 @@ from clothkit.models.vtm import seen_by
 from clothkit.observation.coverage import goal_iou
 from clothkit.observation.picture import Picture, PictureConfig, take
 from clothkit.planning.batches import in_batches
+from clothkit.resumable import array_storage, resumable_map
 
 NO_CAMERA = Condition(name="voxels")
 """The condition without a camera: noise-free voxels, the input of all other evaluations."""
@@ -31,28 +33,37 @@ TOGETHER = 24
 """Batch size of the estimation, in states."""
 
 
-class Looked(NamedTuple):
-    """Observations of states under one condition."""
+class Observations(NamedTuple):
+    """Observations of states under one condition, and the meshes that are estimated from them."""
 
     voxels: Bool[np.ndarray, "states 32 32 16"]
     """All False where no picture showed a cloth."""
-    off: Float[np.ndarray, " states"]
+    centre_error: Float[np.ndarray, " states"]
     """Distance of the observed centre from the true one, in cloth lengths."""
     iou: Float[np.ndarray, " states"]
     """Intersection over union of the points' silhouette and the true one."""
-    kept: list[Picture | None]
-    """Pictures of the states in `keep`; None where no picture showed a cloth."""
+    mesh: Float[np.ndarray, "states u v 3"]
+    """Refined estimates."""
+    height: Float[np.ndarray, "stored row column"]
+    """Height of each pixel above the table [m] in the pictures of those states that are stored for figures.
+
+    UNMEASURED where the camera measured nothing; empty without a camera.
+    """
+
+
+OBSERVATIONS = array_storage(Observations)
+"""Storage of the observations under one condition in a work directory."""
 
 
 class Estimation(NamedTuple):
     """Results of the evaluation of estimates under every condition."""
 
     rows: pd.DataFrame
-    arrays: dict[str, Named]
+    arrays: dict[str, NamedArray]
     """Pictures, voxels and estimates of some states under every condition, for figures."""
 
 
-def pictured(settings: EvaluateCameraConfig, condition: Condition) -> PictureConfig:
+def picture_settings(settings: EvaluateCameraConfig, condition: Condition) -> PictureConfig:
     """Return the picture settings of a condition."""
     noise = settings.picture.noise
     return dataclasses.replace(
@@ -62,87 +73,102 @@ def pictured(settings: EvaluateCameraConfig, condition: Condition) -> PictureCon
     )
 
 
-def look(meshes: Float[np.ndarray, "states u v 3"], settings: PictureConfig, *, keep: list[int], what: str) -> Looked:
-    """Take a picture of each mesh (normalised, centred) and return the observations.
+def observe(
+    meshes: Float[np.ndarray, "states u v 3"],
+    vtm: Net,
+    condition: Condition,
+    settings: EvaluateCameraConfig,
+    refinement: RefineConfig,
+    *,
+    stored: list[int],
+) -> Observations:
+    """Observe meshes (normalised, centred) under a condition, and estimate them from what was observed.
 
-    `keep` lists the indices whose pictures are returned; `what` labels the progress bar.
+    `stored` lists the indices of the states whose heights are returned.
     """
-    seen = np.zeros((len(meshes), *voxels.RESOLUTION), bool)
-    off, overlap = np.full((2, len(meshes)), np.nan)
-    kept: dict[int, Picture | None] = dict.fromkeys(keep)
-    for number, mesh in enumerate(tqdm(meshes, desc=what, unit="picture")):
-        try:
-            picture = take(mesh, settings)
-        except InputError:
-            continue
-        seen[number] = picture.observation.voxels
-        off[number] = np.linalg.norm(picture.shift) / CLOTH_LENGTH
-        overlap[number] = goal_iou(mesh, picture.observation.points)
-        if number in kept:
-            kept[number] = picture
-    return Looked(seen, off, overlap, [kept[number] for number in keep])
+    if condition == NO_CAMERA:
+        occupied = np.asarray(seen_by(vtm, meshes))
+        centre_error, overlap = np.zeros(len(meshes)), np.ones(len(meshes))
+        height = np.zeros((0, 0, 0), np.float32)
+    else:
+        condition_settings = with_height(picture_settings(settings, condition), vtm.config.height)
+        occupied = np.zeros((len(meshes), *voxels.RESOLUTION), bool)
+        centre_error, overlap = np.full((2, len(meshes)), np.nan)
+        camera = condition_settings.camera
+        height = np.full((len(stored), camera.rows, camera.columns), UNMEASURED, np.float32)
+        for number, mesh in enumerate(tqdm(meshes, desc=condition.name, unit="picture", leave=False)):
+            try:
+                picture = take(mesh, condition_settings)
+            except InputError:
+                continue
+            occupied[number] = picture.observation.voxels
+            centre_error[number] = np.linalg.norm(picture.shift) / CLOTH_LENGTH
+            overlap[number] = goal_iou(mesh, picture.observation.points)
+            if number in stored:
+                height[stored.index(number)] = _height(picture)
+    mesh = in_batches(lambda batch: estimate(vtm, batch, refinement).mesh, TOGETHER, occupied)
+    return Observations(occupied, centre_error, overlap, mesh, height)
 
 
-def estimation(dataset: Dataset, vtm: Net, settings: EvaluateCameraConfig, refinement: RefineConfig) -> Estimation:
+def _height(picture: Picture) -> Float[np.ndarray, "row column"]:
+    """Return the height above the table [m] of each pixel, UNMEASURED where the camera measured nothing."""
+    image = picture.image
+    heights = image.camera.table().heights(image.points())
+    return np.where(image.depth > 0, heights, UNMEASURED).astype(np.float32)
+
+
+def estimation(
+    dataset: Dataset, vtm: Net, settings: EvaluateCameraConfig, refinement: RefineConfig, *, work: Path
+) -> Estimation:
     """Estimate every state except the flat one of the first test sequences, under every condition and without a camera.
 
     Columns of the tidy rows: condition, tilt [rad], noise, sequence, state, seen (whether a picture showed a cloth),
     voxel_error (mean difference to the noise-free voxels), centre_error [cloth length], iou (of the points' silhouette
     and the true one), error (of the refined estimate [cloth length], not aligned beyond the centring). The last four
-    are NaN where seen is false.
+    are NaN where seen is false. `work` stores the conditions that are finished, from which an interrupted run resumes.
     """
     chosen = dataset.indices("test", evaluated=True)[: settings.estimated]
     place = [(s, state) for s in chosen.tolist() for state in range(1, min(STATES, int(dataset.length[s]) + 1))]
     sequence, state = np.array(place).T
     truth = dataset.vertices[sequence, state]
-    clean = np.asarray(seen_by(vtm, truth))
     # Stored states are alternately those after one, two and three manipulations, or the last of a shorter sequence.
     stored = [
         place.index((s, min(1 + number % (STATES - 1), int(dataset.length[s]))))
         for number, s in enumerate(chosen[: settings.stored].tolist())
     ]
-    found, views = [], []
-    for condition in (NO_CAMERA, *settings.conditions):
-        if condition is NO_CAMERA:
-            none = np.zeros(len(truth))
-            looked = Looked(clean, none, none + 1, [])
-        else:
-            looked = look(
-                truth, with_height(pictured(settings, condition), vtm.config.height), keep=stored, what=condition.name
-            )
-        mesh = in_batches(lambda seen: estimate(vtm, seen, refinement).mesh, TOGETHER, looked.voxels)
-        seen = looked.voxels.any((1, 2, 3))
+    conditions = (NO_CAMERA, *settings.conditions)
+    with tqdm(total=len(conditions) * len(truth), desc="camera", unit="state") as bar:
+        finished = resumable_map(
+            lambda condition: observe(truth, vtm, condition, settings, refinement, stored=stored),
+            conditions,
+            folder=work,
+            name="observations",
+            storage=OBSERVATIONS,
+            bar=bar,
+            count=lambda observed: len(observed.voxels),
+        )
+        observations = [observed for _, observed in finished]
+    clean = observations[0].voxels
+    rows = []
+    for condition, observed in zip(conditions, observations, strict=True):
+        seen = observed.voxels.any((1, 2, 3))
         measures = {
-            "voxel_error": (looked.voxels != clean).mean((1, 2, 3)),
-            "centre_error": looked.off,
-            "iou": looked.iou,
-            "error": np.asarray(errors(mesh, truth)),
+            "voxel_error": (observed.voxels != clean).mean((1, 2, 3)),
+            "centre_error": observed.centre_error,
+            "iou": observed.iou,
+            "error": np.asarray(errors(observed.mesh, truth)),
         }
-        of_condition = {"condition": condition.name, "tilt": condition.tilt, "noise": condition.noise}
-        told = {name: np.where(seen, values, np.nan) for name, values in measures.items()}
-        found.append(pd.DataFrame({**of_condition, "sequence": sequence, "state": state, "seen": seen, **told}))
-        if condition is not NO_CAMERA:
-            views.append((_heights(looked.kept, settings), looked.voxels[stored], mesh[stored]))
+        columns: dict[str, Any] = {"condition": condition.name, "tilt": condition.tilt, "noise": condition.noise}
+        columns |= {"sequence": sequence, "state": state, "seen": seen}
+        columns |= {name: np.where(seen, values, np.nan) for name, values in measures.items()}
+        rows.append(pd.DataFrame(columns))
+    views = [(observed.height, observed.voxels[stored], observed.mesh[stored]) for observed in observations[1:]]
     height, occupied, meshes = (np.stack(parts, axis=1) for parts in zip(*views, strict=True))
     arrays = {
-        "sequence": Named(sequence[stored], ("sequence",)),
-        "shown": Named(state[stored], ("sequence",)),
-        "height": Named(height, ("sequence", "condition", "row", "column")),
-        "voxels": Named(occupied, ("sequence", "condition", "x", "y", "z")),
-        "mesh": Named(meshes, ("sequence", "condition", "u", "v", "xyz")),
+        "sequence": NamedArray(sequence[stored], ("sequence",)),
+        "shown": NamedArray(state[stored], ("sequence",)),
+        "height": NamedArray(height, ("sequence", "condition", "row", "column")),
+        "voxels": NamedArray(occupied, ("sequence", "condition", "x", "y", "z")),
+        "mesh": NamedArray(meshes, ("sequence", "condition", "u", "v", "xyz")),
     }
-    return Estimation(pd.concat(found, ignore_index=True), arrays)
-
-
-def _heights(
-    pictures: list[Picture | None], settings: EvaluateCameraConfig
-) -> Float[np.ndarray, "sequence row column"]:
-    """Return each pixel's height above the table, in metres; UNMEASURED where the camera measured nothing."""
-    camera = settings.picture.camera
-    found = np.full((len(pictures), camera.rows, camera.columns), UNMEASURED, np.float32)
-    for number, picture in enumerate(pictures):
-        if picture is not None:
-            image = picture.image
-            heights = image.camera.table().heights(image.points())
-            found[number] = np.where(image.depth > 0, heights, UNMEASURED)
-    return found
+    return Estimation(pd.concat(rows, ignore_index=True), arrays)

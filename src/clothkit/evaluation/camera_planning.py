@@ -15,7 +15,7 @@ from clothkit.episodes.record import Sessions
 from clothkit.episodes.sensors import depth_camera
 from clothkit.episodes.sessions import Execute
 from clothkit.errors import InputError
-from clothkit.evaluation.camera import NO_CAMERA, pictured
+from clothkit.evaluation.camera import NO_CAMERA, picture_settings
 from clothkit.evaluation.camera_settings import Condition, EvaluateCameraConfig
 from clothkit.evaluation.comparisons import COLUMNS, compare
 from clothkit.evaluation.diagnosis import diagnosed
@@ -29,7 +29,7 @@ def planning(
     dataset: Dataset,
     planner: Planner,
     execute: Execute,
-    without: Sessions,
+    baseline: Sessions,
     settings: EvaluateCameraConfig,
     *,
     work: Path,
@@ -38,31 +38,31 @@ def planning(
 
     The extra columns are condition, tilt [rad], noise, iou (of the outcome's true silhouette and the goal's),
     iou_no_action (of the start's silhouette and the goal's) and iou_seen (of the silhouette of the points in a final
-    picture and the goal's, NaN if the picture shows no cloth). `without` holds the same planner's sessions without a
+    picture and the goal's, NaN if the picture shows no cloth). `baseline` holds the same planner's sessions without a
     camera, whose searches use the same random draws, so that tasks can be compared in pairs. `work` stores finished
-    parts, from which an interrupted run resumes. Raises InputError if `without` lacks one of the test sequences.
+    parts, from which an interrupted run resumes. Raises InputError if `baseline` lacks one of the test sequences.
     """
     chosen = dataset.indices("test", evaluated=True)[: settings.planned]
-    missing = np.setdiff1d(chosen, without.sequence[without.split == "test"])
+    missing = np.setdiff1d(chosen, baseline.sequence[baseline.split == "test"])
     if len(missing):
         raise InputError(
             f"evaluate_camera.planned: {settings.planned} sequences, but {len(missing)} of them were not planned for "
             "without a camera (plan.test)"
         )
-    found = [_scored(_of(without, chosen), NO_CAMERA, None)]
-    asked = dataclasses.replace(planner.settings, test=len(chosen), train=0)
+    found = [_condition_rows(_select_sequences(baseline, chosen), NO_CAMERA, None)]
+    test_settings = dataclasses.replace(planner.settings, test=len(chosen), train=0)
     for condition in settings.conditions:
-        picture = pictured(settings, condition)
-        asking = dataclasses.replace(planner, settings=asked)
+        picture = picture_settings(settings, condition)
+        camera_planner = dataclasses.replace(planner, settings=test_settings)
         sessions, _ = evaluate(
             dataset,
-            asking,
+            camera_planner,
             execute,
             work=work / condition.name,
             sensor=depth_camera(picture, planner.perception),
-            annotate=partial(diagnosed, planner=asking),
+            annotate=partial(diagnosed, planner=camera_planner),
         )
-        found.append(_scored(sessions.whole(), condition, picture))
+        found.append(_condition_rows(sessions.whole(), condition, picture))
     return pd.concat(found, ignore_index=True)
 
 
@@ -74,25 +74,25 @@ def comparisons(tidy: pd.DataFrame) -> pd.DataFrame:
     return pd.concat(found, ignore_index=True) if found else pd.DataFrame(columns=list(COLUMNS))
 
 
-def _of(sessions: Sessions, sequences: np.ndarray) -> Sessions:
+def _select_sequences(sessions: Sessions, sequences: np.ndarray) -> Sessions:
     """Return the sessions of the given sequences."""
     chosen = np.isin(sessions.sequence, sequences)
     return Sessions(**{name: values[chosen] for name, values in vars(sessions).items()})
 
 
-def _scored(sessions: Sessions, condition: Condition, picture: PictureConfig | None) -> pd.DataFrame:
+def _condition_rows(sessions: Sessions, condition: Condition, picture: PictureConfig | None) -> pd.DataFrame:
     outcome = sessions.state[np.arange(len(sessions)), sessions.length]
     goals = [silhouette(goal) for goal in sessions.goal]
-    seen = np.full(len(sessions), np.nan)
+    iou_seen = np.full(len(sessions), np.nan)
     if picture is not None:
         for number, mesh in enumerate(outcome):
             with contextlib.suppress(InputError):
-                seen[number] = goal_iou(sessions.goal[number], take(mesh, picture).observation.points)
+                iou_seen[number] = goal_iou(sessions.goal[number], take(mesh, picture).observation.points)
     return rows(sessions, "main").assign(
         condition=condition.name,
         tilt=condition.tilt,
         noise=condition.noise,
         iou=[iou(silhouette(mesh), goal) for mesh, goal in zip(outcome, goals, strict=True)],
         iou_no_action=[iou(silhouette(mesh), goal) for mesh, goal in zip(sessions.state[:, 0], goals, strict=True)],
-        iou_seen=seen,
+        iou_seen=iou_seen,
     )

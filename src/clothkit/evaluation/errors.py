@@ -11,9 +11,6 @@ from clothkit.cloth.mesh import ProbabilisticMesh, best_label, distance, error
 from clothkit.cloth.symmetry import relabel_batch
 from clothkit.cloth.topology import SQUARE, Topology
 
-IDEAL_SIGMA_RATIO = float(np.sqrt(2 / np.pi))
-"""Sigma ratio of a calibrated prediction: mean absolute deviation / standard deviation of a normal distribution."""
-
 errors = jax.jit(error, static_argnames=("aligned", "topology"))
 labelled_errors = jax.jit(distance)
 

@@ -10,7 +10,7 @@ from tqdm import tqdm
 from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.dataset.store import SPLITS, STATES, Dataset
 from clothkit.estimation.estimate import estimate
-from clothkit.evaluation.arrays import Named
+from clothkit.evaluation.arrays import NamedArray
 from clothkit.evaluation.errors import errors, labelled_errors, labels_of_truth, sigma_ratio
 from clothkit.evaluation.settings import EvaluateEstimationConfig
 from clothkit.models.net import Net
@@ -32,15 +32,15 @@ class Estimates(NamedTuple):
     label: Int[np.ndarray, "n state"]
     """The equivalent that relabels the refined mesh to the truth's labels; for evaluation and pictures only."""
 
-    def arrays(self) -> dict[str, Named]:
+    def arrays(self) -> dict[str, NamedArray]:
         """Return the estimates with the names of their dimensions, for `arrays.save`."""
         vertices = ("sequence", "state", "u", "v", "xyz")
         return {
-            "sequence": Named(self.sequence, ("sequence",)),
-            "mean": Named(self.mean, vertices),
-            "std": Named(self.std, vertices),
-            "mesh": Named(self.mesh, vertices),
-            "label": Named(self.label, ("sequence", "state")),
+            "sequence": NamedArray(self.sequence, ("sequence",)),
+            "mean": NamedArray(self.mean, vertices),
+            "std": NamedArray(self.std, vertices),
+            "mesh": NamedArray(self.mesh, vertices),
+            "label": NamedArray(self.label, ("sequence", "state")),
         }
 
 

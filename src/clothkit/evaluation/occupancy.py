@@ -14,11 +14,8 @@ from jaxtyping import Array, Float, PRNGKeyArray, Shaped
 from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.cloth.voxels import HEIGHT, RESOLUTION, observe
 
-SAMPLES = 1024
-"""Random samples per vertex in the paper."""
-
 DRAWS = 16
-"""Meshes drawn from a prediction in `seen_occupancy`; few suffice, since differences to binary voxels are linear."""
+"""Meshes drawn from a prediction in `occluded_occupancy`; few suffice: differences to binary voxels are linear."""
 
 TALL = 2 * HEIGHT
 """Upper end of a second viewport [normalised]: 0.25. With section 4.7's viewport and resolution, voxels are eight times
@@ -69,35 +66,8 @@ def occupancy(mesh: ProbabilisticMesh, *, height: float = HEIGHT) -> Float[Array
     return jax.lax.scan(combine, start, (jnp.moveaxis(mean, 1, 0), jnp.moveaxis(std, 1, 0)))[0]
 
 
-@partial(jax.jit, static_argnames=("samples", "height"))
-def sampled_occupancy(
-    mesh: ProbabilisticMesh, *, samples: int = SAMPLES, height: float = HEIGHT, key: PRNGKeyArray
-) -> Float[Array, "batch 32 32 16"]:
-    """Return eq. (16) as the paper computes it, from random samples of each vertex; its mean over keys is `occupancy`.
-
-    Values are 0..1.
-    """
-    mean, std = (jnp.moveaxis(jnp.asarray(part).reshape(len(part), -1, 3), 1, 0) for part in mesh)
-    nx, ny, nz = RESOLUTION
-    rows = jnp.arange(mean.shape[1])[:, None]
-
-    def combine(empty: Array, vertex: tuple[Array, Array, Array]) -> tuple[Array, None]:
-        mean, std, key = vertex
-        points = mean[:, None] + std[:, None] * jax.random.normal(key, (len(mean), samples, 3))
-        xy = jnp.floor((points[..., :2] + 1) * (nx / 2)).astype(jnp.int32)
-        z = jnp.clip(jnp.floor(points[..., 2] * (nz / height)).astype(jnp.int32), 0, nz - 1)
-        inside = jnp.all((xy >= 0) & (xy < nx), axis=-1)
-        cell = jnp.where(inside, (xy[..., 0] * ny + xy[..., 1]) * nz + z, nx * ny * nz)
-        counts = jnp.zeros((len(mean), nx * ny * nz)).at[rows, cell].add(1, mode="drop")
-        return empty * (1 - counts / samples), None
-
-    start = jnp.ones((mean.shape[1], nx * ny * nz))
-    empty, _ = jax.lax.scan(combine, start, (mean, std, jax.random.split(key, len(mean))))
-    return (1 - empty).reshape(-1, *RESOLUTION)
-
-
 @partial(jax.jit, static_argnames=("draws", "height"))
-def seen_occupancy(
+def occluded_occupancy(
     mesh: ProbabilisticMesh, *, draws: int = DRAWS, height: float = HEIGHT, key: PRNGKeyArray
 ) -> Float[Array, "batch 32 32 16"]:
     """Return the probability, 0..1, that a camera above sees each voxel occupied (doubled and occluded).

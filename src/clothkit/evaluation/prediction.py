@@ -16,9 +16,9 @@ from clothkit.cloth.voxels import HEIGHT
 from clothkit.dataset.store import SPLITS, STATES, STEPS, Dataset
 from clothkit.dataset.tasks import TASKS
 from clothkit.errors import InputError
-from clothkit.evaluation.arrays import Named
+from clothkit.evaluation.arrays import NamedArray
 from clothkit.evaluation.errors import errors, relabelled, sigma_ratio
-from clothkit.evaluation.occupancy import TALL, TALL_MEASURE, differences, occupancy, seen_occupancy
+from clothkit.evaluation.occupancy import TALL, TALL_MEASURE, differences, occluded_occupancy, occupancy
 from clothkit.evaluation.settings import EvaluatePredictionConfig
 from clothkit.models import forward
 from clothkit.models.ensemble import Ensemble
@@ -54,7 +54,7 @@ def starts(dataset: Dataset, estimates: Mapping[str, np.ndarray]) -> Starts:
     return Starts(sequence, {"main": joined.reshape(mesh.shape), "a1": dataset.vertices[sequence]})
 
 
-def rows(dataset: Dataset, given: Starts, ensemble: Ensemble, settings: EvaluatePredictionConfig) -> pd.DataFrame:
+def rows(dataset: Dataset, initial: Starts, ensemble: Ensemble, settings: EvaluatePredictionConfig) -> pd.DataFrame:
     """Return tidy rows, one per system, net, sequence and task.
 
     The columns are split, system, net (the member: "0", "1", ..), better (whether the net has the best validation
@@ -66,19 +66,19 @@ def rows(dataset: Dataset, given: Starts, ensemble: Ensemble, settings: Evaluate
     predicted centre shift, eq. (7); position_no_action is the length of the true shift. For the voxel columns,
     predictions are converted by eq. (16), and the voxels of true states are undoubled, free of noise and unoccluded
     (design 6.14). The rows of main's best net are repeated as system `OCCLUDED`, with all voxels as a camera would
-    see them (`seen_occupancy`) and with error and sigma_ratio NaN.
+    see them (`occluded_occupancy`) and with error and sigma_ratio NaN.
     """
     tidy = []
-    jobs = [(system, k, task) for system in given.meshes for k in range(len(ensemble.nets)) for task in TASKS]
+    jobs = [(system, k, task) for system in initial.meshes for k in range(len(ensemble.nets)) for task in TASKS]
     for system, k, (start, length) in tqdm(jobs, desc="predictions", unit="task"):
         end = start + length
-        long = dataset.length[given.sequence] >= end
-        sequence = given.sequence[long]
+        long = dataset.length[initial.sequence] >= end
+        sequence = initial.sequence[long]
         if not len(sequence):
             continue
         truth = dataset.vertices[sequence, end]
         manipulations = dataset.manipulation[sequence, start:end]
-        predicted, shift = predict(ensemble.nets[k], given.meshes[system][long, start], manipulations, settings.batch)
+        predicted, shift = predict(ensemble.nets[k], initial.meshes[system][long, start], manipulations, settings.batch)
         final = ProbabilisticMesh(predicted.mean[-1], predicted.std[-1])
         moved = dataset.centre[sequence, end] - dataset.centre[sequence, start]
         first = dataset.vertices[sequence, start]
@@ -102,32 +102,32 @@ def rows(dataset: Dataset, given: Starts, ensemble: Ensemble, settings: Evaluate
         tidy.append(found)
         if system == "main" and k == ensemble.best:
             unknown = {"error": np.float32(np.nan), "sigma_ratio": np.float32(np.nan)}
-            seen = _in_voxels(final, first, truth, settings.batch, seen=True)
-            tidy.append(found.assign(system=OCCLUDED, **unknown, **seen))
+            occluded = _in_voxels(final, first, truth, settings.batch, occluded=True)
+            tidy.append(found.assign(system=OCCLUDED, **unknown, **occluded))
     return pd.concat(tidy, ignore_index=True)
 
 
-def stored(dataset: Dataset, given: Starts, net: Net, settings: EvaluatePredictionConfig) -> dict[str, Named]:
+def stored(dataset: Dataset, initial: Starts, net: Net, settings: EvaluatePredictionConfig) -> dict[str, NamedArray]:
     """Return main's predictions after 1, 2 and 3 manipulations, for the first sequences of each split.
 
     The arrays are sequence, start (the initial mesh), mean, std [normalised] and shift (each step's centre shift, xy),
     NaN past a sequence's end.
     """
-    split = dataset.split[given.sequence]
+    split = dataset.split[initial.sequence]
     first = np.sort(np.concatenate([np.flatnonzero(split == name)[: settings.stored] for name in np.unique(split)]))
-    start = given.meshes["main"][first, 0]
-    manipulations = np.nan_to_num(dataset.manipulation[given.sequence[first]])
+    start = initial.meshes["main"][first, 0]
+    manipulations = np.nan_to_num(dataset.manipulation[initial.sequence[first]])
     predicted, shift = predict(net, start, manipulations, settings.batch)
     mean, std = (np.array(part) for part in predicted)
     for values in (mean, std, shift):
-        values[np.arange(STEPS)[:, None] >= dataset.length[given.sequence[first]]] = np.nan
+        values[np.arange(STEPS)[:, None] >= dataset.length[initial.sequence[first]]] = np.nan
     vertices = ("u", "v", "xyz")
     return {
-        "sequence": Named(given.sequence[first], ("sequence",)),
-        "start": Named(start, ("sequence", *vertices)),
-        "mean": Named(np.moveaxis(mean, 0, 1), ("sequence", "step", *vertices)),
-        "std": Named(np.moveaxis(std, 0, 1), ("sequence", "step", *vertices)),
-        "shift": Named(np.moveaxis(shift, 0, 1), ("sequence", "step", "xy")),
+        "sequence": NamedArray(initial.sequence[first], ("sequence",)),
+        "start": NamedArray(start, ("sequence", *vertices)),
+        "mean": NamedArray(np.moveaxis(mean, 0, 1), ("sequence", "step", *vertices)),
+        "std": NamedArray(np.moveaxis(std, 0, 1), ("sequence", "step", *vertices)),
+        "shift": NamedArray(np.moveaxis(shift, 0, 1), ("sequence", "step", "xy")),
     }
 
 
@@ -151,32 +151,32 @@ def _in_voxels(
     truth: Float[np.ndarray, "n u v 3"],
     batch: int,
     *,
-    seen: bool = False,
+    occluded: bool = False,
 ) -> dict[str, np.ndarray]:
     """Return the mean voxel differences [n] of predictions and of no action to the truth, in both viewports, by name.
 
-    With `seen`, predictions, start and truth are as a camera above sees them.
+    With `occluded`, predictions, start and truth are as a camera above sees them.
     """
     found = {}
     for name, height in (("voxel_error", HEIGHT), (TALL_MEASURE, TALL)):
         occupied, start = (
-            np.asarray((voxels.observe if seen else voxels.of_mesh)(m, height=height)) for m in (truth, first)
+            np.asarray((voxels.observe if occluded else voxels.of_mesh)(m, height=height)) for m in (truth, first)
         )
-        found[name] = _voxel_errors(predicted, occupied, batch, height=height, seen=seen)
+        found[name] = _voxel_errors(predicted, occupied, batch, height=height, occluded=occluded)
         found[f"{name}_no_action"] = np.asarray(differences(start, occupied))
     return found
 
 
 def _voxel_errors(
-    mesh: ProbabilisticMesh, truth: Bool[np.ndarray, "n 32 32 16"], batch: int, *, height: float, seen: bool
+    mesh: ProbabilisticMesh, truth: Bool[np.ndarray, "n 32 32 16"], batch: int, *, height: float, occluded: bool
 ) -> np.ndarray:
     """Return the mean voxel differences [n] of predicted meshes, in batches of one size to bound the memory."""
     parts = []
     for first in range(0, len(truth), batch):
         chosen = np.minimum(np.arange(first, first + batch), len(truth) - 1)
         some = ProbabilisticMesh(mesh.mean[chosen], mesh.std[chosen])
-        if seen:
-            predicted = seen_occupancy(some, height=height, key=jax.random.key(first))
+        if occluded:
+            predicted = occluded_occupancy(some, height=height, key=jax.random.key(first))
         else:
             predicted = occupancy(some, height=height)
         parts.append(np.asarray(differences(predicted, truth[chosen]))[: len(truth) - first])

@@ -88,15 +88,15 @@ def _measured(
 def _differences(net: Net, states: jax.Array, manipulations: jax.Array) -> tuple[jax.Array, ...]:
     """Return the _MEASURES and the centre shifts."""
     start, end = states[:, 0], states[:, -1]
-    seen, truth = voxels.observe(start), voxels.observe(end)
-    tall_seen, tall_truth = voxels.observe(start, height=TALL), voxels.observe(end, height=TALL)
+    observed, truth = voxels.observe(start), voxels.observe(end)
+    tall_observed, tall_truth = voxels.observe(start, height=TALL), voxels.observe(end, height=TALL)
     model, plan = forward_model(net.config), cartesian(states[:, :-1], manipulations)
-    logits, found = predict(model, net.params, seen, plan, unroll=True)
+    logits, found = predict(model, net.params, observed, plan, unroll=True)
     predicted = jax.nn.sigmoid(logits)
     return (
         differences(predicted[-1], truth),
-        differences(seen, truth),
+        differences(observed, truth),
         differences(pooled(predicted[-1]), tall_truth),
-        differences(tall_seen, tall_truth),
+        differences(tall_observed, tall_truth),
         found.shifts,
     )

@@ -1,4 +1,4 @@
-"""Paths of the hands in metres over time (section 4.2.2), turned or mirrored so that a robot can reach them."""
+"""Paths of the hands in metres over time (section 4.2.2), a robot's reach, and the symmetries of a cloth."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -11,7 +11,6 @@ from jaxtyping import Float
 
 from clothkit.cloth.mesh import error
 from clothkit.config import config
-from clothkit.errors import InputError
 from clothkit.manipulation.geometry import arc, release_points, to_cartesian
 from clothkit.manipulation.turns import planar, turn_mesh
 from clothkit.manipulation.vector import displacement, grasp_points, is_null, is_single
@@ -51,15 +50,6 @@ class HandPaths:
     """Seconds from the grasp."""
     points: Float[np.ndarray, "hands waypoints 3"]
     """Metres, in the table's frame; in the order of the manipulation's grasp points."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Turned:
-    """Paths after a turn or a mirroring, and its matrix."""
-
-    paths: tuple[HandPaths, ...]
-    matrix: Float[np.ndarray, "2 2"]
-    """Acts on the table's plane, as in `manipulation.turns`: the paths now lead to the goal turned by it."""
 
 
 def hand_paths(
@@ -115,34 +105,7 @@ def symmetries(mesh: Float[np.ndarray, "u v 3"], *, within: float = 0.02) -> lis
     return found
 
 
-def turned(paths: HandPaths, matrix: Float[np.ndarray, "2 2"], *, about: Float[np.ndarray, "2"]) -> HandPaths:
-    """The paths turned or mirrored by `matrix` in the table's plane, about the point `about` [m]."""
-    xy = about + (paths.points[..., :2] - about) @ matrix.T
-    return HandPaths(paths.times, np.concatenate([xy, paths.points[..., 2:]], axis=-1))
-
-
 def beyond(paths: Sequence[HandPaths], reach: ReachConfig) -> float:
     """The largest distance of a waypoint from the box along one axis [m]; 0 if all waypoints are in it."""
     points = np.concatenate([path.points.reshape(-1, 3) for path in paths] or [np.zeros((0, 3))])
     return float(np.maximum(reach.low - points, points - reach.high).max(initial=0.0))
-
-
-def within_reach(
-    paths: Sequence[HandPaths], reach: ReachConfig, mesh: Float[np.ndarray, "u v 3"], pose: Pose
-) -> Turned:
-    """The plan's paths, turned or mirrored only if needed so that all waypoints lie in the box.
-
-    `mesh` [normalised, centred] and `pose` are those of the cloth before the plan. The allowed turns and mirrorings are
-    the `symmetries` of this cloth, about its centre. Raises InputError when no form of the plan is in reach.
-    """
-    nearest = np.inf
-    for matrix in symmetries(mesh):
-        moved = tuple(turned(path, matrix, about=pose.centre) for path in paths)
-        outside = beyond(moved, reach)
-        if outside == 0:
-            return Turned(moved, matrix)
-        nearest = min(nearest, outside)
-    raise InputError(
-        f"plan: out of reach, however it is turned a waypoint is at least {nearest:.3g} m outside the box "
-        f"{reach.low}..{reach.high}"
-    )

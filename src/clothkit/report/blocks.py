@@ -1,40 +1,49 @@
-"""The blocks of a page, independent of the renderer: sections of paragraphs, pictures and tables."""
+"""The blocks of a page with their data, which the renderers show: sections of paragraphs, pictures and tables.
+
+`entries.py` makes them from the list of sections; a renderer knows nothing about the sections.
+"""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
 
 import pandas as pd
 
-from clothkit.report.printed import JUDGED
+from clothkit.report.formatting import JUDGED
+
+Renderer = Literal["markdown", "html"]
 
 
 @dataclass(frozen=True)
-class Text:
+class Paragraph:
     """A paragraph in Markdown."""
 
-    words: str
+    text: str
+    only: Renderer | None = None
+    """The one renderer that shows it; None: both."""
 
 
 @dataclass(frozen=True)
-class Figure:
+class Picture:
     """A picture in the report's folder."""
 
     name: str
+    title: str
     caption: str
     """In Markdown."""
 
 
 @dataclass(frozen=True)
-class Table:
+class DataTable:
     """A table with its heading and the paragraphs above it."""
 
-    name: str
-    """Name of its CSV."""
     title: str
     data: pd.DataFrame
-    words: Sequence[str] = ()
-    """Paragraphs in Markdown."""
+    csv: str
+    """Path of its CSV in the report's folder."""
+    paragraphs: Sequence[str] = ()
+    """In Markdown, none empty."""
     keys: Sequence[str] = ()
     """Columns that identify a row in a table with the paper's figures beside ours; empty for other tables."""
     judged: Collection[str] = JUDGED
@@ -43,40 +52,53 @@ class Table:
     heads: Mapping[str, str] = field(default_factory=dict)
     """Longer names of columns, for renderers that have room for them."""
     unit: str = ""
-    file: str = ""
-    """Path of its CSV in the report's folder; empty: `tables/<name>.csv`."""
-
-    @property
-    def csv(self) -> str:
-        """Path of its CSV in the report's folder."""
-        return self.file or f"tables/{self.name}.csv"
 
 
 @dataclass(frozen=True)
-class Missing:
-    """The place of a table that the report lacks because it is older than the table."""
+class Note:
+    """A heading with a paragraph in place of a table that the report lacks."""
 
     title: str
+    text: str
+
+
+class Card(NamedTuple):
+    """One of the most important figures, a mean on the test set [cloth length]; figures that are missing are NaN."""
+
+    title: str
+    own: float
+    paper: float
+    no_action: float
+    labelled: float
+    meaning: str
 
 
 @dataclass(frozen=True)
 class Cards:
-    """The most important figures in large print, for renderers that can show them."""
+    """The most important figures in large print; only HTML shows them."""
+
+    cards: Sequence[Card]
 
 
 @dataclass(frozen=True)
-class Stages:
-    """Time and memory of every stage."""
+class Timings:
+    """A table of every stage's time and memory, with bars; only HTML shows it."""
 
-    timings: pd.DataFrame
+    title: str
+    paragraph: str
+    csv: str
+    data: pd.DataFrame
 
 
 @dataclass(frozen=True)
-class Params:
-    """The settings that the report was made with."""
+class Folded:
+    """Preformatted text that is folded away; only HTML shows it."""
+
+    title: str
+    text: str
 
 
-Block = Text | Figure | Table | Missing | Cards | Stages | Params
+Block = Paragraph | Picture | DataTable | Note | Cards | Timings | Folded
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from clothkit.models.store import shapes
 from clothkit.planning.search import SearchConfig
 from clothkit.planning.systems import SYSTEMS
 from clothkit.report.layout import LENGTHS
-from clothkit.report.made_with import Learned, MadeWith, Net
+from clothkit.report.run_settings import Net, RunSettings, TrainedNet
 from clothkit.training.settings import TrainingConfig
 
 EQUAL = 0.05
@@ -31,31 +31,28 @@ ITERATIONS = tuple(f"iterations_{length}" for length in LENGTHS)
 EVALUATIONS = tuple(f"evaluations_{length}" for length in LENGTHS)
 
 
-def budgets(made_with: MadeWith, timings: pd.DataFrame | None, systems: list[str]) -> pd.DataFrame:
+def budgets(settings: RunSettings, timings: pd.DataFrame | None, systems: list[str]) -> pd.DataFrame:
     """The table of budgets: a row per planner, one for VtM, and the paper's rows.
 
     Columns: source, system; nets (number of forward models used in planning: the ensemble, or the best net of it),
     parameters (of each net), training_iterations, batch, training_cpu_minutes (of the ensemble's forward models
-    together, or of VtM; NaN where the training left no note), strains, iterations_1, _2, _3 (of a
-    search, by plan length), evaluations_1, _2, _3 (of the loss with its gradient: strains times iterations).
+    together, or of VtM; NaN where the training left no note), strains, iterations_1, _2, _3 (of a search, by plan
+    length), evaluations_1, _2, _3 (of the loss with its gradient: strains times iterations).
     """
-    rows, members = [], made_with.ensemble.members
+    rows, members = [], settings.ensemble.members
     for name in systems:
         system = SYSTEMS[name]
-        learned, search = (
-            (made_with.emd_voxel, made_with.voxel_search) if system.voxels else (made_with.pemd, made_with.search)
-        )
+        net, search = (settings.emd_voxel, settings.voxel_search) if system.voxels else (settings.pemd, settings.search)
         minutes = _minutes(timings, "train_emd_voxel" if system.voxels else "train_pemd", members)
-        nets = 1 if system.single else len(members)
-        rows.append(_row("clothkit", name, nets, learned, search, minutes))
-    rows.append(_row("clothkit", VTM, 1, made_with.vtm, None, _minutes(timings, "train_vtm")))
-    for name, net in PAPER.items():
-        rows.append(_row("paper", name, 2, Learned(net, TrainingConfig()), SearchConfig(), math.nan))
+        rows.append(_row("clothkit", name, 1 if system.single else len(members), net, search, minutes))
+    rows.append(_row("clothkit", VTM, 1, settings.vtm, None, _minutes(timings, "train_vtm")))
+    for name, published in PAPER.items():
+        rows.append(_row("paper", name, 2, TrainedNet(published, TrainingConfig()), SearchConfig(), math.nan))
     return pd.DataFrame(rows).astype(dict.fromkeys(("strains", *ITERATIONS, *EVALUATIONS), "Int64"))
 
 
 def _row(
-    source: str, system: str, nets: int, learned: Learned, search: SearchConfig | None, minutes: float
+    source: str, system: str, nets: int, net: TrainedNet, search: SearchConfig | None, minutes: float
 ) -> dict[str, object]:
     iterations = {length: search.iterations(int(length)) if search else math.nan for length in LENGTHS}
     strains = search.strains if search else math.nan
@@ -63,9 +60,9 @@ def _row(
         "source": source,
         "system": system,
         "nets": nets,
-        "parameters": _parameters(learned.net),
-        "training_iterations": learned.training.iterations,
-        "batch": learned.training.batch,
+        "parameters": _parameters(net.net),
+        "training_iterations": net.training.iterations,
+        "batch": net.training.batch,
         "training_cpu_minutes": minutes,
         "strains": strains,
         **{f"iterations_{length}": count for length, count in iterations.items()},
@@ -85,7 +82,7 @@ def _minutes(timings: pd.DataFrame | None, stage: str, members: Sequence[int] = 
     """
     if timings is None:
         return math.nan
-    own = timings[timings["stage"].map(lambda name: name.split("@")[0] == stage)]
+    own = timings[timings["stage"].astype(str).str.split("@").str[0] == stage]
     numbered = own[own["stage"].isin([f"{stage}@{member}" for member in members])]
     own = numbered if len(numbered) else own
     return float(own["cpu_seconds"].sum()) / 60 if len(own) else math.nan
@@ -99,7 +96,7 @@ def differ(table: pd.DataFrame, system: str, against: str) -> bool:
     return any(_apart(float(one[name]), float(other[name])) for name in (*EVALUATIONS, "training_cpu_minutes"))
 
 
-def told(table: pd.DataFrame) -> str:
+def difference(table: pd.DataFrame) -> str:
     """How the voxel baseline's budget differs from main's, in words; "" if either planner is missing."""
     main = _of(table, "main")
     voxels = [name for name in dict.fromkeys(table["system"]) if name in SYSTEMS and SYSTEMS[name].voxels]
@@ -109,10 +106,10 @@ def told(table: pd.DataFrame) -> str:
     times = [main[name] / other[name] for name in EVALUATIONS]
     names = " and ".join(f"*{name}*" for name in voxels)
     fewer = f"{names} search with {min(times):.2g} to {max(times):.2g} times fewer evaluations of the loss than *main*"
-    return f"{fewer}; {told_of_nets(table, 'their nets')}"
+    return f"{fewer}; {difference_of_training(table, 'their nets')}"
 
 
-def told_of_nets(table: pd.DataFrame, whose: str) -> str:
+def difference_of_training(table: pd.DataFrame, whose: str) -> str:
     """How long the voxel baseline's nets and main's were trained, in words; "" if b4 or main is missing.
 
     `whose` names the voxel baseline's nets in the sentence.
@@ -122,7 +119,7 @@ def told_of_nets(table: pd.DataFrame, whose: str) -> str:
         return ""
     minutes = [row["training_cpu_minutes"] for row in (voxels, main)]
     if any(map(math.isnan, minutes)):
-        return f"{whose} were trained for a time that is not known"
+        return f"{whose} were trained for an unknown time"
     return f"{whose} were trained for {minutes[0]:.0f} CPU minutes, those of *main* for {minutes[1]:.0f}"
 
 

@@ -10,7 +10,7 @@ from clothkit.cloth.symmetry import relabel
 from clothkit.dataset.tasks import Task, tasks_of
 from clothkit.evaluation.occupancy import TALL_MEASURE
 from clothkit.report import camera_tables, metrics, planning_tables, tables
-from clothkit.report.captions import CAPTIONS, CAPTIONS_FILE
+from clothkit.report.captions import CAPTIONS_FILE
 from clothkit.report.figures.calibration import calibration
 from clothkit.report.figures.camera import camera
 from clothkit.report.figures.curves import curves
@@ -26,12 +26,13 @@ from clothkit.report.figures.trajectories import Example, trajectories
 from clothkit.report.figures.voxels import voxels
 from clothkit.report.inputs import Inputs
 from clothkit.report.plots import plots
+from clothkit.report.sections import CAPTIONS
 from clothkit.report.settings import ReportConfig
 
 PREDICTOR_OF = {"main": "main", "b1": "a1"}
 """For a planner, the predictor with the same input: estimates or true meshes."""
 
-ABREAST = {1: 2, 2: 2, 3: 1}
+SESSIONS_PER_ROW = {1: 2, 2: 2, 3: 1}
 """Number of sessions side by side in a picture, by length."""
 
 
@@ -43,7 +44,7 @@ def build(folder: Path, inputs: Inputs, settings: ReportConfig) -> dict[str, pd.
     (folder / "tables").mkdir(parents=True)
     (folder / "figures").mkdir()
     planned, found = inputs.planning, inputs.prediction
-    made = {
+    built = {
         "table_2": tables.estimation(inputs.estimation),
         "table_3": tables.prediction(found, settings.predictors),
         "table_4": tables.prediction_voxels(found, settings.voxel_predictors),
@@ -66,20 +67,20 @@ def build(folder: Path, inputs: Inputs, settings: ReportConfig) -> dict[str, pd.
         "splits": tables.splits(inputs.dataset),
         "attempts": tables.attempts(inputs.attempts),
     }
-    drawn = draw_figures(folder / "figures", inputs, made["largest"], settings)
+    drawn = draw_figures(folder / "figures", inputs, built["largest"], settings)
     # The pages of an old report can be written again, but not its pictures, so their captions are stored beside them.
-    told = {name: CAPTIONS[name] for name in sorted(drawn)}
-    (folder / "figures" / CAPTIONS_FILE).write_text(json.dumps(told, indent=1, ensure_ascii=False) + "\n")
-    for name, table in made.items():
+    captions = {name: CAPTIONS[name] for name in sorted(drawn)}
+    (folder / "figures" / CAPTIONS_FILE).write_text(json.dumps(captions, indent=1, ensure_ascii=False) + "\n")
+    for name, table in built.items():
         table.to_csv(folder / "tables" / f"{name}.csv", index=False, float_format="%.5g", lineterminator="\n")
     means = metrics.means(
-        estimation=made["table_2"],
-        prediction=made["table_3"],
-        prediction_voxels=made["table_4"],
-        position=made["table_5"],
-        planning=made["table_6"],
-        planning_voxels=made["table_7"],
-        sigma_ratio=made["sigma_ratio"],
+        estimation=built["table_2"],
+        prediction=built["table_3"],
+        prediction_voxels=built["table_4"],
+        position=built["table_5"],
+        planning=built["table_6"],
+        planning_voxels=built["table_7"],
+        sigma_ratio=built["sigma_ratio"],
     )
     means.to_csv(folder / "metrics.csv", index=False, float_format="%.5g", lineterminator="\n")
     headline = metrics.headline(means, settings.planners)
@@ -89,9 +90,9 @@ def build(folder: Path, inputs: Inputs, settings: ReportConfig) -> dict[str, pd.
         **{f"pemd_{member}": rows for member, rows in inputs.forward_histories.items()},
         "vtm": inputs.vtm_history,
     }
-    for name, rows in plots(histories, inputs.calibration, made["table_3"], made["table_6"]).items():
+    for name, rows in plots(histories, inputs.calibration, built["table_3"], built["table_6"]).items():
         rows.to_csv(folder / "plots" / f"{name}.csv", index=False, float_format="%.5g", lineterminator="\n")
-    return made
+    return built
 
 
 def draw_figures(folder: Path, inputs: Inputs, errors: pd.DataFrame, settings: ReportConfig) -> list[str]:
@@ -120,8 +121,8 @@ def draw_figures(folder: Path, inputs: Inputs, errors: pd.DataFrame, settings: R
         scatter(inputs.planning, inputs.prediction, PREDICTOR_OF, settings.planners, folder / "scatter.png")
         names.append("scatter")
     rows = inputs.planning[inputs.planning["system"] == planner]
-    of_main = inputs.prediction[inputs.prediction["better"] & (inputs.prediction["system"] == "main")]
-    best = list(inputs.forward_histories).index(str(of_main["net"].iloc[0]))
+    main_rows = inputs.prediction[inputs.prediction["better"] & (inputs.prediction["system"] == "main")]
+    best = list(inputs.forward_histories).index(str(main_rows["net"].iloc[0]))
     failed = []
     for row in errors.to_dict("records"):
         task = Task(row["sequence"], row["start"], row["length"])
@@ -132,9 +133,9 @@ def draw_figures(folder: Path, inputs: Inputs, errors: pd.DataFrame, settings: R
         largest(failed, folder / "largest.png")
         names.append("largest")
     test = np.unique(rows.loc[rows["split"] == "test", "sequence"]).tolist()
-    for length, abreast in ABREAST.items():
+    for length, per_row in SESSIONS_PER_ROW.items():
         chosen: list[Session] = []
-        for task in picked(test, dataset.length[test].tolist(), length):
+        for task in example_tasks(test, dataset.length[test].tolist(), length):
             session = of_record(inputs.sessions, dataset, rows, task, net=best)
             if session is not None and len(chosen) < settings.sessions:
                 chosen.append(session)
@@ -143,7 +144,7 @@ def draw_figures(folder: Path, inputs: Inputs, errors: pd.DataFrame, settings: R
         if session is not None:
             chosen.append(session._replace(remark="the median case"))
         if chosen:
-            sessions(chosen, folder / f"sessions_{length}.png", abreast=abreast)
+            sessions(chosen, folder / f"sessions_{length}.png", per_row=per_row)
             names.append(f"sessions_{length}")
     return names
 
@@ -171,7 +172,7 @@ def representations(folder: Path, inputs: Inputs) -> list[str]:
     return ["meshes", "voxels", "trajectories", "equivalents"]
 
 
-def picked(sequences: list[int], manipulations: list[int], length: int) -> list[Task]:
+def example_tasks(sequences: list[int], manipulations: list[int], length: int) -> list[Task]:
     """One task of that length from each sequence that has one, with the starts in rotation.
 
     The rule makes the examples independent of their results.

@@ -1,156 +1,163 @@
 """Texts above the report's tables and below its figures, in Markdown; the same on both pages.
 
-Texts that depend on a report's settings or figures are in `said.py`.
+Texts that depend on a report's settings or figures are in `texts.py`.
 """
 
 INTRO = (
-    "Errors are mean distances between vertices in lengths of the cloth's side, the smallest over the cloth's "
-    "eight equivalent labellings; outcomes and *no action* (start against goal) are moved onto the goal first, "
-    "estimates and predictions are not. Columns: manipulations / state that they start from. *main* sees voxels "
-    "only; *a1* predicts, and *b1* plans, from true meshes; *b2* plans with one net, *b3* without the uncertainty "
-    "term, *b4* and *b5* in voxels, with an ensemble and with one net. Pictured are the first test sequences, not "
-    "chosen ones, but for the largest errors and the median cases.\n"
+    "Errors are mean distances between vertices, in lengths of the cloth's side. Each is the smallest over the cloth's "
+    "eight equivalent labellings. Outcomes and *no action* (the start compared with the goal) are translated onto the "
+    "goal first; estimates and predictions are not. Columns: number of manipulations / state from which they start. "
+    "*main* observes voxels only. *a1* predicts and *b1* plans from true meshes. *b2* plans with one net, and *b3* "
+    "without the uncertainty term. *b4* and *b5* plan in voxels, with an ensemble and with one net. The pictures show "
+    "the first test sequences, which were not selected by their results, except for the largest errors and the median "
+    "cases.\n"
 )
 CANONICAL = (
-    "The nets that predict meshes see each cloth in one canonical description, whatever its direction and labels"
+    "The input of the nets that predict meshes is one canonical description of each cloth, which does not depend on "
+    "the cloth's direction and labels"
 )
-VOXELS_CANONICAL = "those of the voxel baseline (*a2*, *b4*, *b5*) see voxels in one of eight, likewise"
-VOXELS_AS_THEY_ARE = "those of the voxel baseline (*a2*, *b4*, *b5*) see voxels as they are, as the paper's do"
+VOXELS_CANONICAL = "the input of the voxel baseline's nets (*a2*, *b4*, *b5*) is likewise one of eight equivalent grids"
+VOXELS_AS_THEY_ARE = (
+    "the input of the voxel baseline's nets (*a2*, *b4*, *b5*) is the observed voxels, unchanged, as in the paper"
+)
 MEMORY = (
-    "Section 5.1 hands a memory trace on from each plan of a session to the next. A canonical net describes every "
-    "cloth that is observed in a new frame, in which the old trace means nothing: there it is dropped after each "
-    "observation, so that sessions of mesh systems do without this mechanism of the paper's. "
+    "In section 5.1 of the paper, each plan of a session passes its memory trace on to the next plan. A canonical net "
+    "describes each newly observed cloth in a new frame, in which the old trace has no meaning. The trace is therefore "
+    "dropped after each observation, and sessions of mesh systems do not use this mechanism of the paper. "
 )
-MEMORY_STUDY = "[A study](studies/memory.csv) tells what it is worth.\n"
-MEMORY_UNKNOWN = "What it is worth was not measured for this report.\n"
+MEMORY_STUDY = "[A study](studies/memory.csv) measures the effect.\n"
+MEMORY_UNKNOWN = "The effect was not measured for this report.\n"
 MISSING = "Not measured in this report.\n"
 PAPER = (
-    "The paper's figures are from another simulator, 3,493 training sequences, and 100 test and 100 training sequences "
-    "in each table.\n"
+    "The paper's values are from another simulator and from 3,493 training sequences; each of its tables has 100 test "
+    "and 100 training sequences.\n"
 )
 UNCERTAINTY = (
-    "Median over meshes of the mean of abs(error) / σ; 0.798 is ideal, less says that σ is too large. Columns: "
-    "estimates, then predictions after one, two and three manipulations; the paper tells those of the test set.\n"
+    "Median over meshes of the mean of abs(error) / σ. The ideal is 0.798; a smaller value means that σ is too large. "
+    "Columns: estimates, then predictions after one, two and three manipulations. The paper gives values for the test "
+    "set only.\n"
 )
 
-SESSIONS = (
-    "Above the recorded sequence and its goal (light blue), which is all that the planner is given of it; at the left "
-    "what happened, the outcome in light blue; between, plan by plan, the estimate (E) with grasp candidates (lilac "
-    "circles) and the predictions (P, σ lilac); at the right the predicted outcome, refined. The first test sequences, "
-    "and the task of median error. Paths that leave a picture end in an arrow at its border."
-)
 VOXELS = (
-    "The same predictions in voxels: mean absolute difference of voxel values. *a2* is the paper's voxel baseline, "
-    "which sees, and predicts, voxels. Meshes become voxels by eq. (16), and their truth is unoccluded, a vertex per "
-    "grid point. *a2* predicts what a camera above sees, and its truth is that: occluded, at twice the mesh's "
-    "resolution; so is its *no action*. *main_occluded* are *main*'s predictions in that format, as the share of "
-    "meshes drawn from them in which a camera sees a voxel occupied: those two can be held against each other.\n"
+    "The same predictions in voxels: mean absolute difference of voxel values. *a2* is the paper's voxel baseline: its "
+    "input and its predictions are voxels. Predicted meshes become voxels by eq. (16). They are compared with the true "
+    "mesh's voxels, without occlusion, from one vertex per grid point. *a2* predicts what a camera above the cloth "
+    "sees, so it is compared with occluded voxels from a mesh of twice the resolution, and so is its *no action*. "
+    "*main_occluded* converts *main*'s predictions to that format: meshes are drawn from the prediction, and a voxel's "
+    "value is the share of them in which a camera sees the voxel as occupied. Compare *main_occluded* with *a2*.\n"
 )
 COMPARISONS = (
-    "The two on the same tasks: mean difference (system minus the one it is held against: below zero the first is "
-    "better), its 95 % bootstrap interval, and p of a two-sided paired sign-flip test, both over sequences; neither "
-    "is told of fewer than ten.\n"
+    "Both predictors on the same tasks: mean difference (system minus against; below zero, the system is better), its "
+    "95 % bootstrap interval, and p of a two-sided paired sign-flip test, both over sequences. Interval and p are not "
+    "given for fewer than ten sequences.\n"
 )
 POSITION = (
-    "The predicted shift of the cloth's centre, by the number of manipulations, from every start; *no action* "
+    "Error of the predicted shift of the cloth's centre, by number of manipulations, over all starts. *no action* "
     "predicts no shift.\n"
 )
-_INTERVALS = (
-    "the ends of a bootstrap interval of our mean, drawn by sequences, since tasks of one share its states; none is "
-    "told of fewer than ten sequences.\n"
-)
 LABELLED = (
-    "*mean, labelled* takes outcome and goal as the dataset labels them, and not the best of eight labellings; the "
-    'paper\'s figures are distances "for each mesh vertex", and it names no choice of labelling.\n'
+    "*mean, labelled* compares outcome and goal vertex by vertex in the dataset's labels, instead of in the best of "
+    'eight labellings. The paper\'s errors are distances "for each mesh vertex"; it does not say which labelling it '
+    "uses.\n"
 )
 LABELLED_SHORT = (
-    "Errors are those of the best of eight labellings; *labelled* ones take outcome and goal as the dataset labels "
-    "them. The paper names no choice of labelling.\n"
+    "Errors are those in the best of eight labellings; *labelled* ones compare outcome and goal in the dataset's "
+    "labels. The paper does not say which labelling it uses.\n"
 )
-INTERVALS = f"*mean 95 % low* and *high*, or *95 % of mean*, are {_INTERVALS}"
+INTERVALS = (
+    "*mean 95 % low* and *high*, or *95 % of mean*, are the ends of a bootstrap interval of our mean. It resamples "
+    "sequences, because the tasks of a sequence share states. It is not given for fewer than ten sequences.\n"
+)
 TALL = (
-    "The table above for a viewport of height 0.25, in which voxels are four times finer in z than in x and y, as the "
-    "paper's text says; the paper's figures are the same.{}\n"
+    "The table above for a viewport of height 0.25, whose voxels are four times finer in z than in x and y, as the "
+    "paper's text says. The paper's values are the same as above.{}\n"
 )
 TALL_A2 = (
-    " *a2* predicts voxels of the usual viewport: the larger value of every two that lie one above the other is taken "
-    "for the voxel that holds them, and what lies above that viewport is taken for empty."
+    " *a2* predicts voxels of the usual viewport. Each voxel of this table takes the larger of the two values that lie "
+    "in it, one above the other; voxels above the usual viewport count as empty."
 )
 BUDGETS = (
-    "What plans were made with, and how long the nets learned: *nets* in a plan (of an ensemble, of which systems "
-    "of one net plan with the best); *parameters* of each; *training_cpu_minutes* of all, in the stages' last runs on "
-    "this machine (a training that was interrupted counts from where it went on); *evaluations* of the loss with its "
-    "gradient in the search for a plan of 1, 2 and 3 manipulations, which are strains times iterations; one of the "
-    "voxel nets costs many times as much as one of the mesh nets. The paper's: its settings, with the parameters that "
-    "they have here.\n"
+    "The budgets for planning and training. *nets*: nets used in a plan: an ensemble, or for systems with one net the "
+    "best of it. *parameters_millions*: of each net. *training_cpu_minutes*: of all nets of the ensemble, in the "
+    "stages' last runs on this machine; for a training that was interrupted, only the time after it was resumed. "
+    "*evaluations*: how often the search for a plan of 1, 2 or 3 manipulations evaluates the loss and its gradient "
+    "(strains times iterations). One evaluation of a voxel net costs many times as much as one of a mesh net. The "
+    "paper's rows have the paper's settings; their numbers of parameters are those of our implementation.\n"
 )
 PLANNING_VOXELS = (
-    "The same outcomes and goals in voxels: mean absolute difference of voxel values, both sides free of noise and "
-    "unoccluded, a vertex per grid point.\n"
+    "The same outcomes and goals in voxels: mean absolute difference of voxel values. Both are without noise and "
+    "occlusion, from one vertex per grid point.\n"
 )
 PLANNING_COMPARISONS = (
-    "Two planners on the same tasks: mean difference (system minus the one it is held against: below zero the first is "
-    "better), its 95 % bootstrap interval, and p of a two-sided paired sign-flip test, both over sequences; neither "
-    "is told of fewer than ten, and p is not adjusted for the number of comparisons. Shown are those of the test set "
-    "by length; the CSV has every start, and the training set.\n"
+    "Two planners on the same tasks: mean difference (system minus against; below zero, the system is better), its "
+    "95 % bootstrap interval, and p of a two-sided paired sign-flip test, both over sequences. Interval and p are not "
+    "given for fewer than ten sequences, and p is not adjusted for the number of comparisons. The table shows the test "
+    "set by length; the CSV also has every start and the training set.\n"
 )
 SPEED = (
-    "Seconds of search over the number of plans, by system and plan length; *estimate*: seconds per estimate of a "
-    "mesh, refined but for *unrefined* (the paper's: 3.7 ms for VtM, 0.57 s for the refinement). Ours with the sizes "
-    "of [params.yaml](params.yaml), the paper's with those of its table 1. Searches run many at a time. A dash: none, "
-    "or the stage's results were restored and its times are not known.\n"
+    "Seconds of search per plan, by system and plan length. *estimate*: seconds per estimate of a mesh, including its "
+    "refinement except for *unrefined* (in the paper 3.7 ms for VtM and 0.57 s for the refinement). Our sizes are "
+    "those of [params.yaml](params.yaml), the paper's those of its table 1. Many searches run at the same time. A "
+    "dash: the system has none, or the stage's results were restored and its times are not known.\n"
 )
 TIMINGS = (
-    "Of the stages' last runs on this machine, with the time of all their processes and the memory of the largest; a "
-    "stage whose results were restored has no row.\n"
+    "Of the stages' last runs on this machine: CPU time of all processes, and memory of the largest process. A stage "
+    "whose results were restored has no row.\n"
 )
-STATES = "By how many manipulations lie behind the state; *no action* takes the state before the last one for it.\n"
+STAGES = "[Seconds and memory of every stage](timings.csv), of the stages' last runs on this machine.\n"
+STATES = (
+    "By number of manipulations before the state. *no action* takes the state before the last manipulation as the "
+    "estimate.\n"
+)
+ATTEMPTS = "Tried sequences by result: accepted, or the reason for the rejection.\n"
 FAILURES = (
-    "Of each session's first plan, and of what came of the session, test set. *search_failure*: share of plans that "
-    "the nets rate worse than the recorded manipulations, which the search missed; *model_failure*: share that they "
-    "rate no worse, yet whose outcome is more than 0.05 off; *layers_reversed*: share whose outcome has the goal's "
-    "folds, but more than a quarter of its layers in another order (folding twice, first over the other axis, makes "
-    "it a half); *grasp_offered*: share of starts with a grasp candidate at each recorded grasp point; *nulls_fired*: "
-    "manipulations per session that the planner cancelled because it expected their plan to end no nearer to the "
-    "goal, *nulls_helped*: of those in a session's last step, the share that would have led away from it, as a "
-    "simulation of what was cancelled tells; *expected*, *error*: mean error that the nets expect, and that came; "
-    "*error_estimate_good*, *error_estimate_bad*: mean error of tasks whose first estimate is within 0.05 of the "
-    "truth, and of the others. The CSV has the training set, too.\n"
+    "On the test set; the first plan of each session and its outcome. *search_failure*: share of plans with a higher "
+    "loss than the recorded manipulations, which the search therefore missed. *model_failure*: share of plans with no "
+    "higher loss, but an outcome with an error above 0.05. *layers_reversed*: share of outcomes with the goal's folds, "
+    "but with more than a quarter of the layers in another order (to fold twice, but over the other axis first, "
+    "reverses half of them). *grasp_offered*: share of starts with a candidate grasp point at each recorded grasp "
+    "point. *nulls_fired*: manipulations per session that the planner cancelled, because it expected that the plan "
+    "would not bring the cloth nearer to the goal. *nulls_helped*: of those in the last step of a session, the share "
+    "that would have moved the cloth away from the goal, in a simulation of the cancelled manipulation. *expected*, "
+    "*error*: mean error that the nets predict, and mean error of the outcome. *error_estimate_good*, "
+    "*error_estimate_bad*: mean error of the tasks whose first estimate has an error of at most 0.05, and of the "
+    "others. The CSV also has the training set.\n"
 )
 LARGEST = (
-    "The test tasks with the largest errors, and why, in the words of the paper's section 6.4; the first that holds: "
-    "a recorded grasp point had no candidate nearby (*grasp point not offered*); the first estimate was more than "
-    "0.05 off (*estimate wrong*); more than a quarter of its layers lie in another order than the truth's "
-    "(*estimate's layers reversed*), or of the final outcome's in another order than the goal's (*layers reversed*); "
-    "the nets rate the recorded manipulations better than the plan (*search failure*); they expected an error of at "
-    "most 0.05 (*model failure*); none of these (*open*): they knew that the plan is not good, and think no better of "
-    "the recorded manipulations. All but *error* and *layers_reversed* are of the first plan: what went wrong later "
-    "is not told.\n"
+    "The test tasks with the largest errors, and their diagnosis in the terms of the paper's section 6.4. The "
+    "diagnosis is the first that applies: a recorded grasp point had no candidate nearby (*grasp point not offered*); "
+    "the first estimate had an error above 0.05 (*estimate wrong*); more than a quarter of the estimate's layers are "
+    "in another order than the true ones (*estimate's layers reversed*), or of the final outcome's in another order "
+    "than the goal's (*layers reversed*); the recorded manipulations have a lower loss than the plan (*search "
+    "failure*); the nets expected an error of at most 0.05 (*model failure*); none of these (*open*): the nets "
+    "expected a larger error, and do not rate the recorded manipulations better. All columns except *error* and "
+    "*layers_reversed* are about the first plan; what happened later in the session is not diagnosed.\n"
 )
 CAMERA = (
-    "Test cloths before a simulated depth camera (section 6.5), tilted from straight down by so many degrees, with "
-    "multiples of the noise and holes of a first-generation Kinect. Clouds take the way of a user's: "
-    "the table is found, the cloth cut out, voxels centred where the cloth was seen; *voxels* is the condition of all "
-    "other tables, those of the true mesh, free of noise.\n"
+    "Test cloths in front of a simulated depth camera (section 6.5). *tilt* is the camera's angle from straight down, "
+    "in degrees; *noise* is a multiple of the noise and holes of a first-generation Kinect. Point clouds are processed "
+    "like those of a user: the table is found, the cloth is cut out, and voxels are centred where the cloth was seen. "
+    "The condition *voxels* is that of all other tables: noise-free voxels of the true mesh.\n"
 )
 CAMERA_ESTIMATION = (
-    "Means over states after one, two and three manipulations. *seen*: share of states that some picture "
-    "shows; *voxel_error*: mean difference to the noise-free voxels; *centre_error*: how far the observed centre "
-    "is off, and *estimate*: error of the refined estimate, in lengths of the cloth's side; *iou*: of what the cloud "
-    "covers and the true silhouette.\n"
+    "Means over states after one, two and three manipulations. *seen*: share of states whose picture shows a cloth. "
+    "*voxel_error*: mean difference to the noise-free voxels. *centre_error*: distance of the observed centre from the "
+    "true one, and *estimate*: error of the refined estimate, both in lengths of the cloth's side. *iou*: intersection "
+    "over union of the point cloud's silhouette and the true one.\n"
 )
 CAMERA_PLANNING = (
-    "The same tasks under every condition, planned by *main*; estimates, and where hands grasp, are from the camera's "
-    "clouds. Columns 1, 2, 3: mean error of outcomes by manipulations; *iou*: of outcomes' and goals' true "
-    "silhouettes, *iou_seen*: of goals' and of what the camera sees of outcomes.\n"
+    "The same tasks under every condition, planned by *main*. Estimates and grasp positions are from the camera's "
+    "point clouds. Columns 1, 2, 3: mean error of outcomes by number of manipulations. *iou*: intersection over union "
+    "of the true silhouettes of outcome and goal; *iou_seen*: of the outcome's silhouette as the camera sees it and "
+    "the goal's.\n"
 )
 CAMERA_COMPARISONS = (
-    "Each condition against *voxels* on the same tasks: mean difference of errors (above zero the camera costs "
-    "something), its 95 % bootstrap interval, and p of a two-sided paired sign-flip test, both over sequences; "
-    "neither is told of fewer than ten.\n"
+    "Each condition compared with *voxels* on the same tasks: mean difference of errors (above zero, errors are larger "
+    "with the camera), its 95 % bootstrap interval, and p of a two-sided paired sign-flip test, both over sequences. "
+    "Interval and p are not given for fewer than ten sequences.\n"
 )
 SYSTEMS = {
-    "main": "sees voxels only; an ensemble of mesh nets",
+    "main": "observes voxels only; an ensemble of mesh nets",
     "a1": "main, from true meshes",
     "a2": "a voxel net",
     "main_occluded": "main's predictions, as a camera above would see them",
@@ -160,9 +167,9 @@ SYSTEMS = {
     "b4": "an ensemble of voxel nets",
     "b5": "one voxel net",
     "unrefined": "main without refinement of its estimates",
-    "no action": "start against goal",
-    "no action, occluded": "start against goal, as a camera above sees them",
-    "pmr": "VtM's probabilistic mesh, its means",
+    "no action": "start compared with goal",
+    "no action, occluded": "start compared with goal, as a camera above sees them",
+    "pmr": "means of VtM's probabilistic mesh",
     "dmr": "the refined mesh",
 }
 """Meanings of the names of systems and of kinds of estimates."""
@@ -170,41 +177,68 @@ SYSTEMS = {
 CAPTIONS_FILE = "captions.json"
 """File beside a report's figures with the captions that they had when they were drawn."""
 
-CAPTIONS = {
-    "sequences": "Simulated test sequences: states from above, manipulations dotted (red and green: the two hands); "
-    "blue and orange are the cloth's two sides.",
-    "estimates": "Estimates of test sequences after one, two and three manipulations: truth, voxels, VtM's mean with "
-    "its σ in lilac, and the refined mesh.",
-    "predictions": "Predictions from an estimate of the first state (E) beside what was recorded (R). Lilac is σ, the "
-    "yellow arrow in a corner the predicted shift of the cloth's centre, to scale.",
-    "sessions_1": f"Planning in one step. {SESSIONS}",
-    "sessions_2": f"Planning in two steps. {SESSIONS}",
-    "sessions_3": f"Planning in three steps. {SESSIONS}",
-    "calibration": "Test set: the share of coordinates whose error is below z σ, against the share of a normal "
-    "distribution there; dots are at z = 1. Above the dashed diagonal σ is larger than the errors warrant, below it "
-    "smaller. Estimates by the manipulations that lie behind the state; predictions from estimates, by the "
-    "manipulations predicted, from every start.",
-    "scatter": "Planning error against prediction error, a dot per test task. Predictions start from what the planner "
-    "starts from: estimates beside main, true meshes (a1) beside b1.",
-    "largest": "The largest errors, in the table's order: start with the recorded manipulation, and goal; then, plan "
-    "by plan, the estimate with grasp candidates (lilac circles) and the plan's first manipulation, the outcome "
-    "predicted for the whole plan (σ lilac), and what its execution led to, the final outcome on light blue. Numbers "
-    "are how far the first estimate is off, how far from the goal the nets expect the first plan to end, and how far "
-    "from it the cloth was in the end.",
-    "camera": "Test states before cameras: the middle of the picture by height above "
-    "the table, the voxels that come of it (the scales below are those of all pictures), and the refined estimate. On "
-    "the left the truth, its voxels free of noise, and their estimate.",
-    "meshes": "One state of the first test sequence, as a mesh and as the probabilistic mesh that VtM makes of its "
-    "voxels: from above (the grid is printed on the picture; lilac is σ), and each component over the cloth, u to the "
-    "right, v upwards. Light is more: x and y over the viewport, z over the mesh's own heights, σ up to the number "
-    "above it.",
-    "voxels": "The same state in voxels, without noise and unoccluded: the share of occupied voxels along each line of "
-    "sight, darker is more. z is stretched as the viewport's resolution stretches it.",
-    "trajectories": "From grasp points g and displacement d to release points r: two hands' are mirrored at the line "
-    "m, which stands across d in p (eq. 1); a single hand moves by d. Grey: the silhouette. What leaves the picture "
-    "ends in an arrow at its border, in every figure.",
-    "equivalents": "One shape as eight meshes, with the geodesic coordinates of its corners; the colours are those of "
-    "geodesic coordinates, too.",
-    "curves": "Validation errors during training, with their values where the score was best (dots). Tasks: "
-    "manipulations / state that they start from; states: manipulations that lie behind them.",
-}
+# Captions of figures.
+SEQUENCES = (
+    "Simulated test sequences, seen from above. Dotted lines are the manipulations (red and green: the two hands); "
+    "blue and orange are the two sides of the cloth."
+)
+ESTIMATES = (
+    "Estimates of test sequences after one, two and three manipulations: the true mesh, its voxels, VtM's mean with σ "
+    "in lilac, and the refined mesh."
+)
+PREDICTIONS = (
+    "Predictions from an estimate of the first state (E), beside the recorded states (R). Lilac is σ; the yellow arrow "
+    "in a corner is the predicted shift of the cloth's centre, to scale."
+)
+CALIBRATION = (
+    "Test set: the share of coordinates whose error is below z σ, against the same share of a normal distribution; "
+    "dots are at z = 1. Above the dashed diagonal σ is too large for the errors, below it too small. Estimates are "
+    "grouped by the number of manipulations before the state; predictions, which start from estimates, by the number "
+    "of predicted manipulations, over all starts."
+)
+SCATTER = (
+    "Planning error against prediction error; a dot is a test task. Predictions have the same input as the planner: "
+    "estimates for main, true meshes (a1) for b1."
+)
+LARGEST_PICTURED = (
+    "The largest errors, in the order of the table. On the left the start with the recorded manipulation, and the "
+    "goal. Then, for each plan: the estimate with candidate grasp points (lilac circles) and the plan's first "
+    "manipulation; the predicted outcome of the whole plan (σ in lilac); and the state after the execution, the final "
+    "one on light blue. The numbers are the error of the first estimate, the distance from the goal that the nets "
+    "expect after the first plan, and the error of the final state."
+)
+CAMERA_PICTURED = (
+    "Test states in front of the cameras: the middle of the picture, coloured by height above the table; the resulting "
+    "voxels (the scales below apply to all pictures); and the refined estimate. On the left the true mesh, its "
+    "noise-free voxels, and the estimate from them."
+)
+MESHES = (
+    "One state of the first test sequence as a mesh, and as the probabilistic mesh that VtM estimates from its voxels. "
+    "Both are shown from above (with the grid drawn on the picture; lilac is σ) and as one image per component over "
+    "the cloth, with u to the right and v upwards. Lighter means larger: x and y over the viewport, z over the mesh's "
+    "own range of heights, σ up to the number above it."
+)
+VOXELS_PICTURED = (
+    "The same state in voxels, without noise and occlusion: the share of occupied voxels along each line of sight; "
+    "darker means more. z is stretched like the resolution of the viewport."
+)
+TRAJECTORIES = (
+    "From grasp points g and displacement d to release points r. Two hands move in mirror symmetry at the line m, "
+    "which is perpendicular to d at the point p (eq. 1); a single hand moves by d. Grey is the silhouette. In every "
+    "figure, a path that leaves the picture ends in an arrow at its border."
+)
+EQUIVALENTS = (
+    "One shape as eight equivalent meshes, with the geodesic coordinates of the corners; colours also show geodesic "
+    "coordinates."
+)
+CURVES = (
+    "Validation errors during training; dots mark the values where the score was best. Tasks: number of manipulations "
+    "/ state from which they start. States: number of manipulations before the state."
+)
+SESSIONS = (
+    "On top the recorded sequence with its goal (light blue), of which the planner is given the goal only. On the left "
+    "the executed states, with the outcome in light blue. In the middle, for each plan, the estimate (E) with "
+    "candidate grasp points (lilac circles) and the predictions (P, σ in lilac). On the right the predicted outcome, "
+    "refined. The examples are the first test sequences and the task of median error. A path that leaves a picture "
+    "ends in an arrow at its border."
+)

@@ -9,44 +9,15 @@ import pandas as pd
 
 from clothkit.errors import InputError, system_error
 from clothkit.json_file import read_json
-from clothkit.report import made_with
-from clothkit.report.captions import CAPTIONS, CAPTIONS_FILE
-from clothkit.report.layout import BY_LENGTH, HIGH, LENGTHS, LOW, STATES, TASKS
-from clothkit.report.made_with import MadeWith
-from clothkit.report.printed import LEAST
+from clothkit.report import run_settings
+from clothkit.report.captions import CAPTIONS_FILE
+from clothkit.report.formatting import LEAST
+from clothkit.report.layout import BY_LENGTH, HIGH, LOW
+from clothkit.report.run_settings import RunSettings
 
 _CAPTIONED = "a JSON object with a caption for every picture"
-_OUTCOMES = ("source", "split", "system", "statistic", *TASKS)
-_COMPARED = ("column", "sequences", "difference", "low", "high", "p")
-
-TABLES: Mapping[str, tuple[str, ...]] = {
-    "table_2": ("source", "split", "kind", "statistic", *STATES),
-    "table_3": _OUTCOMES,
-    "table_4": _OUTCOMES,
-    "table_4_025": _OUTCOMES,
-    "comparisons": ("split", "measure", "system", "against", *_COMPARED),
-    "table_5": ("source", "split", "system", "statistic", *LENGTHS),
-    "table_6": _OUTCOMES,
-    "table_7": _OUTCOMES,
-    "table_7_025": _OUTCOMES,
-    "planned": ("split", "sequences"),
-    "planning_comparisons": ("split", "measure", "system", "against", *_COMPARED),
-    "failures": ("split", "system", "length", "tasks"),
-    "largest": ("sequence", "start", "length", "error", "diagnosis"),
-    "camera_estimation": ("condition", "tilt", "noise", "states"),
-    "camera_planning": ("condition", "tilt", "noise", "tasks"),
-    "camera_comparisons": ("condition", *_COMPARED),
-    "sigma_ratio": ("source", "split", "system", "estimate", *LENGTHS),
-    "splits": ("split", "sequences", "manipulations", "single_handed"),
-    "attempts": ("outcome", "attempts", "share"),
-}
-"""Every table under `tables/`, and the columns that it must have. Older reports lack some tables."""
-
-COSTS: Mapping[str, tuple[str, ...]] = {
-    "table_8": ("source", "system", "machine", *LENGTHS, "estimate"),
-    "timings": ("stage", "seconds", "cpu_seconds", "peak_memory_mib", "machine"),
-}
-"""Tables in the report's folder itself, and the columns that they must have."""
+PLANNED = ("split", "sequences")
+"""Columns of `tables/planned.csv`, the numbers of sequences that were planned for. Older reports lack it."""
 
 
 COUNTS = (
@@ -60,9 +31,9 @@ COUNTS = (
 class Contents:
     """The content of the pages."""
 
-    made_with: MadeWith
+    settings: RunSettings
     tables: Mapping[str, pd.DataFrame]
-    """The tables of TABLES and COSTS that exist; intervals and p from fewer than `LEAST` sequences are NaN."""
+    """The tables that exist, by name; intervals and p from fewer than `LEAST` sequences are NaN."""
     figures: Mapping[str, str]
     """The captions of the pictures that exist, by name."""
     planned: Mapping[str, int]
@@ -71,19 +42,21 @@ class Contents:
     """Whether there is a study of the memory trace's effect."""
 
 
-def read(folder: Path) -> Contents:
-    """The contents of reports/<scale>/. Raises InputError for a file that can't be read or lacks a column."""
-    settings = made_with.read(folder / "params.yaml")
-    paths = {folder / "tables" / f"{name}.csv": columns for name, columns in TABLES.items()}
-    paths |= {folder / f"{name}.csv": columns for name, columns in COSTS.items()}
-    tables = {path.stem: _table(path, columns) for path, columns in paths.items() if path.exists()}
+def read(folder: Path, columns: Mapping[str, tuple[str, ...]], captions: Mapping[str, str]) -> Contents:
+    """The contents of reports/<scale>/. Raises InputError for a file that can't be read or lacks a column.
+
+    `columns` are those that each table must have, by its path in the folder; `captions` are those of figures, by name.
+    """
+    settings = run_settings.read(folder / "params.yaml")
+    paths = {folder / path: needed for path, needed in {**columns, "tables/planned.csv": PLANNED}.items()}
+    tables = {path.stem: _table(path, needed) for path, needed in paths.items() if path.exists()}
     if "table_6" not in tables:
         raise InputError(f"{folder}/tables/table_6.csv: not found; run the stage that writes it (dvc repro report)")
     planned = _planned(tables, settings)
     return Contents(
-        made_with=settings,
+        settings=settings,
         tables={name: enough(table, planned) for name, table in tables.items()},
-        figures=_figures(folder / "figures"),
+        figures=_figures(folder / "figures", captions),
         planned=planned,
         studied=(folder / "studies/memory.csv").is_file(),
     )
@@ -104,17 +77,17 @@ def enough(table: pd.DataFrame, planned: Mapping[str, int]) -> pd.DataFrame:
     return table
 
 
-def _figures(folder: Path) -> dict[str, str]:
+def _figures(folder: Path, captions: Mapping[str, str]) -> dict[str, str]:
     """Captions of the pictures that exist: those stored with the pictures, or today's if none were stored."""
     path = folder / CAPTIONS_FILE
     try:
-        told = read_json(path, expected=_CAPTIONED) if os.path.lexists(path) else CAPTIONS
-        return {name: str(told[name]) for name in CAPTIONS if (folder / f"{name}.png").exists()}
+        stored = read_json(path, expected=_CAPTIONED) if os.path.lexists(path) else captions
+        return {name: str(stored[name]) for name in captions if (folder / f"{name}.png").exists()}
     except KeyError as error:
         raise InputError(f"{path}: expected {_CAPTIONED}; {error!r}") from error
 
 
-def _planned(tables: Mapping[str, pd.DataFrame], settings: MadeWith) -> dict[str, int]:
+def _planned(tables: Mapping[str, pd.DataFrame], settings: RunSettings) -> dict[str, int]:
     """Number of sequences that were planned for, by split.
 
     Older reports lack the table `planned`. For these, the number is that of the planners' comparisons or the settings.

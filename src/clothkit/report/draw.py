@@ -117,8 +117,8 @@ def draw_heights(voxels: Bool[np.ndarray, "x y z"], *, pixels: int = PIXELS) -> 
     axis = ((np.arange(pixels) + 0.5) * (2 * EXTENT / pixels) - EXTENT + 1) / 2
     i, j = np.floor(axis * nx).astype(int), np.floor(axis * ny).astype(int)
     inside = ((i >= 0) & (i < nx))[:, None] & ((j >= 0) & (j < ny))
-    picked = np.where(inside, height[np.clip(i, 0, nx - 1)][:, np.clip(j, 0, ny - 1)], 0)
-    grey = np.where(picked > 0, grey_of_height(picked), 1.0).T[::-1]
+    sampled = np.where(inside, height[np.clip(i, 0, nx - 1)][:, np.clip(j, 0, ny - 1)], 0)
+    grey = np.where(sampled > 0, grey_of_height(sampled), 1.0).T[::-1]
     return np.repeat(np.rint(grey * 255).astype(np.uint8)[..., None], 3, axis=-1)
 
 

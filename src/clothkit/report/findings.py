@@ -5,8 +5,8 @@ The words are made from the paired comparisons of planners, so that they stay tr
 
 import pandas as pd
 
+from clothkit.report.formatting import LEAST, number
 from clothkit.report.layout import TASKS
-from clothkit.report.printed import LEAST, number
 
 LEVEL = 0.05
 """Significance level: a difference counts as found where p times the number of compared columns is below it."""
@@ -26,7 +26,7 @@ PLANS = {
 
 RULE = (
     f"A difference counts as found where p, times the {len(TASKS)} columns that are compared, is below {LEVEL}; "
-    "[planners compared](#planners-compared) has them all.\n"
+    "[planners compared](#planners-compared) shows all comparisons.\n"
 )
 
 
@@ -34,22 +34,22 @@ def findings(comparisons: pd.DataFrame) -> list[str]:
     """Paragraphs in Markdown from the table of planners' comparisons; an empty list if nothing was compared."""
     errors = comparisons[(comparisons["split"] == "test") & (comparisons["measure"] == "error")]
     pairs = dict(iter(errors[errors["system"] == "main"].groupby("against")))
-    said = []
+    sentences = []
     if "b3" in pairs:
-        said.append(_term(pairs["b3"]))
-    rivals = {name: pairs[name] for name in ("b2", "b3") if name in pairs}
-    if rivals:
-        said.append(_lead(rivals))
+        sentences.append(_term(pairs["b3"]))
+    others = {name: pairs[name] for name in ("b2", "b3") if name in pairs}
+    if others:
+        sentences.append(_lead(others))
     if "unrefined" in pairs:
-        said.append(_refinement(pairs["unrefined"]))
-    return [*said, RULE] if said else []
+        sentences.append(_refinement(pairs["unrefined"]))
+    return [*sentences, RULE] if sentences else []
 
 
 def _term(rows: pd.DataFrame) -> str:
     count = _sequences(rows)
-    which = f"(*main* against *b3*, which differs from it in this alone; {count} test sequences)"
+    which = f"(*main* compared with *b3*, which differs in nothing else; {count} test sequences)"
     if count < LEAST:
-        return f"Too few test sequences were planned for ({count}) to tell what the uncertainty term is worth.\n"
+        return f"Too few test sequences were planned for ({count}) to measure the effect of the uncertainty term.\n"
     better, worse = _found(rows, better=True), _found(rows, better=False)
     if better and worse:
         return f"With {TERM} plans were better than without it {which} in {better}, and worse in {worse}.\n"
@@ -60,29 +60,31 @@ def _term(rows: pd.DataFrame) -> str:
     return f"Plans were no better with {TERM} than without it {which}: no difference was found.\n"
 
 
-def _lead(rivals: dict[str, pd.DataFrame]) -> str:
-    words = {"b2": "*b2* (one net)", "b3": "*b3* (without the term)"}
-    enough = {name: rows for name, rows in rivals.items() if _sequences(rows) >= LEAST}
+def _lead(others: dict[str, pd.DataFrame]) -> str:
+    names = {"b2": "*b2* (one net)", "b3": "*b3* (without the term)"}
+    enough = {name: rows for name, rows in others.items() if _sequences(rows) >= LEAST}
     if not enough:
-        return "Nor is that enough to tell whether *main* leads over *b2* and *b3* as it does in the paper.\n"
+        return "That is not enough to tell whether *main* is better than *b2* and *b3*, as it is in the paper.\n"
     leads = {name: _found(rows, better=True) for name, rows in enough.items()}
-    without = [words[name] for name, lead in leads.items() if not lead]
-    said = [
-        f"The paper's lead of *main* over {words[name]} was found in {lead}." for name, lead in leads.items() if lead
+    without = [names[name] for name, lead in leads.items() if not lead]
+    sentences = [
+        f"As in the paper, *main* was better than {names[name]} in {lead}." for name, lead in leads.items() if lead
     ]
     if without:
-        said.append(f"The lead that *main* has over {' and '.join(without)} in the paper was not found.")
-    return " ".join(said) + "\n"
+        sentences.append(f"In the paper *main* is better than {' and '.join(without)}; here this was not found.")
+    return " ".join(sentences) + "\n"
 
 
 def _refinement(rows: pd.DataFrame) -> str:
     paper = 'In the paper skipping refinement "was observed to significantly harm planning performance" (section 4.7)'
     if _sequences(rows) < LEAST:
-        return f"{paper}; too few sequences were planned for here to tell.\n"
+        return f"{paper}; too few sequences were planned for here to compare.\n"
     better, worse = (_found(rows, better=which, of_other=True) for which in (True, False))
-    said = [f"it harmed {better}"] if better else []
-    said += [f"plans without it were better in {worse}"] if worse else []
-    return f"{paper}; here {', and '.join(said) or 'no difference was found (*main* against *unrefined*)'}.\n"
+    sentences = [f"it harmed {better}"] if better else []
+    sentences += [f"plans without it were better in {worse}"] if worse else []
+    return (
+        f"{paper}; here {', and '.join(sentences) or 'no difference was found (*main* compared with *unrefined*)'}.\n"
+    )
 
 
 def _sequences(rows: pd.DataFrame) -> int:
@@ -95,11 +97,11 @@ def _found(rows: pd.DataFrame, *, better: bool, of_other: bool = False) -> str:
     With `of_other`, the words say how the other system's errors compare with the first one's.
     """
     size = "smaller" if better != of_other else "larger"
-    said = []
+    sentences = []
     for column in TASKS:
         for row in rows[rows["column"] == column].to_dict("records"):
             significant = row["sequences"] >= LEAST and row["p"] * len(TASKS) < LEVEL
             if significant and (row["difference"] < 0) == better:
-                told = f"mean error {number(abs(row['difference']))} {size}, p {row['p']:.2g}"
-                said.append(f"{PLANS[column]} ({told})")
-    return " and ".join(part for part in (", ".join(said[:-1]), *said[-1:]) if part)
+                detail = f"mean error {number(abs(row['difference']))} {size}, p {row['p']:.2g}"
+                sentences.append(f"{PLANS[column]} ({detail})")
+    return " and ".join(part for part in (", ".join(sentences[:-1]), *sentences[-1:]) if part)

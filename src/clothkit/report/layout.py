@@ -1,5 +1,8 @@
 """Names of the tables' rows and columns, for the modules that make tables and those that print them."""
 
+SPLITS = {"test": "Test set", "train": "Training set"}
+"""Titles of the splits that evaluations use."""
+
 TASKS = ("1/0", "1/1", "1/2", "1/all", "2/0", "2/1", "2/all", "3/all")
 """Columns of tables 3, 4, 6 and 7: length / start."""
 

@@ -2,11 +2,13 @@
 
 from pathlib import Path
 
-from clothkit.report import contents, page
+from clothkit.report import contents
 from clothkit.report.budgets import budgets
+from clothkit.report.contents import Contents
 from clothkit.report.html import page as html
 from clothkit.report.layout import NO_ACTION
-from clothkit.report.sections import sections
+from clothkit.report.markdown import page as markdown
+from clothkit.report.sections import CAPTIONS, TABLES, sections
 
 INPUTS = ("params.yaml", "tables", "figures", "timings.csv", "table_8.csv", "studies/memory.csv")
 """Inputs of the pages in the report's folder; the last three may be missing."""
@@ -19,10 +21,16 @@ def write(report: Path, folder: Path) -> None:
 
     Raises InputError for a file that is missing or malformed. Tables that older reports lack may be missing.
     """
-    shown = contents.read(report)
+    shown = read(report)
     own = shown.tables["table_6"].query("source == 'clothkit'")["system"].drop_duplicates()
-    spending = budgets(shown.made_with, shown.tables.get("timings"), [name for name in own if name != NO_ACTION])
-    spending.to_csv(folder / "budgets.csv", index=False, float_format="%.5g", lineterminator="\n")
-    parts = sections(shown, spending)
-    (folder / "README.md").write_text(page.page(shown.made_with.scale, parts))
-    (folder / "index.html").write_text(html.page(shown, parts, report / "figures"))
+    systems = [name for name in own if name != NO_ACTION]
+    table = budgets(shown.settings, shown.tables.get("timings"), systems)
+    table.to_csv(folder / "budgets.csv", index=False, float_format="%.5g", lineterminator="\n")
+    parts, title = sections(shown, table), f"Report: {shown.settings.scale}"
+    (folder / "README.md").write_text(markdown.page(title, parts))
+    (folder / "index.html").write_text(html.page(title, parts, report / "figures"))
+
+
+def read(report: Path) -> Contents:
+    """The contents of reports/<scale>/. Raises InputError, as `contents.read`."""
+    return contents.read(report, TABLES, CAPTIONS)

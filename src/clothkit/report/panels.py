@@ -178,16 +178,16 @@ def end(axis: Axes, path: Float[np.ndarray, "2 2"], release: Float[np.ndarray, "
 
 def clipped(start: Float[np.ndarray, "2"], stop: Float[np.ndarray, "2"]) -> Float[np.ndarray, "ends 2"]:
     """The ends [2 xy] of the part of the line from start to stop inside -EXTENT..EXTENT; [0 xy] if all is outside."""
-    way = stop - start
+    direction = stop - start
     first, last = 0.0, 1.0
-    for place, along in zip(start, way, strict=True):
+    for place, along in zip(start, direction, strict=True):
         if along == 0:
             if abs(place) > EXTENT:
                 return np.zeros((0, 2))
             continue
         low, high = sorted(((-EXTENT - place) / along, (EXTENT - place) / along))
         first, last = max(first, float(low)), min(last, float(high))
-    return np.stack([start + first * way, start + last * way]) if first < last else np.zeros((0, 2))
+    return np.stack([start + first * direction, start + last * direction]) if first < last else np.zeros((0, 2))
 
 
 def candidates(axis: Axes, points: Float[np.ndarray, "points 2"]) -> None:

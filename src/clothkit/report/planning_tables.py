@@ -71,8 +71,8 @@ def _outcomes(
     blocks = []
     for (split, system), block in table.groupby(["split", "system"], sort=False):
         own = bounds[(bounds["split"] == split) & (bounds["system"] == system)]
-        whole = pd.concat([block, own]) if len(own) else block
-        blocks.append(_ordered(whole, "statistic", STATISTICS))
+        combined = pd.concat([block, own]) if len(own) else block
+        blocks.append(_ordered(combined, "statistic", STATISTICS))
     return pd.concat([*blocks, paper.table_of(number, systems)], ignore_index=True)
 
 

@@ -1,250 +1,352 @@
-"""The report's sections in order, with their contents: one list, which the Markdown and the HTML page render."""
+"""The list of the report's sections, which both renderers show. To add a section, add an entry to SECTIONS.
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+A section has a title and its parts in order: texts, figures with their captions, tables with the columns that their
+CSVs must have. A text is a string or a function of the report's data. A part is left out where a report lacks its data.
+"""
+
+from collections.abc import Mapping
 
 import pandas as pd
 
-from clothkit.report import budgets, captions, findings, said
-from clothkit.report.blocks import Block, Cards, Figure, Missing, Params, Section, Stages, Table, Text
-from clothkit.report.budgets import DAGGER
+from clothkit.report import blocks, captions, selections, texts
 from clothkit.report.contents import Contents
-from clothkit.report.layout import BY_LENGTH, LABELLED, TASKS
-from clothkit.report.printed import IDEAL_RATIO, TOO_FEW
+from clothkit.report.entries import Card, Cards, Figure, Folded, Report, Section, Table, Text, Timings
+from clothkit.report.formatting import IDEAL_RATIO
+from clothkit.report.layout import LENGTHS, SPLITS, STATES, TASKS
 
-SPLITS = {"test": "Test set", "train": "Training set"}
+OUTCOMES = ("source", "split", "system", "statistic", *TASKS)
+COMPARISON = ("column", "sequences", "difference", "low", "high", "p")
+COMPARISONS = ("split", "measure", "system", "against", *COMPARISON)
 
-LENGTHS = "lengths of the cloth's side"
-VOXELS = "mean voxel value difference"
+BY_SYSTEM = ("split", "system", "statistic")
+"""Keys of the tables with the paper's figures beside ours."""
 
-PREDICTORS = {"a2": "b4", "main_occluded": "main"}
-"""For systems of table 4, the planner that uses the same forward models."""
+CLOTH_LENGTHS = "lengths of the cloth's side"
+VOXEL_DIFFERENCE = "mean voxel value difference"
 
-
-def sections(contents: Contents, spending: pd.DataFrame) -> list[Section]:
-    """The sections of the pages. Contents that an older report lacks are left out or marked as missing.
-
-    `spending` is the table of `budgets.budgets`.
-    """
-    page = _Page(contents, spending)
-    return [
-        Section("short", "In short", list(_short(page))),
-        Section("planning", "Planning", list(_planning(page))),
-        Section("prediction", "Prediction", list(_prediction(page))),
-        Section("estimation", "Estimation", list(_estimation(page))),
-        Section("camera", "Depth camera", list(_camera(page))),
-        Section("uncertainty", "Uncertainty", list(_uncertainty(page))),
-        Section("data", "Data and training", list(_data(page))),
-        Section(
-            "representations",
-            "Representations",
-            list(page.figures("meshes", "voxels", "trajectories", "equivalents")),
+SECTIONS = (
+    Section(
+        "short",
+        "In short",
+        (
+            Text(texts.findings_on_planners),
+            Text(texts.planned),
+            Cards(
+                (
+                    Card(
+                        "Estimation",
+                        "table_2",
+                        "kind",
+                        "dmr",
+                        "all",
+                        "Mean error of meshes estimated from voxels",
+                    ),
+                    Card(
+                        "Prediction",
+                        "table_3",
+                        "system",
+                        "main",
+                        "3/all",
+                        "Mean error of states predicted after three manipulations",
+                    ),
+                    Card(
+                        "Planning, one step",
+                        "table_6",
+                        "system",
+                        "main",
+                        "1/all",
+                        "Mean distance of the cloth from its goal after a one-step plan",
+                    ),
+                    Card(
+                        "Planning, three steps",
+                        "table_6",
+                        "system",
+                        "main",
+                        "3/all",
+                        "Mean distance of the cloth from its goal after a three-step plan",
+                    ),
+                )
+            ),
+            Table(
+                "means",
+                "Mean errors on the test set",
+                words=(captions.LABELLED_SHORT, texts.replay, texts.unequal_budgets),
+                rows=selections.means,
+                keys=("what", "system"),
+                judged=selections.systems_of_means,
+                unit=CLOTH_LENGTHS,
+                file="tables/table_6.csv",
+            ),
+            Text(captions.INTRO),
+            Text(texts.descriptions),
         ),
-        Section("time", "Time", list(_time(page))),
-        Section("params", "Made with", [Params()]),
-    ]
+    ),
+    Section(
+        "planning",
+        "Planning",
+        (
+            Figure("sessions_1", "Figure 12, one step", f"Planning in one step. {captions.SESSIONS}"),
+            Figure("sessions_2", "Figure 12, two steps", f"Planning in two steps. {captions.SESSIONS}"),
+            Figure("sessions_3", "Figure 12, three steps", f"Planning in three steps. {captions.SESSIONS}"),
+            Table(
+                "table_6",
+                "Table 6: planning, in meshes",
+                OUTCOMES,
+                (captions.LABELLED, captions.INTERVALS, texts.unequal_budgets),
+                selections.mark_systems,
+                keys=BY_SYSTEM,
+                unit=CLOTH_LENGTHS,
+                noted=True,
+            ),
+            Figure("scatter", "Figure 11", captions.SCATTER),
+            Table(
+                "table_7",
+                "Table 7: planning, in voxels",
+                OUTCOMES,
+                (captions.PLANNING_VOXELS, texts.viewport_of_planning, texts.unequal_budgets),
+                selections.mark_systems,
+                keys=BY_SYSTEM,
+                unit=VOXEL_DIFFERENCE,
+                noted=True,
+            ),
+            Table(
+                "table_7_025",
+                "Table 7 for a viewport of height 0.25",
+                OUTCOMES,
+                (captions.TALL.format(""), texts.unequal_budgets),
+                selections.mark_systems,
+                keys=BY_SYSTEM,
+                unit=VOXEL_DIFFERENCE,
+                noted=True,
+            ),
+            Table("budgets", "Budgets", (), (captions.BUDGETS,), selections.budgets, file="budgets.csv"),
+            Table(
+                "planning_comparisons",
+                "Planners compared",
+                COMPARISONS,
+                (captions.PLANNING_COMPARISONS, texts.unequal_budgets),
+                selections.comparisons_of_planners,
+            ),
+            Table(
+                "failures",
+                "Failures",
+                ("split", "system", "length", "tasks"),
+                (captions.FAILURES,),
+                selections.of_test_set,
+            ),
+            Table(
+                "largest",
+                "Largest errors",
+                ("sequence", "start", "length", "error", "diagnosis"),
+                (captions.LARGEST,),
+            ),
+            Figure("largest", "Largest errors", captions.LARGEST_PICTURED),
+        ),
+    ),
+    Section(
+        "prediction",
+        "Prediction",
+        (
+            Figure("predictions", "Figure 10", captions.PREDICTIONS),
+            Table(
+                "table_3",
+                "Table 3: predicted meshes",
+                OUTCOMES,
+                rows=selections.mark_systems,
+                keys=BY_SYSTEM,
+                unit=CLOTH_LENGTHS,
+                noted=True,
+            ),
+            Table(
+                "table_4",
+                "Table 4: predicted meshes, in voxels",
+                OUTCOMES,
+                (captions.VOXELS, texts.viewport_of_prediction, texts.unequal_training),
+                selections.mark_systems,
+                keys=BY_SYSTEM,
+                unit=VOXEL_DIFFERENCE,
+                noted=True,
+            ),
+            Table(
+                "table_4_025",
+                "Table 4 for a viewport of height 0.25",
+                OUTCOMES,
+                (captions.TALL.format(captions.TALL_A2), texts.unequal_training),
+                selections.mark_systems,
+                keys=BY_SYSTEM,
+                unit=VOXEL_DIFFERENCE,
+                noted=True,
+            ),
+            Table(
+                "comparisons",
+                "Predictors compared",
+                COMPARISONS,
+                (captions.COMPARISONS, texts.unequal_training),
+                selections.comparisons,
+            ),
+            Table(
+                "table_5",
+                "Table 5: predicted position",
+                ("source", "split", "system", "statistic", *LENGTHS),
+                (captions.POSITION,),
+                selections.mark_systems,
+                keys=BY_SYSTEM,
+                unit=CLOTH_LENGTHS,
+                heads={"1": "1 manipulation", "2": "2 manipulations", "3": "3 manipulations"},
+                noted=True,
+            ),
+        ),
+    ),
+    Section(
+        "estimation",
+        "Estimation",
+        (
+            Figure("estimates", "Figure 9", captions.ESTIMATES),
+            Table(
+                "table_2",
+                "Table 2: estimated meshes",
+                ("source", "split", "kind", "statistic", *STATES),
+                (captions.STATES,),
+                keys=("split", "kind", "statistic"),
+                unit=CLOTH_LENGTHS,
+                heads={"1": "after 1", "2": "after 2", "3": "after 3"},
+                noted=True,
+            ),
+        ),
+    ),
+    Section(
+        "camera",
+        "Depth camera",
+        (
+            Text(captions.CAMERA),
+            Table(
+                "camera_estimation",
+                "Camera: observation and estimation",
+                ("condition", "tilt", "noise", "states"),
+                (captions.CAMERA_ESTIMATION,),
+            ),
+            Figure("camera", "Depth cameras", captions.CAMERA_PICTURED),
+            Table(
+                "camera_planning",
+                "Camera: planning",
+                ("condition", "tilt", "noise", "tasks"),
+                (captions.CAMERA_PLANNING,),
+            ),
+            Table(
+                "camera_comparisons",
+                "Camera: conditions compared",
+                ("condition", *COMPARISON),
+                (captions.CAMERA_COMPARISONS,),
+                selections.comparisons,
+            ),
+        ),
+        needs=("camera_estimation", "camera_planning", "camera_comparisons"),
+    ),
+    Section(
+        "uncertainty",
+        "Uncertainty",
+        (
+            Table(
+                "sigma_ratio",
+                "Stated and actual uncertainty",
+                ("source", "split", "system", "estimate", *LENGTHS),
+                (captions.UNCERTAINTY,),
+                selections.sigma_ratios,
+                keys=("split",),
+                judged=list(SPLITS.values()),
+                ideal=IDEAL_RATIO,
+                heads={"1": "prediction, 1", "2": "prediction, 2", "3": "prediction, 3"},
+            ),
+            Figure("calibration", "Calibration", captions.CALIBRATION),
+        ),
+    ),
+    Section(
+        "data",
+        "Data and training",
+        (
+            Table(
+                "splits",
+                "The dataset",
+                ("split", "sequences", "manipulations", "single_handed"),
+                (texts.dataset,),
+                needs=("attempts",),
+            ),
+            Table(
+                "attempts",
+                "Tried sequences",
+                ("outcome", "attempts", "share"),
+                (captions.ATTEMPTS,),
+                needs=("splits",),
+            ),
+            Figure("sequences", "Simulated sequences", captions.SEQUENCES),
+            Figure("curves", "Learning curves", captions.CURVES),
+        ),
+    ),
+    Section(
+        "representations",
+        "Representations",
+        (
+            Figure("meshes", "Figures 2 and 3", captions.MESHES),
+            Figure("voxels", "Figure 4", captions.VOXELS_PICTURED),
+            Figure("trajectories", "Figure 5", captions.TRAJECTORIES),
+            Figure("equivalents", "Figure 7", captions.EQUIVALENTS),
+        ),
+    ),
+    Section(
+        "time",
+        "Time",
+        (
+            Table(
+                "table_8",
+                "Table 8: seconds per plan",
+                ("source", "system", "machine", *LENGTHS, "estimate"),
+                (captions.SPEED,),
+                selections.speed,
+                file="table_8.csv",
+            ),
+            Timings(
+                "timings",
+                "Time per stage",
+                ("stage", "seconds", "cpu_seconds", "peak_memory_mib", "machine"),
+                captions.TIMINGS,
+            ),
+            Text(captions.STAGES, only="markdown"),
+        ),
+    ),
+    Section(
+        "params",
+        "Settings",
+        (
+            Text("[params.yaml](params.yaml), [metrics.json](metrics.json).\n", only="markdown"),
+            Text(
+                "[params.yaml](params.yaml), [metrics.json](metrics.json), [the same as Markdown](README.md).",
+                only="html",
+            ),
+            Folded("params.yaml", lambda report: report.contents.settings.text),
+        ),
+    ),
+)
+"""The sections in the order of the pages. On the Markdown page the first one follows the title without its own."""
+
+TABLES: Mapping[str, tuple[str, ...]] = {
+    entry.csv: entry.columns
+    for section in SECTIONS
+    for entry in section.entries
+    if isinstance(entry, Table | Timings) and entry.columns
+}
+"""Paths of the sections' tables in a report's folder, and the columns that each must have."""
+
+CAPTIONS: Mapping[str, str] = {
+    entry.name: entry.caption for section in SECTIONS for entry in section.entries if isinstance(entry, Figure)
+}
+"""Captions of all figures, by name."""
 
 
-@dataclass(frozen=True)
-class _Page:
-    contents: Contents
-    spending: pd.DataFrame
+def sections(contents: Contents, budgets: pd.DataFrame) -> list[blocks.Section]:
+    """The sections with the data of a report, without those that it lacks.
 
-    def figures(self, *names: str) -> Iterator[Figure]:
-        """Those of the named figures that were drawn."""
-        drawn = self.contents.figures
-        return (Figure(name, drawn[name]) for name in names if name in drawn)
-
-    def data(self, name: str) -> pd.DataFrame:
-        """A table of the report by name; an empty table if the report lacks it."""
-        return self.contents.tables.get(name, pd.DataFrame())
-
-    def paired(self, name: str, title: str, *words: str, by: str = "system", **more: object) -> Block:
-        """A table with the paper's figures beside ours; Missing if the report lacks it."""
-        data = self.data(name)
-        if data.empty:
-            return Missing(title)
-        if by == "system":
-            data = data.assign(system=data["system"].map(self.marked))
-        return Table(name, title, data, words, ("split", by, "statistic"), **more)  # type: ignore[arg-type]
-
-    def plain(self, name: str, title: str, data: pd.DataFrame, *words: str) -> Iterator[Table]:
-        """A table of our figures alone; nothing if it is empty."""
-        if not data.empty:
-            yield Table(name, title, data, words)
-
-    def marked(self, system: str, against: str = "main") -> str:
-        """The name of a system, with a dagger if its budget differs from that of `against`."""
-        one, other = (PREDICTORS.get(name, name) for name in (system, against))
-        return system + DAGGER * budgets.differ(self.spending, one, other)
-
-    def compared(self, data: pd.DataFrame) -> pd.DataFrame:
-        """Comparisons, with a dagger where budgets are unequal and TOO_FEW in place of missing intervals and p."""
-        if {"system", "against"} <= set(data.columns):
-            pairs = zip(data["against"], data["system"], strict=True)
-            data = data.assign(against=[self.marked(*pair) for pair in pairs])
-        few = {name: data[name].astype(object).where(data[name].notna(), TOO_FEW) for name in ("low", "high", "p")}
-        return data.assign(**few)
-
-
-def _short(page: _Page) -> Iterator[Block]:
-    contents, compared = page.contents, page.data("planning_comparisons")
-    if not compared.empty:
-        yield from map(Text, findings.findings(compared))
-    yield Text(said.planned(contents))
-    yield Cards()
-    table = short(contents)
-    own = [name for name in dict.fromkeys(table["system"]) if "labelled" not in name]
-    marked = table.assign(system=table["system"].map(page.marked))
-    yield Table(
-        "means",
-        "Mean errors on the test set",
-        marked,
-        (captions.LABELLED_SHORT, said.replay(contents), _dagger(page)),
-        ("what", "system"),
-        judged=[page.marked(name) for name in own],
-        unit=LENGTHS,
-        file="tables/table_6.csv",
-    )
-    yield Text(captions.INTRO)
-    yield Text(said.descriptions(contents))
-
-
-def short(contents: Contents) -> pd.DataFrame:
-    """Mean errors on the test set: what (planning, prediction), system, source, then the columns of TASKS.
-
-    The row of each planner is followed by the row of its labelled errors.
+    `budgets` is the table of `budgets.budgets`.
     """
-    rows = []
-    for what, name in (("planning", "table_6"), ("prediction", "table_3")):
-        data = contents.tables.get(name, pd.DataFrame(columns=["source", "split", "system", "statistic", *TASKS]))
-        data = data[data["split"] == "test"]
-        means, labelled = data[data["statistic"] == "mean"], data[data["statistic"] == LABELLED]
-        for system in means.loc[means["source"] == "clothkit", "system"].drop_duplicates():
-            rows.append(means[means["system"] == system].assign(what=what))
-            rows.append(labelled[labelled["system"] == system].assign(what=what, system=f"{system}, labelled"))
-    return pd.concat(rows, ignore_index=True)[["what", "system", "source", *TASKS]]
-
-
-def _dagger(page: _Page) -> str:
-    systems = set(page.data("table_6").get("system", []))
-    return said.unequal(page.spending) if any(page.marked(system) != system for system in systems) else ""
-
-
-def _planning(page: _Page) -> Iterator[Block]:
-    yield from page.figures("sessions_1", "sessions_2", "sessions_3")
-    yield page.paired(
-        "table_6",
-        "Table 6: planning, in meshes",
-        captions.LABELLED,
-        captions.INTERVALS,
-        _dagger(page),
-        unit=LENGTHS,
-    )
-    yield from page.figures("scatter")
-    words: tuple[str, ...] = (
-        captions.PLANNING_VOXELS,
-        said.viewport(page.contents, "table_7", "table_6"),
-        _dagger(page),
-    )
-    yield page.paired("table_7", "Table 7: planning, in voxels", *words, unit=VOXELS)
-    words = (captions.TALL.format(""), _dagger(page))
-    yield page.paired("table_7_025", "Table 7 for a viewport of height 0.25", *words, unit=VOXELS)
-    yield Table("budgets", "Budgets", _in_millions(page.spending), (captions.BUDGETS,), file="budgets.csv")
-    compared = page.data("planning_comparisons")
-    if not compared.empty:
-        compared = compared[(compared["split"] == "test") & compared["column"].isin(BY_LENGTH)].drop(columns="split")
-        words = (captions.PLANNING_COMPARISONS, _dagger(page))
-        yield from page.plain("planning_comparisons", "Planners compared", page.compared(compared), *words)
-    failures = page.data("failures")
-    if not failures.empty:
-        failures = failures[failures["split"] == "test"].drop(columns="split")
-    yield from page.plain("failures", "Failures", failures, captions.FAILURES)
-    yield from page.plain("largest", "Largest errors", page.data("largest"), captions.LARGEST)
-    yield from page.figures("largest")
-
-
-def _in_millions(spending: pd.DataFrame) -> pd.DataFrame:
-    counts = spending["parameters"] / 1e6
-    table = spending.assign(parameters=counts).rename(columns={"parameters": "parameters_millions"})
-    return table[["system", "source", *table.columns[2:]]]
-
-
-def _prediction(page: _Page) -> Iterator[Block]:
-    yield from page.figures("predictions")
-    yield page.paired("table_3", "Table 3: predicted meshes", unit=LENGTHS)
-    dagger = said.unequal_nets(page.spending) if page.marked("a2") != "a2" else ""
-    words: tuple[str, ...] = (captions.VOXELS, said.viewport(page.contents, "table_4", "table_3"), dagger)
-    yield page.paired("table_4", "Table 4: predicted meshes, in voxels", *words, unit=VOXELS)
-    words = (captions.TALL.format(captions.TALL_A2), dagger)
-    yield page.paired("table_4_025", "Table 4 for a viewport of height 0.25", *words, unit=VOXELS)
-    compared = page.data("comparisons")
-    if not compared.empty:
-        words = (captions.COMPARISONS, dagger)
-        yield from page.plain("comparisons", "Predictors compared", page.compared(compared), *words)
-    heads = {"1": "1 manipulation", "2": "2 manipulations", "3": "3 manipulations"}
-    yield page.paired("table_5", "Table 5: predicted position", captions.POSITION, unit=LENGTHS, heads=heads)
-
-
-def _estimation(page: _Page) -> Iterator[Block]:
-    yield from page.figures("estimates")
-    heads = {"1": "after 1", "2": "after 2", "3": "after 3"}
-    title = "Table 2: estimated meshes"
-    yield page.paired("table_2", title, captions.STATES, by="kind", unit=LENGTHS, heads=heads)
-
-
-def _camera(page: _Page) -> Iterator[Block]:
-    yield Text(captions.CAMERA)
-    seen, planned, compared = (page.data(f"camera_{name}") for name in ("estimation", "planning", "comparisons"))
-    yield from page.plain("camera_estimation", "Seen and estimated", seen, captions.CAMERA_ESTIMATION)
-    yield from page.figures("camera")
-    yield from page.plain("camera_planning", "Planned", planned, captions.CAMERA_PLANNING)
-    if not compared.empty:
-        words = captions.CAMERA_COMPARISONS
-        yield from page.plain("camera_comparisons", "Conditions compared", page.compared(compared), words)
-
-
-def _uncertainty(page: _Page) -> Iterator[Block]:
-    ratios = page.data("sigma_ratio")
-    if not ratios.empty:
-        ratios = ratios.drop(columns="system").assign(split=ratios["split"].map(SPLITS))
-        yield Table(
-            "sigma_ratio",
-            "Stated and actual uncertainty",
-            ratios,
-            (captions.UNCERTAINTY,),
-            ("split",),
-            judged=list(SPLITS.values()),
-            ideal=IDEAL_RATIO,
-            heads={"1": "prediction, 1", "2": "prediction, 2", "3": "prediction, 3"},
-        )
-    yield from page.figures("calibration")
-
-
-def _data(page: _Page) -> Iterator[Block]:
-    splits, attempts = page.data("splits"), page.data("attempts")
-    if not splits.empty and not attempts.empty:
-        yield from page.plain("splits", "The dataset", splits, _summary(splits, attempts))
-        yield from page.plain("attempts", "Tried sequences", attempts, "By what became of them.\n")
-    yield from page.figures("sequences", "curves")
-
-
-def _summary(splits: pd.DataFrame, attempts: pd.DataFrame) -> str:
-    count, manipulations = int(splits["sequences"].sum()), int(splits["manipulations"].sum())
-    single = float((splits["single_handed"] * splits["manipulations"]).sum()) / max(manipulations, 1)
-    accepted = float(attempts.loc[attempts["outcome"] == "accepted", "share"].sum())
-    return (
-        f"{count} sequences of a square cloth folded at random, {manipulations} manipulations, {100 * single:.1f} % of "
-        f"them single-handed; {100 * accepted:.1f} % of the tried sequences were accepted. [The dataset's card]"
-        "(dataset/README.md) tells its files, columns, quality and worst states.\n"
-    )
-
-
-def _time(page: _Page) -> Iterator[Block]:
-    seconds = page.data("table_8")
-    if not seconds.empty:
-        named = {"1": "1 step", "2": "2 steps", "3": "3 steps", "estimate": "an estimate"}
-        told = seconds.fillna({"machine": ""}).rename(columns=named)
-        told = told[["system", "source", *told.columns[2:]]]
-        yield Table("table_8", "Table 8: seconds per plan", told, (captions.SPEED,), file="table_8.csv")
-    yield Stages(page.data("timings"))
+    report = Report(contents, budgets)
+    found = (section.resolve(report) for section in SECTIONS)
+    return [section for section in found if section is not None]

@@ -4,10 +4,7 @@ Each state has its own topology, since remeshing changes nodes and triangles fro
 apply to the states; the quality columns hold what was measured on them.
 """
 
-import os
-import shutil
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,6 +19,7 @@ from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.errors import InputError
 from clothkit.manipulation.geometry import release_points
 from clothkit.manipulation.vector import SHORTEST
+from clothkit.resumable import Storage, resumable_map
 from clothkit.simulation.arcsim_obj import Frame, read_frame
 from clothkit.simulation.arcsim_runs import Run, Sequence
 from clothkit.simulation.arcsim_scene import Handle, read_scene
@@ -72,14 +70,17 @@ def import_runs(folder: Path, sequences: list[Sequence], *, work: Path, attribut
     Sequences keep their numbers in the table. Finished blocks are stored in `work`, and an interrupted import resumes
     from them. Raises InputError for files that hold no cloth, and for hand motions that are no manipulation.
     """
-    first = 0
-    blocks = []
     with tqdm(total=len(sequences), desc="import", unit="sequence", mininterval=1, smoothing=0.05) as bar:
-        for number, start in enumerate(range(0, len(sequences), BLOCK)):
-            part = sequences[start : start + BLOCK]
-            blocks.append(_block(work / f"runs_{number:05d}", part, partial(_tables, part, start, first)))
-            first += sum(len(sequence) for sequence in part)
-            bar.update(len(part))
+        finished = resumable_map(
+            _tables,
+            _blocks(sequences),
+            folder=work,
+            name="runs",
+            storage=TABLES,
+            bar=bar,
+            count=lambda tables: tables["attempts"].num_rows,
+        )
+        blocks = [block for _, block in finished]
     tables = {name: pa.concat_tables([block[name] for block in blocks]) for name in SCHEMAS}
     lengths = np.array([len(sequence) for sequence in sequences])
     ends = np.append(np.cumsum(lengths)[SHARD - 1 :: SHARD], lengths.sum())
@@ -93,25 +94,43 @@ def import_runs(folder: Path, sequences: list[Sequence], *, work: Path, attribut
     return Summary(len(sequences), found.num_rows, int(single.sum()), int(short.sum()))
 
 
-def _block(path: Path, sequences: list[Sequence], make: Callable[[], dict[str, pa.Table]]) -> dict[str, pa.Table]:
-    """Return a block's tables, read from its folder if an earlier run finished it, else made and stored there.
+class Block(NamedTuple):
+    """Sequences that are imported together."""
 
-    The folder gets its final name only when it is complete.
-    """
-    if not path.exists():
-        unfinished = path.with_suffix(".part")
-        shutil.rmtree(unfinished, ignore_errors=True)
-        unfinished.mkdir(parents=True)
-        for name, table in make().items():
-            pq.write_table(table, unfinished / f"{name}.parquet")
-        os.replace(unfinished, path)
-    return {name: pq.read_table(path / f"{name}.parquet") for name in SCHEMAS}
+    sequences: list[Sequence]
+    attempt: int
+    """Number of the first sequence."""
+    topology: int
+    """Number of the first state."""
 
 
-def _tables(sequences: list[Sequence], attempt: int, topology: int) -> dict[str, pa.Table]:
-    """Return the tables of some sequences; `attempt` and `topology` are the numbers of the first sequence and state."""
+def _save_tables(folder: Path, tables: dict[str, pa.Table]) -> None:
+    folder.mkdir()
+    for name, table in tables.items():
+        pq.write_table(table, folder / f"{name}.parquet")
+
+
+def _load_tables(folder: Path) -> dict[str, pa.Table]:
+    return {name: pq.read_table(folder / f"{name}.parquet") for name in SCHEMAS}
+
+
+TABLES = Storage(_save_tables, _load_tables)
+"""Storage of a block's tables in a work directory, as a folder of parquet files."""
+
+
+def _blocks(sequences: list[Sequence]) -> Iterator[Block]:
+    topology = 0
+    for start in range(0, len(sequences), BLOCK):
+        part = sequences[start : start + BLOCK]
+        yield Block(part, start, topology)
+        topology += sum(len(sequence) for sequence in part)
+
+
+def _tables(block: Block) -> dict[str, pa.Table]:
+    """Return the tables of a block's sequences."""
+    topology = block.topology
     rows: dict[str, list[dict[str, Any]]] = {name: [] for name in SCHEMAS}
-    for number, sequence in enumerate(sequences, attempt):
+    for number, sequence in enumerate(block.sequences, block.attempt):
         frames = [read_frame(run.path) for run in sequence]
         for run, frame in zip(sequence, frames, strict=True):
             rows["states"].append(_state(run, frame, topology))

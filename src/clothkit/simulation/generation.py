@@ -1,10 +1,10 @@
 """Recording of sequences in resumable blocks of attempts; the result is the same for any number of workers."""
 
 import math
-import os
 from collections import Counter
-from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import ExitStack
+from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,7 +12,8 @@ import numpy as np
 from tqdm import tqdm
 
 from clothkit.cloth.topology import Topology
-from clothkit.errors import InputError, damaged_piece
+from clothkit.errors import InputError
+from clothkit.resumable import array_storage, load_piece, resumable_map
 from clothkit.simulation.attempts import Attempts, attempt_sequences
 from clothkit.simulation.processes import cores, make_pool
 from clothkit.simulation.records import write_raw
@@ -21,6 +22,9 @@ from clothkit.simulation.settings import SimulateConfig
 AHEAD = 2  # blocks in flight per worker
 HOPELESS = 200  # fewest rejected attempts in a row after which the recording ends with an error
 UNUSUAL = 20  # the same, as a multiple of the mean attempts per accepted sequence so far; the larger number counts
+
+BLOCKS = array_storage(Attempts)
+"""Storage of the blocks of attempts in a work directory."""
 
 
 class Summary(NamedTuple):
@@ -53,9 +57,9 @@ def generate(
     """Record `settings.sequences` accepted sequences under `folder`, as raw parquet, and return the statistics.
 
     Accepted sequences are taken in the order of their attempts' numbers, so `workers` and `block` change nothing.
-    Finished blocks are stored in `work`, and an interrupted run resumes from them. Raises InputError if too many
-    attempts in a row are rejected (see HOPELESS). Without a topology, the cloth is the square of `settings.simulation`;
-    `work` holds the blocks of one topology alone.
+    Blocks are made in parallel by all workers. Finished ones are stored in `work`, and an interrupted run resumes from
+    them. Raises InputError if too many attempts in a row are rejected (see HOPELESS). Without a topology, the cloth is
+    the square of `settings.simulation`; `work` holds the blocks of one topology alone.
     """
     topology = topology or settings.simulation.topology
     paths: list[Path] = []
@@ -63,21 +67,40 @@ def generate(
     blocks: list[Attempts] = []
     tried = accepted = 0
 
-    def wanted() -> int:
-        """Return an estimate of how many more blocks are needed, from the acceptance rate by Laplace's rule.
+    workers = settings.workers or cores()
 
-        The estimated rate is one half before the first attempt.
+    def started() -> int:
+        """Return how many blocks to have in flight: no more than are likely to be needed.
+
+        The estimate uses the acceptance rate by Laplace's rule, which is one half before the first attempt.
         """
-        return math.ceil((settings.sequences - accepted) / (settings.block * (accepted + 1) / (tried + 2)))
+        wanted = (settings.sequences - accepted) / (settings.block * (accepted + 1) / (tried + 2))
+        return min(AHEAD * workers, math.ceil(wanted))
 
-    with tqdm(total=settings.sequences, desc="simulate", unit="sequence", mininterval=1, smoothing=0.05) as bar:
-        for path in _finished_blocks(settings, work, wanted, topology):
-            block = read_block(path)
+    with ExitStack() as stack:
+        # On CUDA blocks are made in this process, since one block fills the device.
+        pool = make_pool(workers) if workers > 1 and settings.simulation.device == "cpu" else None
+        if pool is not None:
+            stack.callback(pool.shutdown, wait=True, cancel_futures=True)
+        bar = stack.enter_context(
+            tqdm(total=settings.sequences, desc="simulate", unit="sequence", mininterval=1, smoothing=0.05)
+        )
+        finished = resumable_map(
+            partial(attempt_sequences, settings=settings, topology=topology),
+            (range(number * settings.block, (number + 1) * settings.block) for number in count()),
+            folder=work,
+            name=f"block_{settings.block}",
+            storage=BLOCKS,
+            bar=bar,
+            count=lambda block: int(block.accepted.sum()),
+            pool=pool,
+            ahead=started,
+        )
+        for path, block in finished:
             paths.append(path)
             blocks.append(block._replace(states=block.states[:, :0].copy()))
             tried += len(block.attempt)
             accepted += int(block.accepted.sum())
-            bar.update(min(accepted, settings.sequences) - bar.n)
             bar.set_postfix({"yield": f"{accepted / tried:.0%}"}, refresh=False)
             if accepted >= settings.sequences:
                 break
@@ -85,7 +108,7 @@ def generate(
     attempts = Attempts(*(np.concatenate(arrays) for arrays in zip(*blocks, strict=True)))
     last = np.flatnonzero(np.cumsum(attempts.accepted) == settings.sequences)[0] + 1
     attempts = Attempts(*(array[:last] for array in attempts))
-    states = (block.states[block.accepted] for block in map(read_block, paths))
+    states = (block.states[block.accepted] for block in (load_piece(path, BLOCKS) for path in paths))
     write_raw(folder, attempts, states, settings.simulation, topology, seed=settings.seed, attributes=attributes)
     return summarise(attempts)
 
@@ -112,53 +135,3 @@ def _check_hope(blocks: list[Attempts]) -> None:
         f"params.yaml: simulate.limits accepted {of} ({why}); change simulate.limits, simulate.simulation or "
         "simulate.sampling"
     )
-
-
-def make_block(number: int, settings: SimulateConfig, work: Path, topology: Topology) -> Path:
-    """Run a block of attempts unless its file exists, and return the path; the file appears only when complete."""
-    path = work / f"block_{settings.block}_{number:06d}.npz"
-    if not path.exists():
-        numbers = range(number * settings.block, (number + 1) * settings.block)
-        attempts = attempt_sequences(numbers, settings, topology)
-        unfinished = path.with_suffix(".part")
-        with unfinished.open("wb") as file:
-            np.savez(file, **attempts._asdict())  # type: ignore[arg-type]
-        os.replace(unfinished, path)
-    return path
-
-
-def read_block(path: Path) -> Attempts:
-    """The attempts of a block's file. Raises InputError when it is damaged."""
-    try:
-        with path.open("rb") as file, np.load(file) as arrays:
-            return Attempts(**{name: arrays[name] for name in Attempts._fields})
-    except Exception as error:  # of zipfile, zlib, NumPy
-        raise damaged_piece(error, path) from error
-
-
-def _finished_blocks(
-    settings: SimulateConfig, work: Path, wanted: Callable[[], int], topology: Topology
-) -> Iterator[Path]:
-    """Yield the blocks' files in order; the blocks are made in parallel by all workers.
-
-    On CUDA they are made in this process, since one block fills the device. No more blocks are started in advance than
-    `wanted` returns.
-    """
-    workers = settings.workers or cores()
-    number = 0
-    if workers == 1 or settings.simulation.device != "cpu":
-        while True:
-            yield make_block(number, settings, work, topology)
-            number += 1
-    pool = make_pool(workers)
-    try:
-        jobs: dict[int, Future[Path]] = {}
-        while True:
-            for ahead in range(number, number + min(AHEAD * workers, wanted())):
-                if ahead not in jobs:
-                    jobs[ahead] = pool.submit(make_block, ahead, settings, work, topology)
-            wait([jobs[number]], return_when=FIRST_COMPLETED)
-            yield jobs.pop(number).result()
-            number += 1
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)

@@ -59,16 +59,16 @@ def _histogram(axis: Axes, samples: Sequence[Sequence[float]], measure: Measure,
         axis.hist(sample, edges, weights=shares, color=colour, histtype="step", linewidth=1.3)
     if limit is not None:
         axis.axvline(limit, color="#c62828", linewidth=1.2, linestyle=(0, (3, 2)))
-        near = abs(limit - axis.get_xlim()[0]) < abs(limit - axis.get_xlim()[1])
+        at_left = abs(limit - axis.get_xlim()[0]) < abs(limit - axis.get_xlim()[1])
         axis.annotate(
             f"limit {limit:g}",
             (limit, 0.97),
             xycoords=("data", "axes fraction"),
-            xytext=(3 if near else -3, 0),
+            xytext=(3 if at_left else -3, 0),
             textcoords="offset points",
             fontsize=7,
             color="#c62828",
-            ha="left" if near else "right",
+            ha="left" if at_left else "right",
             va="top",
         )
     axis.yaxis.set_major_formatter(PercentFormatter(1, decimals=0))

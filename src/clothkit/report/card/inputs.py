@@ -109,11 +109,11 @@ def examples(raw: Path, sequences: Sequence[int], moves: pd.DataFrame) -> list[E
     for sequence, state, topology, vertices in zip(*(states[name] for name in STATE_COLUMNS), strict=True):
         mesh = mesher(f"{raw}: sequence {sequence}, state {state}", topology, vertices)
         meshes.setdefault(int(sequence), []).append(centred(mesh)[0])
-    made = []
+    examples = []
     for sequence in sequences:
         own = moves.loc[moves["sequence"] == sequence, ["u1", "v1", "u2", "v2", "dx", "dy"]].to_numpy(np.float32)
-        made.append(Example(int(sequence), meshes[int(sequence)], list(own)))
-    return made
+        examples.append(Example(int(sequence), meshes[int(sequence)], list(own)))
+    return examples
 
 
 def _of_states(states: pd.DataFrame, moves: pd.DataFrame, tried: pd.DataFrame) -> pd.DataFrame:

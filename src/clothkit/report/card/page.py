@@ -7,11 +7,11 @@ import pandas as pd
 
 from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.cloth.voxels import HEIGHT
-from clothkit.report import markdown
 from clothkit.report.card.columns import described
 from clothkit.report.card.inputs import PARTS, Inputs
 from clothkit.report.card.meanings import flatten
 from clothkit.report.card.tables import TOLERANCE, WITHIN
+from clothkit.report.markdown import tables as markdown
 
 
 @dataclass(frozen=True)
@@ -125,13 +125,13 @@ def in_words(inputs: Inputs) -> str:
     """Sentences on how the artifacts were made, from their settings; sentences with missing settings are left out."""
     attributes, stated = inputs.attributes, flatten(inputs.params)
     keys = {sentence: re.findall(r"{([^}]*)}", sentence) for sentence in _SENTENCES}
-    said = [
+    sentences = [
         re.sub(r"{([^}]*)}", lambda match: _value(stated[match[1]]), sentence)
         for sentence in _SENTENCES
         if all(key in stated for key in keys[sentence])
     ]
-    made = ", ".join(f"{key} *{attributes[key]}*" for key in ("stage", "scale") if key in attributes)
-    return " ".join([f"Made by {made}.", *said] if made else said or ["The files do not say."]) + "\n"
+    origin = ", ".join(f"{key} *{attributes[key]}*" for key in ("stage", "scale") if key in attributes)
+    return " ".join([f"Made by {origin}.", *sentences] if origin else sentences or ["The files do not say."]) + "\n"
 
 
 def _value(value: object) -> str:

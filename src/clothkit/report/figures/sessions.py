@@ -86,8 +86,8 @@ def of_record(record: Sessions, dataset: Dataset, rows: pd.DataFrame, task: Task
     )
 
 
-def sessions(chosen: Sequence[Session], path: Path, *, abreast: int) -> None:
-    """Writes a figure of sessions of one length, `abreast` of them side by side.
+def sessions(chosen: Sequence[Session], path: Path, *, per_row: int) -> None:
+    """Writes a figure of sessions of one length, `per_row` of them side by side.
 
     The first row of a session shows the recorded sequence with the goal on light blue. The first column shows the true
     states, with the outcome on light blue. Each plan has a row with its estimate (E) and predictions (P), and in the
@@ -95,7 +95,7 @@ def sessions(chosen: Sequence[Session], path: Path, *, abreast: int) -> None:
     """
     n = len(chosen[0].steps)
     block, height = n + 3, n + 2
-    across = min(abreast, len(chosen))
+    across = min(per_row, len(chosen))
     down = -(-len(chosen) // across)
     widths = ([1.0] * block + [GAP]) * across
     heights = ([1.0] * height + [GAP]) * down

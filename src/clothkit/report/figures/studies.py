@@ -169,8 +169,8 @@ def search(table: pd.DataFrame, restarts: pd.DataFrame, usual: Mapping[str, Any]
         axes[3].plot(own["restart"], own["best"], "o", color=colour, markersize=3.0, fillstyle="none")
     axes[3].set_xlabel("restart (dots: its best; line: the best so far)", fontsize=8)
     axes[3].set_ylabel("loss of the first plan", fontsize=8)
-    told = {"iterations": ("x", ITERATIONS), **OTHERS}
-    marks = {name: marker for name, (marker, of) in told.items() if (table[of].nunique() > 1).any()}
+    styles = {"iterations": ("x", ITERATIONS), **OTHERS}
+    marks = {name: marker for name, (marker, of) in styles.items() if (table[of].nunique() > 1).any()}
     handles = [
         Line2D([], [], color=QUIET, marker=marker, linestyle="", fillstyle="none", markersize=4.5)
         for marker in marks.values()

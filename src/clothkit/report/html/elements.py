@@ -15,12 +15,12 @@ def element(tag: str, *children: str, **attributes: str | int | None) -> Html:
 
     In names of attributes, an underscore at the end is dropped and others become hyphens: `class_`, `aria_label`.
     """
-    given = "".join(
+    attribute_text = "".join(
         f' {name.rstrip("_").replace("_", "-")}="{escape(str(value))}"'
         for name, value in attributes.items()
         if value is not None
     )
-    start = f"<{tag}{given}>"
+    start = f"<{tag}{attribute_text}>"
     return Html(start if tag in _VOID else f"{start}{joined(*children)}</{tag}>")
 
 

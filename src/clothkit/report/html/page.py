@@ -5,21 +5,20 @@ from functools import partial, singledispatchmethod
 from pathlib import Path
 from string import Template
 
-from clothkit.report import captions
-from clothkit.report.blocks import Block, Cards, Figure, Missing, Params, Section, Stages, Table, Text
-from clothkit.report.contents import Contents
-from clothkit.report.html import costs, tables
+from clothkit.report.blocks import Block, Cards, DataTable, Folded, Note, Paragraph, Picture, Section, Timings
+from clothkit.report.html import tables
+from clothkit.report.html.cards import card
 from clothkit.report.html.elements import Html, element, inline, joined, paragraph
-from clothkit.report.html.headline import headline
 from clothkit.report.html.pictures import picture
-from clothkit.report.sections import SPLITS
+from clothkit.report.html.timings import timings
+from clothkit.report.layout import SPLITS
 
 HERE = Path(__file__).parent
 
 
-def page(contents: Contents, sections: list[Section], figures: Path) -> str:
-    """The page as one HTML document, with the pictures in the folder `figures`. Equal contents give equal bytes."""
-    writer = _Writer(contents, figures)
+def page(title: str, sections: list[Section], figures: Path) -> str:
+    """The page as one HTML document, with the pictures in the folder `figures`. Equal sections give equal bytes."""
+    writer = _Writer(figures)
     links = [element("li", element("a", section.title, href=f"#{section.id}")) for section in sections]
     parts = []
     for section in sections:
@@ -27,7 +26,7 @@ def page(contents: Contents, sections: list[Section], figures: Path) -> str:
         # Each section is one line, so that `git diff` of two pages shows which sections differ.
         parts.append(Html("\n" + element("section", element("h2", section.title), blocks, id=section.id)))
     return Template((HERE / "template.html").read_text()).substitute(
-        title=f"Report: {contents.made_with.scale}",
+        title=title,
         style=(HERE / "style.css").read_text(),
         links=element("ul", *links),
         body=joined(*parts),
@@ -36,7 +35,6 @@ def page(contents: Contents, sections: list[Section], figures: Path) -> str:
 
 @dataclass(frozen=True)
 class _Writer:
-    contents: Contents
     figures: Path
 
     @singledispatchmethod
@@ -45,41 +43,39 @@ class _Writer:
         raise TypeError(f"no block of a page: {type(block).__name__}")
 
     @render.register
-    def _(self, block: Text) -> Html:
-        return paragraph(block.words) if block.words else Html()
+    def _(self, block: Paragraph) -> Html:
+        return Html() if block.only == "markdown" else paragraph(block.text)
 
     @render.register
-    def _(self, block: Figure) -> Html:
-        return picture(block.name, block.caption, self.figures / f"{block.name}.png")
+    def _(self, block: Picture) -> Html:
+        return picture(block, self.figures / f"{block.name}.png")
 
     @render.register
-    def _(self, block: Table) -> Html:
-        words = [paragraph(words) for words in block.words if words]
+    def _(self, block: DataTable) -> Html:
         csv = element("p", inline(f"[CSV]({block.csv})"))
         # GitHub makes the same anchors from the Markdown page's headings, so that links work on both pages.
         anchor = block.title.lower().replace(" ", "-").replace(":", "").replace(",", "")
-        return joined(element("h3", block.title, id=anchor), *words, csv, _shown(block))
+        return joined(element("h3", block.title, id=anchor), *map(paragraph, block.paragraphs), csv, _shown(block))
 
     @render.register
-    def _(self, block: Missing) -> Html:
-        return joined(element("h3", block.title), paragraph(captions.MISSING))
+    def _(self, block: Note) -> Html:
+        return joined(element("h3", block.title), paragraph(block.text))
 
     @render.register
     def _(self, block: Cards) -> Html:
-        return headline(self.contents)
+        return element("div", *map(card, block.cards), class_="cards")
 
     @render.register
-    def _(self, block: Stages) -> Html:
-        return costs.costs(block.timings)
+    def _(self, block: Timings) -> Html:
+        return timings(block)
 
     @render.register
-    def _(self, block: Params) -> Html:
-        text = element("pre", self.contents.made_with.text, tabindex=0, role="region", aria_label="params.yaml")
-        links = "[params.yaml](params.yaml), [metrics.json](metrics.json), [the same as Markdown](README.md)."
-        return joined(paragraph(links), element("details", element("summary", "params.yaml"), text))
+    def _(self, block: Folded) -> Html:
+        text = element("pre", block.text, tabindex=0, role="region", aria_label=block.title)
+        return element("details", element("summary", block.title), text)
 
 
-def _shown(block: Table) -> Html:
+def _shown(block: DataTable) -> Html:
     """The table as HTML. A table by split is cut in two: the test set, then the training set in a closed <details>."""
     paired = partial(tables.paired, heads=block.heads, unit=block.unit, judged=block.judged, ideal=block.ideal)
     if not block.keys:

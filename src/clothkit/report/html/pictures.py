@@ -5,26 +5,8 @@ from pathlib import Path
 
 import cv2
 
+from clothkit.report.blocks import Picture
 from clothkit.report.html.elements import Html, element, inline, joined, unmarked
-
-TITLES = {
-    "sessions_1": "Figure 12, one step",
-    "sessions_2": "Figure 12, two steps",
-    "sessions_3": "Figure 12, three steps",
-    "scatter": "Figure 11",
-    "largest": "Largest errors",
-    "predictions": "Figure 10",
-    "estimates": "Figure 9",
-    "calibration": "Calibration",
-    "camera": "Before depth cameras",
-    "sequences": "Simulated sequences",
-    "curves": "Learning curves",
-    "meshes": "Figures 2 and 3",
-    "voxels": "Figure 4",
-    "trajectories": "Figure 5",
-    "equivalents": "Figure 7",
-}
-"""Titles of figures; a figure that is also in the paper has the paper's number."""
 
 QUALITY = 85
 """WebP quality, 0 to 100."""
@@ -33,8 +15,8 @@ LEAST = (0.55, 860)
 """Least width of a picture on the page: a share of the picture's width, but at most this many pixels."""
 
 
-def picture(name: str, caption: str, file: Path) -> Html:
-    """A figure element with title and caption; `caption` is Markdown.
+def picture(block: Picture, file: Path) -> Html:
+    """A figure element with title and caption.
 
     `file` is the PNG to read. The element links to it as `figures/<name>.png` beside the page.
     """
@@ -46,15 +28,15 @@ def picture(name: str, caption: str, file: Path) -> Html:
     shown = element(
         "img",
         src=f"data:image/webp;base64,{base64.b64encode(data.tobytes()).decode()}",
-        alt=unmarked(caption),
+        alt=unmarked(block.caption),
         width=width,
         height=height,
         style=f"min-width:{min(round(LEAST[0] * width), LEAST[1])}px",
     )
-    title = element("strong", f"{TITLES[name]}.")
-    link = element("a", "PNG", href=f"figures/{name}.png")
-    below = element("figcaption", title, " ", inline(caption), " ", link)
+    title = element("strong", f"{block.title}.")
+    link = element("a", "PNG", href=f"figures/{block.name}.png")
+    below = element("figcaption", title, " ", inline(block.caption), " ", link)
     frame = element(
-        "div", shown, class_="frame scroll", tabindex=0, role="region", aria_label=f"{TITLES[name]}, picture"
+        "div", shown, class_="frame scroll", tabindex=0, role="region", aria_label=f"{block.title}, picture"
     )
-    return element("figure", joined(frame, below), id=f"figure-{name}")
+    return element("figure", joined(frame, below), id=f"figure-{block.name}")

@@ -8,9 +8,9 @@ import pandas as pd
 
 from clothkit.report import captions
 from clothkit.report.budgets import DAGGER
+from clothkit.report.formatting import JUDGED, SOURCES, TOO_FEW, better, number
 from clothkit.report.html.elements import Html, element, joined
 from clothkit.report.layout import HIGH, LOW, NO_ACTION
-from clothkit.report.printed import JUDGED, SOURCES, TOO_FEW, better, number
 
 STATISTICS = {"std": "st.dev.", LOW: "95 % of mean"}
 
@@ -46,8 +46,8 @@ def paired(
                 high = found.get((*key[:-1], HIGH)) if key[-1] == LOW else None
                 lines.append(_line(key[-1], found[key], columns, high, ideal if key[-1] in judged else None))
         bodies.append(element("tbody", *lines))
-    said = f"{unit}; clothkit above, the paper below; " if unit else "clothkit above, the paper below; "
-    caption = element("caption", said, _mark(), " the better")
+    order = f"{unit}; clothkit above, the paper below; " if unit else "clothkit above, the paper below; "
+    caption = element("caption", order, _mark(), " the better")
     head = _two_heads(columns) if any("/" in column for column in columns) else _head(columns, heads or {})
     return _scrolling(element("table", caption, head, *bodies, class_="paired"), label)
 
@@ -111,14 +111,15 @@ def _line(
 
 
 def _figure(value: float, source: str, marked: bool) -> Html:
-    said = element("span", "clothkit: " if source == "own" else "paper: ", class_="said")
-    after = element("span", " (better)", class_="said") if marked else ""
+    # For screen readers, since colour and place tell it to the eye alone.
+    source_name = element("span", "clothkit: " if source == "own" else "paper: ", class_="visually-hidden")
+    verdict = element("span", " (better)", class_="visually-hidden") if marked else ""
     return element(
         "span",
-        said,
+        source_name,
         *([_mark()] if marked else []),
         number(value),
-        after,
+        verdict,
         class_=f"{source} better" if marked else source,
     )
 

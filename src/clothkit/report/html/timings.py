@@ -2,23 +2,23 @@
 
 import pandas as pd
 
-from clothkit.report import captions
+from clothkit.report.blocks import Timings
 from clothkit.report.html.elements import Html, element, inline, joined, paragraph
 
 
-def costs(timings: pd.DataFrame) -> Html:
-    """The seconds, the memory and the machine of each stage that left a note."""
+def timings(block: Timings) -> Html:
+    """The seconds, the memory and the machine of each stage that recorded them."""
     return joined(
-        element("h3", "Time per stage"),
-        paragraph(captions.TIMINGS),
-        element("p", inline("[CSV](timings.csv)")),
-        _stages(timings),
+        element("h3", block.title),
+        paragraph(block.paragraph),
+        element("p", inline(f"[CSV]({block.csv})")),
+        _stages(block.data, block.title),
     )
 
 
-def _stages(timings: pd.DataFrame) -> Html:
+def _stages(timings: pd.DataFrame, label: str) -> Html:
     if timings.empty:
-        return element("p", "No stage has left a note.")
+        return element("p", "No stage has recorded its time.")
     names = ("stage", "time", "share of the longest", "CPU time", "memory", "machine")
     # Bars and machines start at the left of their columns.
     heads = [
@@ -40,7 +40,7 @@ def _stages(timings: pd.DataFrame) -> Html:
             )
         )
     table = element("table", element("thead", element("tr", *heads)), element("tbody", *lines), class_="plain")
-    return element("div", table, class_="scroll", tabindex=0, role="region", aria_label="Time per stage")
+    return element("div", table, class_="scroll", tabindex=0, role="region", aria_label=label)
 
 
 def _clock(seconds: float) -> str:

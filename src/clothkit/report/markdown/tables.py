@@ -5,10 +5,10 @@ from collections.abc import Collection, Sequence
 
 import pandas as pd
 
-from clothkit.report.printed import JUDGED, SOURCES, better, number, statistic
+from clothkit.report.formatting import JUDGED, SOURCES, better, number, statistic
 
 
-def table(
+def paired(
     data: pd.DataFrame, keys: Sequence[str], *, judged: Collection[str] = JUDGED, ideal: float = -math.inf
 ) -> str:
     """A table as a Markdown string: `keys` first, then the source, then its columns; rows of equal keys together.

@@ -19,7 +19,7 @@ Net = PEMDConfig | EMDVoxelConfig | VtMConfig
 
 
 @dataclass(frozen=True)
-class Learned:
+class TrainedNet:
     """Settings of a net and of its training."""
 
     net: Net
@@ -27,7 +27,7 @@ class Learned:
 
 
 @dataclass(frozen=True)
-class MadeWith:
+class RunSettings:
     """Settings of the run that a report is about."""
 
     text: str
@@ -40,9 +40,9 @@ class MadeWith:
     search: SearchConfig
     voxel_search: SearchConfig
     ensemble: EnsembleConfig
-    pemd: Learned
-    emd_voxel: Learned
-    vtm: Learned
+    pemd: TrainedNet
+    emd_voxel: TrainedNet
+    vtm: TrainedNet
 
     @property
     def canonical(self) -> bool:
@@ -55,7 +55,7 @@ class MadeWith:
         return bool(getattr(self.emd_voxel.net, "canonical", False))
 
 
-def read(path: Path) -> MadeWith:
+def read(path: Path) -> RunSettings:
     """The settings in a params.yaml that the report stage wrote: those of one scale, defaults filled in.
 
     Raises InputError that names the file and the key that is missing or has an invalid value.
@@ -73,7 +73,7 @@ def read(path: Path) -> MadeWith:
         raise InputError(f"{path}: is not valid YAML ({' '.join(str(error).split())})") from error
     scale = _at(path, whole, "scale")
     stages = _at(path, whole, f"scales.{scale}")
-    return MadeWith(
+    return RunSettings(
         text=text,
         scale=scale,
         simulated=_at(path, stages, "simulate.source") == "own",
@@ -82,14 +82,14 @@ def read(path: Path) -> MadeWith:
         voxel_search=_settings(path, stages, "plan.voxel_search", SearchConfig),
         # Older reports do not say it: their ensembles are the paper's two nets.
         ensemble=_settings(path, whole, "ensemble", EnsembleConfig) if "ensemble" in whole else EnsembleConfig(),
-        pemd=_learned(path, stages, "train_pemd", PEMDConfig),
-        emd_voxel=_learned(path, stages, "train_emd_voxel", EMDVoxelConfig),
-        vtm=_learned(path, stages, "train_vtm", VtMConfig),
+        pemd=_trained_net(path, stages, "train_pemd", PEMDConfig),
+        emd_voxel=_trained_net(path, stages, "train_emd_voxel", EMDVoxelConfig),
+        vtm=_trained_net(path, stages, "train_vtm", VtMConfig),
     )
 
 
-def _learned(path: Path, stages: Any, stage: str, net: type[Net]) -> Learned:
-    return Learned(
+def _trained_net(path: Path, stages: Any, stage: str, net: type[Net]) -> TrainedNet:
+    return TrainedNet(
         _settings(path, stages, f"{stage}.net", net), _settings(path, stages, f"{stage}.training", TrainingConfig)
     )
 

@@ -1,0 +1,131 @@
+"""Texts of the report that depend on its settings or its figures, in Markdown; an empty one is left out."""
+
+import math
+
+import pandas as pd
+
+from clothkit.report import budgets, captions, findings, paper
+from clothkit.report.contents import Contents
+from clothkit.report.entries import Report
+from clothkit.report.formatting import number
+from clothkit.report.layout import BY_LENGTH
+
+
+def findings_on_planners(report: Report) -> list[str]:
+    """What the comparisons of planners say, a paragraph each."""
+    compared = report.table("planning_comparisons")
+    return [] if compared.empty else findings.findings(compared)
+
+
+def planned(report: Report) -> str:
+    """The sentence on the number of sequences in our planning tables and in the paper's."""
+    counts = " and ".join(f"{count} {split}" for split, count in report.contents.planned.items())
+    return f"This report planned and executed every task of {counts} sequences. {captions.PAPER}"
+
+
+def replay(report: Report) -> str:
+    """Why one-step plans from the flat cloth have a small error; "" for sequences from another simulator."""
+    error = mean(report.table("table_6"), "clothkit", "main", "1/0")
+    if not report.contents.settings.simulated or math.isnan(error):
+        return ""
+    return (
+        f"A one-step plan from the flat cloth (state 0; *main*: {number(error)}) can be a replay: the simulator is "
+        "deterministic and each sequence begins with the same flat cloth, so a plan that finds the recorded "
+        "manipulation again reaches almost the recorded state. Its error shows that the search finds the manipulation, "
+        "not how well the plan would work on a cloth that behaves a little differently.\n"
+    )
+
+
+def descriptions(report: Report) -> str:
+    """How canonical nets describe cloths, and how they use the memory trace; "" if mesh nets are not canonical."""
+    settings = report.contents.settings
+    if not settings.canonical:
+        return ""
+    voxels = captions.VOXELS_CANONICAL if settings.voxels_canonical else captions.VOXELS_AS_THEY_ARE
+    study = captions.MEMORY_STUDY if report.contents.studied else captions.MEMORY_UNKNOWN
+    return f"{captions.CANONICAL}; {voxels}. {captions.MEMORY}{study}"
+
+
+def viewport_of_planning(report: Report) -> str:
+    """`viewport` of table 7."""
+    return viewport(report.contents, "table_7", "table_6")
+
+
+def viewport_of_prediction(report: Report) -> str:
+    """`viewport` of table 4."""
+    return viewport(report.contents, "table_4", "table_3")
+
+
+def viewport(contents: Contents, name: str, in_meshes: str) -> str:
+    """How a table of voxel differences compares with the paper's, and the known reasons.
+
+    `in_meshes` names the table with the errors of the same meshes.
+    """
+    voxels, meshes = (contents.tables.get(table, pd.DataFrame()) for table in (name, in_meshes))
+    comparisons = []
+    for system in () if voxels.empty else voxels.loc[voxels["source"] == "paper", "system"].drop_duplicates():
+        times, errors = _times(voxels, system), "" if meshes.empty else _times(meshes, system)
+        if times:
+            also = f" ({errors} in {in_meshes.replace('_', ' ')})" if errors else ""
+            comparisons.append(f"those of *{system}* are {times} the paper's{also}")
+    where = f"Of our means by length, {', '.join(comparisons)}. " if comparisons else ""
+    table_6, table_7 = paper.table(6), paper.table(7)
+    pairs = " and ".join(
+        f"*{system}*'s {length} from state {start} ({number(mean(table_6, 'paper', system, column))} in its table 6, "
+        f"{number(mean(table_7, 'paper', system, column))} in its table 7)"
+        for system, column, length, start in (("main", "2/1", "two steps", 1), ("b4", "1/2", "one step", 2))
+    )
+    return (
+        f"{where}Two things are known about this difference. First, the paper's viewport and resolution make voxels "
+        "eight times finer in z than in x and y, although its text says four, and fewer voxels agree if they are "
+        "finer; the next table, for a viewport of height 0.25, has voxels that are four times finer. Second, the "
+        "paper's table 7 is not consistent with its table 6 across systems: almost equal errors of meshes are voxel "
+        f"differences that differ by more than a factor of two, in {pairs}. *mean / no action* compares our errors "
+        "with those without any action.\n"
+    )
+
+
+def _times(table: pd.DataFrame, system: str) -> str:
+    """The ratio of our means to the paper's in words, from the least to the largest over all lengths."""
+    pairs = [(mean(table, "clothkit", system, column), mean(table, "paper", system, column)) for column in BY_LENGTH]
+    found = [own / other for own, other in pairs if not math.isnan(own / other)]
+    return f"{min(found):.2f} to {max(found):.2f} times" if found else ""
+
+
+def unequal_budgets(report: Report) -> str:
+    """What the dagger means in tables of planners; "" if no planner has one."""
+    systems = set(report.table("table_6").get("system", []))
+    if all(report.marked(system) == system for system in systems):
+        return ""
+    return _dagger(budgets.difference(report.budgets))
+
+
+def unequal_training(report: Report) -> str:
+    """What the dagger means in tables of predictions; "" if a2 has none."""
+    if report.marked("a2") == "a2":
+        return ""
+    return _dagger(budgets.difference_of_training(report.budgets, "*a2* predicts with the nets of *b4*, which"))
+
+
+def _dagger(difference: str) -> str:
+    return f"†: has a different budget. {difference} ([budgets](#budgets)).\n" if difference else ""
+
+
+def dataset(report: Report) -> str:
+    """The counts of the dataset, and a link to its card."""
+    splits, attempts = report.table("splits"), report.table("attempts")
+    count, manipulations = int(splits["sequences"].sum()), int(splits["manipulations"].sum())
+    single = float((splits["single_handed"] * splits["manipulations"]).sum()) / max(manipulations, 1)
+    accepted = float(attempts.loc[attempts["outcome"] == "accepted", "share"].sum())
+    return (
+        f"{count} sequences of a square cloth folded at random, {manipulations} manipulations, {100 * single:.1f} % of "
+        f"them single-handed; {100 * accepted:.1f} % of the tried sequences were accepted. [The dataset's card]"
+        "(dataset/README.md) describes its files, columns, quality and worst states.\n"
+    )
+
+
+def mean(table: pd.DataFrame, source: str, system: str, column: str) -> float:
+    """A mean of the test set from a table; NaN if the table lacks it."""
+    rows = table[(table["source"] == source) & (table["split"] == "test") & (table["statistic"] == "mean")]
+    found = rows.loc[rows["system"] == system, column]
+    return float(found.iloc[0]) if len(found) else math.nan
