@@ -53,7 +53,7 @@ def grasps_on(plan: Plan, step: int) -> np.ndarray:
     """Where the manipulation's grasp points lie before a step, in the plan's frame."""
     placed = plan.start
     if step:
-        prediction = plan.steps[step - 1].predictions[plan.memory.better]
+        prediction = plan.steps[step - 1].predictions[plan.memory.best]
         placed = type(placed)(state=prediction.state, centre_m=plan.steps[step - 1].centre_m)
     mesh = placed_state(plan, placed)
     uv = np.array(plan.steps[step].manipulation[:4], np.float32).reshape(2, 2)
@@ -158,7 +158,7 @@ def test_a_mask_tells_the_cloth_as_well(here: Path, files: Path) -> None:
 
 
 def test_a_plan_read_back_and_simulated_does_what_it_says(here: Path, files: Path) -> None:
-    """In the toy world net a knows exactly what hands do, so the simulated cloth is where the plan predicts it."""
+    """In the toy world net 0 knows exactly what hands do, so the simulated cloth is where the plan predicts it."""
     goal = np.asarray(toy.dragged(jnp.asarray(flat()), jnp.array([-1, -1, -1, -1, 0.6, 0.5])))
     goal = np.asarray(toy.dragged(jnp.asarray(goal), jnp.array([1, 1, 1, 1, -0.7, -0.3])))
     np.save(here / "goal.npy", goal)
@@ -276,7 +276,7 @@ def test_after_takes_up_what_is_left(here: Path, files: Path) -> None:
     memory = memories[1]
     np.testing.assert_allclose(memory.rest[0, :1], [plan.steps[1].manipulation], atol=1e-6)
     assert memory.relative[0] == plan.memory.relative == later.memory.relative
-    # The state is expected as the better net predicts it after the first step.
+    # The state is expected as the best net predicts it after the first step.
     first = plan.steps[0]
     assert not first.null
     placed = type(plan.start)(state=first.predictions[0].state, centre_m=first.centre_m)
@@ -301,7 +301,7 @@ def test_every_kind_of_system_goes_on_and_predicts(here: Path, files: Path, name
     assert later.memory.relative == plan.memory.relative
     assert not violations(json.loads((here / "next.json").read_text()), schema())
     succeed("predict", "--state", files / "voxels.npy", "--plan", "next.json")
-    nets = {prediction.net for prediction in later.steps[0].predictions}
+    nets = {str(prediction.net) for prediction in later.steps[0].predictions}
     assert {path.stem[-1] for path in (here / "predicted").iterdir()} == nets
     other = run("plan", *common, "--after", "plan.json", "--system", "b3", "--out", "no.json")
     assert other.exit_code == 1
@@ -364,7 +364,7 @@ def test_estimates_predictions_and_simulations_are_files(here: Path, files: Path
     succeed("plan", "--state", files / "bent.obj", "--goal", files / "goal.glb", "--steps", 2)
     succeed("predict", "--state", files / "bent.obj", "--plan", "plan.json", "--out", "predicted")
     plan = read_plan(here / "plan.json")
-    names = {f"step_{n}_net_{net}.{ending}" for n in (1, 2) for net in "ab" for ending in ("obj", "npz")}
+    names = {f"step_{n}_net_{net}.{ending}" for n in (1, 2) for net in (0, 1) for ending in ("obj", "npz")}
     assert {path.name for path in (here / "predicted").iterdir()} == names
     for number, step in enumerate(plan.steps, start=1):
         for prediction in step.predictions:
