@@ -26,7 +26,7 @@ from clothkit.observation.waypoints import ReachConfig
 from clothkit.planning.planner import Planner
 from clothkit.planning.types import Memory, Observation
 from tests.app.conftest import AT, ROOT, run, succeed
-from tests.app.plans import finding
+from tests.app.plans import finding, version_1
 from tests.app.schema import violations
 from tests.observation.scenes import SCALE, SMALL
 from tests.planning import toy
@@ -157,6 +157,13 @@ def test_a_mask_tells_the_cloth_as_well(here: Path, files: Path) -> None:
     assert read_plan(here / "a.json").steps == read_plan(here / "b.json").steps
 
 
+def of_version_1(folder: Path) -> Path:
+    """The file plan.json as version 1 would have written it."""
+    plan = json.loads((folder / "plan.json").read_text())
+    (folder / "old.json").write_text(json.dumps(version_1(plan)))
+    return folder / "old.json"
+
+
 def test_a_plan_read_back_and_simulated_does_what_it_says(here: Path, files: Path) -> None:
     """In the toy world net 0 knows exactly what hands do, so the simulated cloth is where the plan predicts it."""
     goal = np.asarray(toy.dragged(jnp.asarray(flat()), jnp.array([-1, -1, -1, -1, 0.6, 0.5])))
@@ -171,10 +178,11 @@ def test_a_plan_read_back_and_simulated_does_what_it_says(here: Path, files: Pat
     with mock.patch.object(simulate_command, "execute", lambda *of, **_: toy.execute(*of[:4])):
         said = succeed("simulate", "--plan", "plan.json", "--goal", here / "goal.npy", "--out", "mesh.ply")
         again = succeed("simulate", "--state", files / "start.obj", "--plan", "plan.json", "--goal", here / "goal.npy")
+        old = succeed("simulate", "--plan", of_version_1(here), "--goal", here / "goal.npy")
     results = [
-        [line for line in text.splitlines() if line.startswith(("error", "silhouette"))] for text in (said, again)
+        [line for line in text.splitlines() if line.startswith(("error", "silhouette"))] for text in (said, again, old)
     ]
-    assert results[0] == results[1]
+    assert results[0] == results[1] == results[2]
     assert len(results[0]) == 2
     assert f"{files / 'start.obj'}: taken as it is" in again.splitlines()
     state = plan.steps[-1].predictions[0].state
@@ -303,6 +311,13 @@ def test_every_kind_of_system_goes_on_and_predicts(here: Path, files: Path, name
     succeed("predict", "--state", files / "voxels.npy", "--plan", "next.json")
     nets = {str(prediction.net) for prediction in later.steps[0].predictions}
     assert {path.stem[-1] for path in (here / "predicted").iterdir()} == nets
+    old = of_version_1(here)
+    succeed("plan", *common, "--after", old, "--out", "next_of_old.json")
+    assert read_plan(here / "next_of_old.json") == later
+    for plan_file in ("plan.json", old):
+        succeed("predict", "--state", files / "voxels.npy", "--plan", plan_file, "--out", f"by_{Path(plan_file).stem}")
+    for path in (here / "by_plan").iterdir():
+        assert (here / "by_old" / path.name).read_bytes() == path.read_bytes()
     other = run("plan", *common, "--after", "plan.json", "--system", "b3", "--out", "no.json")
     assert other.exit_code == 1
     assert "--system: expected" in other.stderr
