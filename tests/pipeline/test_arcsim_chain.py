@@ -130,7 +130,6 @@ def test_the_chain_runs_on_from_arcsims_runs(tmp_path: Path) -> None:
     settings = EvaluatePredictionConfig(batch=4, stored=3)
     given = prediction.starts(dataset, estimates)
     arrays.save(tmp_path / "predictions.zarr", prediction.stored(dataset, given, nets[0], settings), {})
-    both = (nets[0], nets["b"])
     planner = Planner(
         system("main"),
         representation=MESH,
