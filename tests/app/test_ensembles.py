@@ -29,7 +29,6 @@ from clothkit.observation.states import MeshState
 from clothkit.observation.waypoints import MotionConfig
 from clothkit.planning.objective import Weights
 from clothkit.planning.planner import Planner
-from clothkit.planning.search import SearchConfig
 from clothkit.planning.settings import PlanConfig
 from clothkit.planning.systems import system
 from clothkit.planning.types import Memory, Observation
@@ -40,7 +39,7 @@ from tests.toy_dataset import dataset
 
 SIDE = 0.42
 ALPHA = 0.25
-SEARCH = SearchConfig(strains=8, base_iterations=2, iterations_per_step=0, every=4)
+SEARCH = toy.searching(strains=8, base_iterations=2, iterations_per_step=0)
 
 
 @pytest.fixture(scope="module", params=[(4,), (2, 0, 7)], ids=["one net", "three nets"])
