@@ -45,7 +45,7 @@ FOUND = np.array([[-1, -1, 1, -1, 0.1, 0.7], [0.5, 1, 0.5, 1, -0.6, -0.4]], np.f
 """Both hands, then one, instead of what a search finds: with nets that know nothing these may be null manipulations."""
 
 
-def toy_planner(*_: object) -> Planner:
+def toy_planner(*_: object, **__: object) -> Planner:
     return for_one_cloth(dataclasses.replace(toy.planner("b1"), model=STILL))
 
 
