@@ -40,7 +40,7 @@ def main(name: str) -> None:
         sessions, times = evaluate(store.load(MESHES), planner, simulator, work=pieces, annotate=annotate)
         s.costs.update(cost(times))
         end_workers()
-        attributes = {**s.attributes, **planner.weights._asdict()}
+        attributes = {**s.attributes, **planner.weights._asdict(), "members": list(planner.members)}
         save(work / "sessions.zarr", sessions, attributes)
         found = pd.concat([rows(piece, name) for piece in sessions], ignore_index=True)
         write_rows(work / "rows.parquet", found, attributes)

@@ -2,6 +2,7 @@
 a dozen sequences that nobody simulated."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -48,8 +49,8 @@ def write_params(path: Path) -> None:
     path.write_text(json.dumps(params))
 
 
-def write_nets(folder: Path) -> None:
-    """Nets and reference values, under `folder`."""
+def write_nets(folder: Path, members: Sequence[int] = MEMBERS) -> None:
+    """Nets of an ensemble's members, of which the one of the lowest number is the best, and reference values."""
     history = pd.DataFrame({"iteration": [1], "score": [0.1]})
     small = PEMDConfig(latent=8, encoder=(16,), manipulation=8, decoder=(16,))
     coarse = EMDVoxelConfig(latent=8, manipulation=8, width=0.05)
@@ -58,14 +59,14 @@ def write_nets(folder: Path) -> None:
     of_meshes = jax.jit(lambda key: pemd.initial(small, key=key))
     of_voxels = jax.jit(lambda key: emd_voxel.initial(coarse, key=key))
     sees = jax.jit(lambda key: vtm.initial(seer, key=key))
-    for member in MEMBERS:
+    for member in members:
         key, score = jax.random.key(member), {"validation_score": 0.1 + 0.01 * member}
         store.save(ensemble.folder(folder / "nets", "pemd", member), Net(small, of_meshes(key)), history, score)
         store.save(ensemble.folder(folder / "nets", "emd_voxel", member), Net(coarse, of_voxels(key)), history, score)
     store.save(folder / "nets/vtm", Net(seer, sees(jax.random.key(2))), history, {})
     (folder / "normalisation").mkdir()
     for kind in ("mesh", "voxel"):
-        normalisation.save(folder / f"normalisation/{kind}.json", toy.NORMALISATION, {})
+        normalisation.save(folder / f"normalisation/{kind}.json", toy.normalisation(len(members)), {})
 
 
 def write_files(folder: Path) -> None:

@@ -50,13 +50,15 @@ def content(
     side: float = 0.4,
     vectors: tuple[np.ndarray, ...] = (BOTH, ONE),
     camera: tuple[np.ndarray, np.ndarray] | None = None,
+    members: tuple[int, ...] = (0, 1),
 ) -> dict[str, Any]:
-    """Manipulations of a flat cloth; nets expect what the toy world makes of them.
+    """Manipulations of a flat cloth; nets expect what the toy world makes of them, the first one of them if one plans.
 
     In the table's frame, or in that of a camera, in which the table has these axes and this origin.
     """
     chosen = system(name)
-    nets = 1 if chosen.single else 2
+    members = members[:1] if chosen.single else members
+    several = len(members) > 1
     axes, origin = camera or (np.eye(3), np.zeros(3))
     poses, mesh, steps = [Pose(axes, origin, np.array(AT), side / 1.4)], flat(), []
     start = {"state": _state(mesh, chosen.voxels, poses[0]), "centre_m": _centre(poses[0])}
@@ -75,15 +77,15 @@ def content(
             }
             for points in poses[0].table_to_camera(paths.points).round(6).tolist()
         ]
-        states = {net: _state(mesh, chosen.voxels, poses[-1]) for net in range(nets)}
+        state = _state(mesh, chosen.voxels, poses[-1])
         steps.append(
             {
                 "manipulation": vector.astype(float).tolist(),
                 "null": False,
                 "hands": hands,
-                "predictions": [{"net": net, "state": state} for net, state in states.items()],
+                "predictions": [{"net": member, "state": state} for member in members],
                 "centre_m": _centre(poses[-1]),
-                "disagreement_m": 0.0 if nets == 2 and not chosen.voxels else None,
+                "disagreement_m": 0.0 if several and not chosen.voxels else None,
             }
         )
     of_mesh, of_voxels = (None, 0.1) if chosen.voxels else (0.1, None)
@@ -111,13 +113,23 @@ def content(
             "voxel_error_no_action": of_voxels and 2 * of_voxels,
             "silhouette_iou": 0.9,
             "silhouette_iou_no_action": 0.5,
-            "epistemic_uncertainty": 0.1 if nets == 2 else None,
+            "epistemic_uncertainty": 0.1 if several else None,
             "loss": 0.3,
             "improves": True,
         },
         "warning": None,
         "memory": {"common": 0, "relative": 0, "best": 0, "traces_before": None},
     }
+
+
+def version_1(plan: dict[str, Any]) -> dict[str, Any]:
+    """The same plan as files of version 1 had it: nets called a and b, of which one is the better."""
+    plan = json.loads(json.dumps(plan))
+    for step in plan["steps"]:
+        for prediction in step["predictions"]:
+            prediction["net"] = "ab"[prediction["net"]]
+    plan["memory"]["better"] = plan["memory"].pop("best")
+    return {**plan, "version": 1}
 
 
 def _state(mesh: np.ndarray, voxels: bool, pose: Pose) -> dict[str, Any]:

@@ -32,7 +32,7 @@ def after(mesh: np.ndarray, plan: np.ndarray, strength: float = 1.0) -> np.ndarr
 
 
 def session() -> Session:
-    """Two manipulations; the first plan leads to the goal, net b is a bit off, and the second plan leads nowhere."""
+    """Two manipulations; the first plan leads to the goal, net 1 is a bit off, and the second plan leads nowhere."""
     states = [centred(toy.bent())[0]]
     states += list(after(states[0], PLAN))
     steps = []
@@ -41,6 +41,7 @@ def session() -> Session:
         means = np.stack([after(states[i], plan, strength) for strength in (1.0, 1.05)])
         shown = ShownPlan(
             manipulations=plan,
+            members=(0, 1),
             means=means,
             sigmas=np.full_like(means, 0.01),
             uncertainty=0.1,

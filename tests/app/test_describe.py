@@ -1,13 +1,14 @@
 """What a plan file says, against the same in NumPy: places in metres, errors in cloth lengths, how unsure nets are."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from clothkit.app.describe import PlanRequest, covered, describe, expected, frame_of, heights, paths_of, poses_of
 from clothkit.app.inputs import Input
-from clothkit.app.plan_file import UNLIKELY, Plan
+from clothkit.app.plan_file import UNLIKELY, Plan, read_plan, write_plan
 from clothkit.app.planner import Planned
 from clothkit.cloth.equivalents import relabel
 from clothkit.cloth.grid import flat
@@ -30,23 +31,32 @@ AXES, ORIGIN = motion(3)
 POSE = Pose(AXES, ORIGIN, CENTRE, SCALE)
 PLAN = np.array([[-1, -1, 1, -1, 0.1, 0.7], [1, 1, 1, 1, -0.6, -0.4]], np.float32)
 SHIFTS = np.array([[0.2, -0.1], [-0.05, 0.4]])
+PAIRS = ((0, 1), (0, 2), (1, 2))
 ENDS = (np.arange(32) % 2 * 2 - 1)[:, None] * np.float32([0, 0, 0.07])
 """Every other row of vertices too high, the others too low."""
 
 
 def planner(name: str = "b1", nets: int = 2) -> Planner:
-    """The second net is the better one, where there are two."""
+    """The second net is the best one, where there are several."""
     usual = dataclasses.replace(toy.NORMALISATION, mu=(0.3,) * 3, sigma=(0.2,) * 3)
-    return dataclasses.replace(toy.planner(name), better=nets - 1, normalisation=usual)
+    members = (4,) if nets == 1 else (0, 1, 5)[:nets]
+    return dataclasses.replace(
+        toy.planner(name), members=members, nets=(0.0,) * nets, best=min(nets - 1, 1), normalisation=usual
+    )
 
 
 def planned(nets: int = 2) -> Planned:
-    """Two manipulations of the flat cloth; the mean of what the nets expect is a bent cloth, but for `ENDS`."""
+    """Two manipulations of the flat cloth; the mean of what two nets expect is a bent cloth, but for `ENDS`.
+
+    A third net expects the bent cloth farther along x.
+    """
     first, last = toy.bent() * np.float32([0.9, 1, 9]), toy.bent() + ENDS
     apart = np.linspace(0, 0.2, 32, dtype=np.float32)[:, None, None]
-    means = np.stack([[first, last - apart], [first + 0.01, last + apart]])
-    stds = np.stack([np.full((2, 32, 32, 3), std, np.float32) for std in (0.02, 0.05)])
-    differences = np.asarray(MESH.difference(*map(ProbabilisticMesh, means, stds)))
+    third = np.float32([0.06, 0, 0])
+    means = np.stack([[first, last - apart], [first + 0.01, last + apart], [first + third, last + third]])
+    stds = np.stack([np.full((2, 32, 32, 3), std, np.float32) for std in (0.02, 0.05, 0.03)])
+    each = [ProbabilisticMesh(*both) for both in zip(means[:nets], stds[:nets], strict=True)]
+    apart = [np.asarray(MESH.difference(each[a], each[b])) for a, b in PAIRS if b < nets]
     none = np.zeros((8, 4), np.float32)
     return Planned(
         state=flat(),
@@ -56,8 +66,8 @@ def planned(nets: int = 2) -> Planned:
         means=means[:nets],
         stds=stds[:nets],
         shifts=SHIFTS,
-        differences=differences if nets == 2 else None,
-        traces=(none, none)[:nets],
+        differences=np.mean(apart, axis=0) if apart else None,
+        traces=(none,) * nets,
         loss=1.5,
         expected=0.05,
         expected_no_action=0.11,
@@ -68,7 +78,7 @@ def request(goal: np.ndarray, frame: str = "camera") -> PlanRequest:
     mesh = MeshState(flat(), np.zeros(2, np.float32), SCALE)
     seen = observe(mesh, cloth_side=SIDE)
     state = Input("start.obj", mesh, dataclasses.replace(seen, pose=POSE))
-    return PlanRequest(state, Input("goal.obj", mesh, seen), goal, None, SIDE, 7, frame, ("a", "b"))
+    return PlanRequest(state, Input("goal.obj", mesh, seen), goal, None, SIDE, 7, frame)
 
 
 def described(frame: str = "camera", **changes: object) -> Plan:
@@ -84,11 +94,11 @@ def in_metres(mesh: np.ndarray, moved: np.ndarray, frame: str) -> np.ndarray:
     return table if frame == "table" else np.einsum("uvi,ij->uvj", table, AXES) + ORIGIN
 
 
-def test_hands_are_where_the_better_net_expects_the_cloth() -> None:
+def test_hands_are_where_the_best_net_expects_the_cloth() -> None:
     first, second = paths_of(planner(), planned(), POSE, MotionConfig())
     corners = np.array([[-0.7, -0.7, 0], [0.7, -0.7, 0]])
     np.testing.assert_allclose(first.points[:, 0], 0.3 * corners + [*CENTRE, 0], atol=1e-6)
-    # Net b's corner after the first step, about where the cloth has moved to by then.
+    # Net 1's corner after the first step, about where the cloth has moved to by then.
     corner = planned().means[1, 0, 31, 31].astype(float) + np.array([0.2, -0.1, 0])
     np.testing.assert_allclose(second.points[:, 0], 0.3 * corner[None] + [*CENTRE, 0], atol=1e-6)
     np.testing.assert_allclose(second.points[0, -1, :2] - second.points[0, 0, :2], [-0.18, -0.12], atol=1e-6)
@@ -131,7 +141,7 @@ def test_places_are_in_metres_in_the_plans_frame(frame: str) -> None:
         for prediction, means, sigma in zip(step.predictions, of.means, (0.006, 0.015), strict=True):
             np.testing.assert_allclose(prediction.state.vertices_m, in_metres(means[number], moved, frame), atol=1e-6)
             np.testing.assert_allclose(prediction.state.sigma_m, np.full((32, 32, 3), sigma), atol=1e-6)
-    # Nets a and b are 0.01 apart along each axis, then twice 0 to 0.2.
+    # Nets 0 and 1 are 0.01 apart along each axis, then twice 0 to 0.2.
     assert plan.steps[0].disagreement_m == pytest.approx(0.3 * 0.01 * np.sqrt(3), rel=1e-4)
     assert plan.steps[1].disagreement_m == pytest.approx(0.3 * 0.2 * np.sqrt(3), rel=1e-4)
 
@@ -172,7 +182,7 @@ def test_a_plan_is_warned_of_that_brings_nothing_nearer() -> None:
 
 def test_what_a_later_plan_takes_up() -> None:
     memory = described().memory
-    assert (memory.common, memory.relative, memory.better, memory.traces_before) == (2, 5, 1, None)
+    assert (memory.common, memory.relative, memory.best, memory.traces_before) == (2, 5, 1, None)
     traces = tuple(np.random.default_rng(k).normal(size=(8, 4)).astype(np.float32) for k in (0, 1))
     np.testing.assert_allclose(described(traces=traces).memory.traces_before, traces, atol=1e-7)
     # One trace alone is something to remember too.
@@ -181,20 +191,37 @@ def test_what_a_later_plan_takes_up() -> None:
 
 def test_one_net_alone_can_not_disagree() -> None:
     plans, of = planner("b2", nets=1), planned(nets=1)
-    asked = request(toy.bent())._replace(nets=("b",), matrix=np.array([[0.0, -1.0], [1.0, 0.0]]))
+    asked = request(toy.bent())._replace(matrix=np.array([[0.0, -1.0], [1.0, 0.0]]))
     plan = describe(plans, of, paths_of(plans, of, POSE, MotionConfig()), asked)
     assert plan.turned == ((0.0, -1.0), (1.0, 0.0))
     assert plan.expected.epistemic_uncertainty is None
     for step in plan.steps:
         assert step.disagreement_m is None
-        assert [prediction.net for prediction in step.predictions] == ["b"]
+        assert [prediction.net for prediction in step.predictions] == [4]
+
+
+@pytest.mark.parametrize("nets", [1, 3])
+def test_a_plan_of_any_number_of_nets_is_read_as_it_was_written(tmp_path: Path, nets: int) -> None:
+    plans, of = planner(nets=nets), planned(nets=nets)
+    plan = describe(plans, of, paths_of(plans, of, POSE, MotionConfig()), request(toy.bent()))
+    write_plan(tmp_path / "plan.json", plan)
+    assert read_plan(tmp_path / "plan.json") == plan
+    assert plan.memory.best == min(nets - 1, 1)
+    for number, step in enumerate(plan.steps):
+        assert [prediction.net for prediction in step.predictions] == list(plans.members)
+        # By hand: the mean over pairs of nets of the mean distance between vertices, 0.3 m long where meshes are 1.
+        pairs = [
+            np.linalg.norm(of.means[a, number] - of.means[b, number], axis=-1).mean() for a, b in PAIRS if b < nets
+        ]
+        assert step.disagreement_m == (pytest.approx(0.3 * np.mean(pairs), rel=1e-4) if pairs else None)
+    assert (plan.expected.epistemic_uncertainty is None) == (nets == 1)
 
 
 def test_plans_in_voxels() -> None:
     plans = dataclasses.replace(planner("b1"), system=system("b4"), representation=VOXEL)
     goal, state = np.zeros((2, 32, 32, 16), bool)
     goal[8:16, 8:16, 0] = state[8:24, 8:16, 0] = True
-    # Both nets put 0.75 and 0.65 where the goal is, and nothing anywhere else.
+    # The nets put 0.75 and 0.65 where the goal is, and nothing anywhere else.
     means = np.stack([np.where(goal, p, 0).astype(np.float32)[None] for p in (0.75, 0.65)])
     plan = np.array([[-0.4, -0.4, -0.4, -0.4, 0.7, 0.1]], np.float32)
     none = np.zeros((1, 4), np.float32)

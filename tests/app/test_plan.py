@@ -26,7 +26,7 @@ from clothkit.observation.waypoints import ReachConfig
 from clothkit.planning.planner import Planner
 from clothkit.planning.types import Memory, Observation
 from tests.app.conftest import AT, ROOT, run, succeed
-from tests.app.plans import finding
+from tests.app.plans import finding, version_1
 from tests.app.schema import violations
 from tests.observation.scenes import SCALE, SMALL
 from tests.planning import toy
@@ -45,7 +45,7 @@ FOUND = np.array([[-1, -1, 1, -1, 0.1, 0.7], [0.5, 1, 0.5, 1, -0.6, -0.4]], np.f
 """Both hands, then one, instead of what a search finds: with nets that know nothing these may be null manipulations."""
 
 
-def toy_planner(*_: object) -> Planner:
+def toy_planner(*_: object, **__: object) -> Planner:
     return for_one_cloth(dataclasses.replace(toy.planner("b1"), model=STILL))
 
 
@@ -53,7 +53,7 @@ def grasps_on(plan: Plan, step: int) -> np.ndarray:
     """Where the manipulation's grasp points lie before a step, in the plan's frame."""
     placed = plan.start
     if step:
-        prediction = plan.steps[step - 1].predictions[plan.memory.better]
+        prediction = plan.steps[step - 1].predictions[plan.memory.best]
         placed = type(placed)(state=prediction.state, centre_m=plan.steps[step - 1].centre_m)
     mesh = placed_state(plan, placed)
     uv = np.array(plan.steps[step].manipulation[:4], np.float32).reshape(2, 2)
@@ -157,8 +157,15 @@ def test_a_mask_tells_the_cloth_as_well(here: Path, files: Path) -> None:
     assert read_plan(here / "a.json").steps == read_plan(here / "b.json").steps
 
 
+def of_version_1(folder: Path) -> Path:
+    """The file plan.json as version 1 would have written it."""
+    plan = json.loads((folder / "plan.json").read_text())
+    (folder / "old.json").write_text(json.dumps(version_1(plan)))
+    return folder / "old.json"
+
+
 def test_a_plan_read_back_and_simulated_does_what_it_says(here: Path, files: Path) -> None:
-    """In the toy world net a knows exactly what hands do, so the simulated cloth is where the plan predicts it."""
+    """In the toy world net 0 knows exactly what hands do, so the simulated cloth is where the plan predicts it."""
     goal = np.asarray(toy.dragged(jnp.asarray(flat()), jnp.array([-1, -1, -1, -1, 0.6, 0.5])))
     goal = np.asarray(toy.dragged(jnp.asarray(goal), jnp.array([1, 1, 1, 1, -0.7, -0.3])))
     np.save(here / "goal.npy", goal)
@@ -171,10 +178,11 @@ def test_a_plan_read_back_and_simulated_does_what_it_says(here: Path, files: Pat
     with mock.patch.object(simulate_command, "execute", lambda *of, **_: toy.execute(*of[:4])):
         said = succeed("simulate", "--plan", "plan.json", "--goal", here / "goal.npy", "--out", "mesh.ply")
         again = succeed("simulate", "--state", files / "start.obj", "--plan", "plan.json", "--goal", here / "goal.npy")
+        old = succeed("simulate", "--plan", of_version_1(here), "--goal", here / "goal.npy")
     results = [
-        [line for line in text.splitlines() if line.startswith(("error", "silhouette"))] for text in (said, again)
+        [line for line in text.splitlines() if line.startswith(("error", "silhouette"))] for text in (said, again, old)
     ]
-    assert results[0] == results[1]
+    assert results[0] == results[1] == results[2]
     assert len(results[0]) == 2
     assert f"{files / 'start.obj'}: taken as it is" in again.splitlines()
     state = plan.steps[-1].predictions[0].state
@@ -276,7 +284,7 @@ def test_after_takes_up_what_is_left(here: Path, files: Path) -> None:
     memory = memories[1]
     np.testing.assert_allclose(memory.rest[0, :1], [plan.steps[1].manipulation], atol=1e-6)
     assert memory.relative[0] == plan.memory.relative == later.memory.relative
-    # The state is expected as the better net predicts it after the first step.
+    # The state is expected as the best net predicts it after the first step.
     first = plan.steps[0]
     assert not first.null
     placed = type(plan.start)(state=first.predictions[0].state, centre_m=first.centre_m)
@@ -301,8 +309,15 @@ def test_every_kind_of_system_goes_on_and_predicts(here: Path, files: Path, name
     assert later.memory.relative == plan.memory.relative
     assert not violations(json.loads((here / "next.json").read_text()), schema())
     succeed("predict", "--state", files / "voxels.npy", "--plan", "next.json")
-    nets = {prediction.net for prediction in later.steps[0].predictions}
+    nets = {str(prediction.net) for prediction in later.steps[0].predictions}
     assert {path.stem[-1] for path in (here / "predicted").iterdir()} == nets
+    old = of_version_1(here)
+    succeed("plan", *common, "--after", old, "--out", "next_of_old.json")
+    assert read_plan(here / "next_of_old.json") == later
+    for plan_file in ("plan.json", old):
+        succeed("predict", "--state", files / "voxels.npy", "--plan", plan_file, "--out", f"by_{Path(plan_file).stem}")
+    for path in (here / "by_plan").iterdir():
+        assert (here / "by_old" / path.name).read_bytes() == path.read_bytes()
     other = run("plan", *common, "--after", "plan.json", "--system", "b3", "--out", "no.json")
     assert other.exit_code == 1
     assert "--system: expected" in other.stderr
@@ -364,7 +379,7 @@ def test_estimates_predictions_and_simulations_are_files(here: Path, files: Path
     succeed("plan", "--state", files / "bent.obj", "--goal", files / "goal.glb", "--steps", 2)
     succeed("predict", "--state", files / "bent.obj", "--plan", "plan.json", "--out", "predicted")
     plan = read_plan(here / "plan.json")
-    names = {f"step_{n}_net_{net}.{ending}" for n in (1, 2) for net in "ab" for ending in ("obj", "npz")}
+    names = {f"step_{n}_net_{net}.{ending}" for n in (1, 2) for net in (0, 1) for ending in ("obj", "npz")}
     assert {path.name for path in (here / "predicted").iterdir()} == names
     for number, step in enumerate(plan.steps, start=1):
         for prediction in step.predictions:

@@ -15,7 +15,7 @@ from clothkit.errors import InputError
 from clothkit.planning.systems import SYSTEMS
 from clothkit.simulation.world import Worlds
 from tests.app.conftest import run, succeed
-from tests.app.plans import changed, content, write
+from tests.app.plans import changed, content, version_1, write
 
 PLANS = {name: content(name) for name in ("b1", "b2", "b4", "main")}
 HAND = PLANS["b1"]["steps"][0]["hands"][0]
@@ -40,7 +40,7 @@ def moved(part: str, by: float) -> dict[str, Any]:
 ABSURD: list[tuple[str, str, object, str]] = [
     # system, field, value, what the sentence says
     ("b1", "system", "b9", "system: expected one of main, b1"),
-    ("b1", "system", "b2", "steps.0.predictions: expected 1, one of each net of system b2, found 2"),
+    ("b1", "system", "b2", "steps.0.predictions: expected one, since system b2 has one net, found 2"),
     ("b1", "system", "b4", "start.state.kind: expected voxels"),
     ("b1", "side_m", 1e-6, "side_m: input should be greater than or equal to 0.01, found 1e-06"),
     ("b1", "side_m", 1e6, "side_m: input should be less than or equal to 10"),
@@ -96,21 +96,34 @@ ABSURD: list[tuple[str, str, object, str]] = [
     ),
     ("b1", "steps.0.hands.0.waypoints", waypoints({20: 9.0}), "steps.0.hands: expected waypoints at the same times"),
     ("b1", "steps.0.hands.0.waypoints.4.position_m", [0, 0, 99], "steps.0.hands.0.waypoints: expected within 20 cloth"),
-    ("b1", "steps.0.predictions", PLANS["b1"]["steps"][0]["predictions"][:1], "steps.0.predictions: expected 2"),
-    ("b1", "steps.0.predictions.1.net", "a", "steps.0.predictions: expected different nets, found net a twice"),
-    ("b2", "steps.1.predictions.0.net", "b", "steps.1.predictions: expected nets a, found b"),
+    (
+        "b1",
+        "steps.1.predictions",
+        PLANS["b1"]["steps"][1]["predictions"][:1],
+        "steps.1.predictions: expected nets 0, 1, as in steps.0, found 0",
+    ),
+    ("b1", "steps.0.predictions", [], "steps.0.predictions: list should have at least 1 item"),
+    ("b1", "steps.0.predictions.1.net", 0, "steps.0.predictions: expected different nets, found 0, 0"),
+    ("b1", "steps.0.predictions.1.net", "b", "steps.0.predictions.1.net: input should be a valid integer, found 'b'"),
+    ("b1", "steps.0.predictions.1.net", -1, "steps.0.predictions.1.net: input should be greater than or equal to 0"),
+    ("b1", "steps.1.predictions.1.net", 7, "steps.1.predictions: expected nets 0, 1, as in steps.0, found 0, 7"),
+    ("b2", "steps.1.predictions.0.net", 1, "steps.1.predictions: expected nets 0, as in steps.0, found 1"),
     ("b1", "steps.1.predictions.0.state", VOXELS, "steps.1.predictions.0.state.kind: expected mesh"),
     ("b1", "steps.1.centre_m", [99, 0, 0], "steps.1.centre_m: expected within 20 cloth sides"),
     ("b1", "steps.1.centre_m", [0, 0, 1], "steps.1.centre_m: expected a point on the table"),
-    ("b2", "steps.0.disagreement_m", 0.1, "steps.0.disagreement_m: expected null"),
-    ("b1", "steps.0.disagreement_m", None, "steps.0.disagreement_m: expected a number"),
+    ("b2", "steps.0.disagreement_m", 0.1, "steps.0.disagreement_m: expected null for 1 net of system b2"),
+    ("b1", "steps.0.disagreement_m", None, "steps.0.disagreement_m: expected a number for 2 nets of system b1"),
+    ("b4", "steps.0.disagreement_m", 0.1, "steps.0.disagreement_m: expected null for 2 nets of system b4"),
     ("b1", "expected.error_m", 0.4, "expected.error_m: expected error_cloth_lengths times side_m, 0.04, found 0.4"),
     ("b1", "expected.error_m", None, "expected.error_m: expected a number"),
     ("b4", "expected.error_m", 0.1, "expected.error_m: expected null"),
     ("b2", "expected.epistemic_uncertainty", 1, "expected.epistemic_uncertainty: expected null"),
     ("b1", "expected.improves", False, "expected.improves: expected true"),
     ("b4", "memory.common", 3, "memory.common: expected at most 0"),
-    ("b2", "memory.better", 1, "memory.better: expected at most 0 for system b2, found 1"),
+    ("b2", "memory.best", 1, "memory.best: expected at most 0 for 1 net of system b2, found 1"),
+    ("b1", "memory.best", 2, "memory.best: expected at most 1 for 2 nets of system b1, found 2"),
+    ("b1", "version", 3, "version: input should be 2"),
+    ("b1", "version", True, "version: input should be 2"),
     ("b1", "memory.traces_before", [[[0.0]] * 8], "memory.traces_before: expected 2 of 8 rows, found 1 of 8"),
     (
         "b2",
@@ -129,6 +142,62 @@ def test_plans_of_every_system_are_read(tmp_path: Path, name: str) -> None:
     for side in (0.05, 0.4, 2.0):
         write(tmp_path / "plan.json", content(name, side=side))
         assert read_plan(tmp_path / "plan.json").side_m == side
+
+
+@pytest.mark.parametrize("members", [(4,), (2, 0, 7), (0, 1, 2, 3, 9)], ids=len)
+def test_plans_of_any_number_of_nets_are_read(tmp_path: Path, members: tuple[int, ...]) -> None:
+    for name in ("main", "b4"):
+        plan = changed(content(name, members=members), "memory.best", len(members) - 1)
+        write(tmp_path / "plan.json", plan)
+        found = read_plan(tmp_path / "plan.json")
+        assert tuple(prediction.net for prediction in found.steps[1].predictions) == members
+        assert found == plan_of(plan)
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_a_file_of_version_1_means_what_it_meant(tmp_path: Path, name: str) -> None:
+    one_net = SYSTEMS[name].single
+    plan = content(name, members=(1,) if one_net else (0, 1))
+    plan = plan if one_net else changed(plan, "memory.best", 1)
+    old = version_1(plan)
+    assert [prediction["net"] for prediction in old["steps"][1]["predictions"]] == (["b"] if one_net else ["a", "b"])
+    assert old["memory"]["better"] == (not one_net)
+    write(tmp_path / "old.json", old)
+    write(tmp_path / "new.json", plan)
+    assert read_plan(tmp_path / "old.json") == read_plan(tmp_path / "new.json")
+
+
+VERSION_1: list[tuple[str, object, str]] = [
+    ("steps.0.predictions.1.net", "c", "steps.0.predictions.1.net: input should be a valid integer, found 'c'"),
+    ("steps.0.predictions.1.net", "a", "steps.0.predictions: expected different nets, found 0, 0"),
+    ("steps.0.predictions", 3, "steps.0.predictions: input should be a valid array"),
+    ("steps.1", None, "steps.1: input should be an object"),
+    ("steps", "", "steps: input should be a valid array"),
+    ("memory.better", ..., "memory.best: field required"),
+    ("memory.better", 2, "memory.best: expected at most 1"),
+    ("memory.best", 1, "memory.better: extra inputs are not permitted"),
+    ("memory", [], "memory: input should be an object"),
+    ("seed", float("nan"), "seed: input should be a valid integer"),
+]
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "says"), VERSION_1, ids=[f"{field}-{value}" for field, value, _ in VERSION_1]
+)
+def test_a_fault_in_a_file_of_version_1_is_one_sentence(tmp_path: Path, field: str, value: object, says: str) -> None:
+    write(tmp_path / "plan.json", changed(version_1(PLANS["b1"]), field, value))
+    with pytest.raises(InputError) as told:
+        read_plan(tmp_path / "plan.json")
+    assert str(told.value).startswith(f"{tmp_path}/plan.json: ")
+    assert says in str(told.value)
+    assert "\n" not in str(told.value)
+
+
+def test_keys_that_stand_twice_are_told_in_files_of_version_1_too(tmp_path: Path) -> None:
+    text = json.dumps(version_1(PLANS["b1"]))
+    (tmp_path / "plan.json").write_text(text.replace('"better": 0', '"better": 0, "better": 1'))
+    with pytest.raises(InputError, match='found key "better" twice'):
+        read_plan(tmp_path / "plan.json")
 
 
 @pytest.mark.parametrize(("name", "field", "value", "says"), ABSURD, ids=IDS)
@@ -178,7 +247,7 @@ def refused(*arguments: object) -> str:
 def earlier(here: Path) -> Path:
     """Outcomes of earlier calls."""
     (here / "predicted").mkdir()
-    for name in ("mesh.glb", "next.json", "predicted/step_1_net_a.obj", "predicted/step_1_net_a.npz"):
+    for name in ("mesh.glb", "next.json", "predicted/step_1_net_0.obj", "predicted/step_1_net_0.npz"):
         (here / name).write_text("of an earlier call")
     return here
 
@@ -192,7 +261,7 @@ def earlier(here: Path) -> Path:
         ("metres_per_normalised", 1e-3),
         ("steps.0.manipulation.4", 1000),
         ("steps.0.hands", []),
-        ("steps.0.predictions.1.net", "a"),
+        ("steps.0.predictions.1.net", 0),
         ("system", "b2"),
     ],
 )
@@ -226,9 +295,15 @@ def test_a_cloth_of_another_size_is_not_simulated(earlier: Path, size: float) ->
 
 @pytest.mark.parametrize("command", ["predict", "plan"])
 def test_a_plan_of_other_nets_is_refused(earlier: Path, command: str) -> None:
-    """The nets under data are as they are trained by then: net a is the better one, of latent width 8."""
-    write(earlier / "plan.json", changed(PLANS["b1"], "memory.better", 1))
-    assert "memory.better: is net b, but of the nets in data net a is better" in refused(command, *COMMANDS[command])
+    """The nets under data are as they are trained by then: net 0 is the best one, of latent width 8."""
+    write(earlier / "plan.json", changed(PLANS["b1"], "memory.best", 1))
+    assert "memory.best: is net 1, but of the nets in data net 0 is the best" in refused(command, *COMMANDS[command])
+    for members in ((0,), (1, 0), (0, 1, 2)):
+        write(earlier / "plan.json", content("b1", members=members))
+        sentence = refused(command, *COMMANDS[command])
+        assert f"plan.json: was planned with nets {', '.join(map(str, members))}, expected 0, 1" in sentence
+    write(earlier / "plan.json", content("b2", members=(1,)))
+    assert "memory.best: is net 1, but of the nets in data net 0 is the best" in refused(command, *COMMANDS[command])
     write(earlier / "plan.json", changed(PLANS["b1"], "memory.traces_before", [[[0.0] * 3] * 8] * 2))
     assert "memory.traces_before: has shapes [(8, 3), (8, 3)]" in refused(command, *COMMANDS[command])
 
@@ -238,7 +313,9 @@ def test_predictions_are_replaced_together_or_not_at_all(here: Path, monkeypatch
     asked = ("predict", *COMMANDS["predict"])
     succeed(*asked)
     before = {path.name: path.read_bytes() for path in (here / "predicted").iterdir()}
-    assert set(before) == {f"step_{n}_net_{net}.{ending}" for n in (1, 2) for net in "ab" for ending in ("obj", "npz")}
+    assert set(before) == {
+        f"step_{n}_net_{net}.{ending}" for n in (1, 2) for net in (0, 1) for ending in ("obj", "npz")
+    }
     original, count = predict_command.write_arrays, [0]
 
     def full(*arguments: Any) -> None:

@@ -12,6 +12,7 @@ from unittest import mock
 import numpy as np
 import pytest
 import trimesh
+import zarr
 
 from clothkit.app.inputs import load_settings, observation_options, read_input
 from clothkit.app.plan_file import UNLIKELY
@@ -80,7 +81,7 @@ def test_disagreement_is_palest_where_the_nets_agree() -> None:
     assert apart is not None
     assert (apart[:, :16] == 0).all()
     assert (apart[:, 16:] > 0).any()
-    scene = scene_of(session, 0, View("net a, after 1", "disagreement", "hidden"))
+    scene = scene_of(session, 0, View("net 0, after 1", "disagreement", "hidden"))
     scale = scale_of(session, "disagreement")
     (cloth,) = scene.cloths
     palest = colours.colours(np.zeros(1, np.float32), scale)[0]
@@ -88,6 +89,25 @@ def test_disagreement_is_palest_where_the_nets_agree() -> None:
     far = np.unravel_index(apart[0].argmax(), apart[0].shape)
     assert cloth.front[far].sum() < palest.sum() - 0.1
     np.testing.assert_array_equal(cloth.front, cloth.back)
+
+
+def test_three_nets_differ_by_the_mean_over_their_pairs_and_one_by_nothing() -> None:
+    session = played.session()
+    step = session.steps[0]
+    assert step.plan is not None
+    means = np.stack([*step.plan.means, step.plan.means[0] + np.float32([0.3, 0, 0.4])])
+    three = step.plan._replace(members=(0, 3, 8), means=means, sigmas=None)
+    by_hand = np.zeros(means.shape[1:4])
+    for a, b in ((0, 1), (0, 2), (1, 2)):
+        by_hand += np.sqrt(((means[a].astype(float) - means[b]) ** 2).sum(-1)) / 3
+    np.testing.assert_allclose(disagreement(three), by_hand, atol=1e-6)
+    shown = to_show(session._replace(steps=(step._replace(plan=three), *session.steps[1:])), 0)
+    assert [one.name for one in shown[2:]] == [f"net {net}, after {i}" for net in (0, 3, 8) for i in (1, 2)]
+    assert {(one.row, one.column) for one in shown[2:]} == {(row, i) for row in (1, 2, 3) for i in (0, 1)}
+    one = three._replace(members=(8,), means=means[2:])
+    assert disagreement(one) is None
+    shown = to_show(session._replace(steps=(step._replace(plan=one), *session.steps[1:])), 0)
+    assert [one.name for one in shown[2:]] == ["predicted after 1", "predicted after 2"]
 
 
 def test_colours_tell_side_height_and_sigma() -> None:
@@ -116,7 +136,7 @@ def test_what_there_is_to_look_at() -> None:
     assert names == [
         "state",
         "estimate",
-        *(f"net {net}, after {i}" for net in "ab" for i in (1, 2)),
+        *(f"net {net}, after {i}" for net in (0, 1) for i in (1, 2)),
     ]
     # A prediction shows what is to be done to it next, the last one nothing.
     assert [shown.manipulation is not None for shown in to_show(session, 0)] == [True, True, True, False, True, False]
@@ -131,7 +151,7 @@ def test_what_there_is_to_look_at() -> None:
     assert scene_of(session, 0, View(candidates=False)).dots == ()
     assert scene_of(session, 0, View(paths=False)).paths == ()
     # A name of another step's falls back to the state.
-    assert scene_of(session, 2, View("net b, after 2")).captions[0].text.startswith("outcome")
+    assert scene_of(session, 2, View("net 1, after 2")).captions[0].text.startswith("outcome")
 
 
 def test_voxels_are_shown_as_cubes() -> None:
@@ -226,6 +246,17 @@ def test_a_recorded_plan_that_the_agent_cancelled_is_warned_of(folder: Path) -> 
     said = facts(session, 0)
     assert UNLIKELY in said
     assert "no improvement was expected (it would have come to 0.200)" in said
+
+
+def test_nets_of_a_record_have_the_numbers_of_its_members(folder: Path, tmp_path: Path) -> None:
+    shutil.copytree(folder / "evaluation", tmp_path / "evaluation")
+    store = tmp_path / "evaluation/planning/sessions_main.zarr"
+    for members, shown in ((None, (0, 1)), ([5, 2], (5, 2))):
+        if members is not None:
+            zarr.open_group(store).attrs["members"] = members
+        plan = session_of(tmp_path, "main", entries(tmp_path, "main")[0]).steps[0].plan
+        assert plan is not None
+        assert plan.members == shown
 
 
 def test_a_record_that_leads_nowhere_is_told_and_not_left_out(tmp_path: Path) -> None:

@@ -124,7 +124,7 @@ def test_sessions_are_played_planned_and_executed(page: Page, tmp_path: Path) ->
     # Another colour, and everything side by side.
     page.get_by_label("colour").click()
     page.get_by_role("option", name="disagreement").click()
-    expect(page.get_by_text("distance between the two nets' predictions")).to_be_visible()
+    expect(page.get_by_text("distance between the nets' predictions")).to_be_visible()
     until(page, lambda found: not blue(found))
     page.get_by_label("side by side").click()
     page.get_by_label("colour").click()

@@ -1,5 +1,6 @@
 """Recorded sessions with each fault, one by one, in memory and in what zarr leaves of them."""
 
+import dataclasses
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +16,7 @@ from clothkit.episodes.record import (
     Sizes,
     blank,
     load,
+    load_members,
     load_piece,
     load_tasks,
     save,
@@ -27,11 +29,11 @@ from tests.dataset.test_store import make
 TASKS = [*tasks_of(0, 2), *tasks_of(3, 3)]
 
 
-def sessions(*, voxels: bool = False) -> Sessions:
+def sessions(*, voxels: bool = False, nets: int = 1) -> Sessions:
     """Sessions of which nothing is known but where they were, a null that was cancelled among them."""
     dataset = make()
     shape = (32, 32, 16) if voxels else (32, 32, 3)
-    sizes = Sizes(shape, not voxels, candidate=2, net=1, iteration=2, strain=2, restart=1)
+    sizes = Sizes(shape, not voxels, candidate=2, net=nets, iteration=2, strain=2, restart=1)
     found = blank(tasks_of_dataset(dataset, TASKS, "test"), sizes)
     for row, (sequence, start, length) in enumerate(TASKS):
         for step in range(length):
@@ -88,6 +90,62 @@ def test_healthy_sessions_come_back_whole_and_one_by_one(tmp_path: Path, *, voxe
         np.testing.assert_array_equal(getattr(back, name), values)
         np.testing.assert_array_equal(getattr(one, name), values[8:9])
     assert load_tasks(tmp_path / "s.zarr") == [("test", *task) for task in TASKS]
+
+
+@pytest.mark.parametrize("nets", [1, 2, 3, 5])
+def test_there_is_a_term_for_each_net_and_one_more(tmp_path: Path, nets: int) -> None:
+    of = sessions(nets=nets)
+    assert of.terms.shape == (len(TASKS), 3, nets + 1)
+    assert of.prediction_mean.shape[3] == of.prediction_std.shape[3] == nets
+    of.terms[:, 0] = np.arange(nets + 1)
+    save(tmp_path / "s.zarr", [of], {"members": list(range(7, 7 + nets))})
+    np.testing.assert_array_equal(load(tmp_path / "s.zarr").terms, of.terms)
+    assert load_members(tmp_path / "s.zarr") == tuple(range(7, 7 + nets))
+    with pytest.raises(ValueError, match=f"terms: expected one of each of {nets} nets and u, found {nets + 2}"):
+        dataclasses.replace(of, terms=np.zeros((*of.terms.shape[:2], nets + 2), np.float32))
+
+
+def with_terms(path: Path, terms: np.ndarray) -> None:
+    """The store with another array of terms, of that shape."""
+    group = zarr.open_group(path)
+    del group["terms"]
+    names = ("task", "step", "term")
+    group.create_array("terms", data=terms, chunks=(1, *terms.shape[1:]), dimension_names=names)
+
+
+def test_stores_from_before_nets_had_any_number_mean_what_they_meant(tmp_path: Path) -> None:
+    """Those of a single net have NaN in place of a second net's term; those of two nets have three terms anyway."""
+    one, two = sessions(nets=1), sessions(nets=2)
+    one.terms[:, 0], two.terms[:, 0] = (0.5, 0.25), (0.5, 0.75, 0.25)
+    for name, of in (("one", one), ("two", two)):
+        save(tmp_path / name, [of], {})
+    with_terms(tmp_path / "one", np.insert(one.terms, 1, np.nan, axis=-1))
+    for name, of in (("one", one), ("two", two)):
+        np.testing.assert_array_equal(load(tmp_path / name).terms, of.terms)
+        np.testing.assert_array_equal(load(tmp_path / name, slice(3, 5)).terms, of.terms[3:5])
+    assert (load_members(tmp_path / "one"), load_members(tmp_path / "two")) == ((0,), (0, 1))
+
+
+@pytest.mark.parametrize(
+    ("nets", "count", "sentence"),
+    [
+        (1, 3, "terms: expected 2, one of each net and u, found 3"),
+        (1, 1, "terms: expected 2, one of each net and u, found 1"),
+        (3, 3, "terms: expected 4, one of each net and u, found 3"),
+    ],
+)
+def test_another_number_of_terms_is_told(tmp_path: Path, nets: int, count: int, sentence: str) -> None:
+    save(tmp_path / "s.zarr", [sessions(nets=nets)], {})
+    with_terms(tmp_path / "s.zarr", np.ones((len(TASKS), 3, count), np.float32))
+    with pytest.raises(InputError, match=sentence):
+        load(tmp_path / "s.zarr")
+
+
+@pytest.mark.parametrize("members", [[0], [1, 1], [0, -1], [0, 1.0], [0, True], "01", None, {"0": 1, "1": 0}])
+def test_members_that_are_none_are_told(tmp_path: Path, members: object) -> None:
+    save(tmp_path / "s.zarr", [sessions(nets=2)], {"members": members})
+    with pytest.raises(InputError, match=r"s\.zarr: attribute members: expected a number for each of 2 nets, found"):
+        load_members(tmp_path / "s.zarr")
 
 
 @pytest.mark.parametrize("name", vars(sessions()))

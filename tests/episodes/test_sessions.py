@@ -183,7 +183,7 @@ def test_a_second_search_is_given_the_first_ones_plan_and_traces() -> None:
 
 
 @pytest.mark.parametrize(("strengths", "cancelled"), [((-0.2, 2.2), False), ((1.0, -3.0), True)])
-def test_the_null_check_goes_by_the_mean_of_both_nets(strengths: tuple[float, float], cancelled: bool) -> None:
+def test_the_null_check_goes_by_the_mean_of_all_nets(strengths: tuple[float, float], cancelled: bool) -> None:
     """Their mean reaches the goal where either net alone would do worse than nothing, and the other way round."""
     planner = dataclasses.replace(toy.planner("b1"), nets=tuple(map(jnp.float32, strengths)))
     given = tasks(Task(0, 0, 1))._replace(recorded=None)
@@ -213,7 +213,7 @@ def test_a_null_check_counts_what_it_cancelled() -> None:
 
 
 def test_the_next_state_is_expected_after_the_manipulation_that_is_executed() -> None:
-    """By the better net, and not where the whole plan would end."""
+    """By the best net, and not where the whole plan would end."""
     planner = dataclasses.replace(toy.planner("b1"), best=1)
     given = tasks(Task(0, 0, 2))._replace(recorded=None)
     told = []

@@ -168,7 +168,7 @@ def _raw(folder: Path) -> Any:
 def _table(declared: tables.Table) -> Callable[[Path], Any]:
     def load(path: Path) -> Any:
         rows = tables.read(path, declared)
-        return rows[[name for name in rows if name in declared.columns]]
+        return rows[[name for name in rows if name in declared.of_file(list(rows)).columns]]
 
     return load
 

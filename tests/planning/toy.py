@@ -87,7 +87,13 @@ def execute(meshes: np.ndarray, grasps: np.ndarray, displacement: np.ndarray, si
     return np.asarray(dragged(jnp.asarray(meshes), jnp.asarray(manipulation, jnp.float32)))
 
 
-NORMALISATION = Normalisation(((-1.0,) * 3,) * 2, ((1.0,) * 3,) * 2, (0.01,) * 3, (0.01,) * 3)
+def normalisation(nets: int) -> Normalisation:
+    """Reference values of that number of nets; a single one differs from no other."""
+    spread = (0.01,) * 3 if nets > 1 else ()
+    return Normalisation(((-1.0,) * 3,) * nets, ((1.0,) * 3,) * nets, spread, spread)
+
+
+NORMALISATION = normalisation(2)
 
 
 GRADIENT = GradientConfig(strains=64, iterations_per_step=10)

@@ -1,7 +1,9 @@
 """A whole report from made-up artifacts: its files, its figures, equal bytes when it is built again."""
 
+import dataclasses
 import shutil
 from pathlib import Path
+from unittest import mock
 
 import cv2
 import numpy as np
@@ -17,6 +19,7 @@ from clothkit.evaluation import calibration, camera_planning, planning
 from clothkit.evaluation.comparisons import of_predictions
 from clothkit.report import pages, panels, timings
 from clothkit.report.build import build, example_tasks
+from clothkit.report.figures.curves import curves
 from clothkit.report.figures.largest import Failure, largest
 from clothkit.report.figures.sessions import median, of_record, sessions
 from clothkit.report.inputs import Inputs
@@ -181,6 +184,35 @@ def test_a_session_is_drawn_from_its_record(inputs: Inputs, dataset: Dataset, tm
     for name in ("one.png", "two.png"):
         sessions([session], tmp_path / name, per_row=1)
     assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
+
+
+@pytest.mark.parametrize("nets", [1, 3, 5])
+def test_predictions_of_the_asked_net_are_drawn_and_those_of_a_single_one(
+    inputs: Inputs, dataset: Dataset, nets: int
+) -> None:
+    mean = np.arange(nets, dtype=np.float16)[:, None, None, None] + np.zeros((12, 3, 3, nets, 32, 32, 3), np.float16)
+    found = dataclasses.replace(
+        inputs.sessions, terms=np.zeros((12, 3, nets + 1), np.float32), prediction_mean=mean, prediction_std=mean
+    )
+    rows = inputs.planning[inputs.planning["system"] == "main"]
+    for asked in range(5):
+        session = of_record(found, dataset, rows, Task(1, 1, 2), net=asked)
+        assert session is not None
+        if asked < nets or nets == 1:
+            assert (session.steps[0].mean == (asked if nets > 1 else 0)).all()
+
+
+@pytest.mark.parametrize("nets", [1, 3, 5])
+def test_there_are_curves_of_each_net(inputs: Inputs, tmp_path: Path, nets: int) -> None:
+    histories = {str(net): inputs.forward_histories["0"] * (1 + 0.1 * net) for net in range(nets)}
+    shown: list[Figure] = []
+    with mock.patch.object(panels, "save", lambda figure, path: shown.append(figure)):
+        curves(histories, inputs.vtm_history, tmp_path / "curves.png")
+    (figure,) = shown
+    scores, _, *others = figure.axes
+    assert len({line.get_color() for line in scores.lines if line.get_linestyle() == "-"}) == nets
+    titles = [axis.get_title() for axis in others if axis.get_title()]
+    assert titles == [f"net {net} by task: length / start" for net in range(nets)]
 
 
 def test_the_largest_errors_are_drawn_two_a_row(inputs: Inputs, dataset: Dataset, tmp_path: Path) -> None:

@@ -69,8 +69,9 @@ def check_step(step: "clothkit.app.plan_file.Step") -> None:
         raise ValueError(f"hands: expected {0 if null else hands}, by its manipulation, found {len(step.hands)}")
     if len({tuple(point.time_s for point in hand.waypoints) for hand in step.hands}) > 1:
         raise ValueError("hands: expected waypoints at the same times, since both hands grasp and release together")
-    if len({prediction.net for prediction in step.predictions}) < len(step.predictions):
-        raise ValueError(f"predictions: expected different nets, found net {step.predictions[0].net} twice")
+    nets = [prediction.net for prediction in step.predictions]
+    if len(set(nets)) < len(nets):
+        raise ValueError(f"predictions: expected different nets, found {', '.join(map(str, nets))}")
 
 
 def check_plan(plan: "clothkit.app.plan_file.Plan", system: System) -> None:
@@ -127,7 +128,13 @@ def _check_kinds(plan: "clothkit.app.plan_file.Plan", system: System) -> None:
         apart = step.disagreement_m is not None
         if apart != (len(nets) > 1 and not system.voxels):
             expected = "null" if apart else "a number"
-            raise ValueError(f"steps.{number}.disagreement_m: expected {expected} for system {system.name}")
+            raise ValueError(
+                f"steps.{number}.disagreement_m: expected {expected} for {_counted(nets)} of system {system.name}"
+            )
+
+
+def _counted(nets: list[int]) -> str:
+    return "1 net" if len(nets) == 1 else f"{len(nets)} nets"
 
 
 def _states(plan: "clothkit.app.plan_file.Plan") -> Iterator[tuple[str, str, np.ndarray | None]]:
@@ -243,12 +250,14 @@ def _improvements(plan: "clothkit.app.plan_file.Plan", error: float, none: float
 
 
 def _check_memory(plan: "clothkit.app.plan_file.Plan", system: System) -> None:
-    memory, labels, nets = plan.memory, 1 if system.voxels else 8, len(plan.steps[0].predictions)
+    memory, labels = plan.memory, 1 if system.voxels else 8
+    members = [prediction.net for prediction in plan.steps[0].predictions]
+    nets = len(members)
     for name, most in (("common", labels - 1), ("relative", labels - 1), ("best", nets - 1)):
         value = getattr(memory, name)
         if value > most:
             raise ValueError(
-                f"memory.{name}: expected at most {most} for system {system.name} and {nets} nets, found {value}"
+                f"memory.{name}: expected at most {most} for {_counted(members)} of system {system.name}, found {value}"
             )
     traces = memory.traces_before
     if traces is None:

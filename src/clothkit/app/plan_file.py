@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import pydantic
-from annotated_types import Ge, Gt, Le, Len, Lt
+from annotated_types import Ge, Gt, Le, Len
 
 from clothkit.app.inputs import Kind, Usage
 from clothkit.app.output import unfinished
@@ -210,7 +210,7 @@ class Memory(Part):
     """The Cartesian equivalent in which the plan was found."""
     relative: Annotated[int, Ge(0), Le(7)]
     """The relabelling that brings the goal under the state's labels."""
-    best: Annotated[int, Ge(0), Lt(MOST_NETS)]
+    best: Annotated[int, Ge(0), Le(MOST_NETS - 1)]
     """Which of the predictions is that of the net with the best validation score."""
     traces_before: list[list[list[_Unit]]] | None
     """[net][label][unit]: memory traces before the plan; null: none, the session begins."""
@@ -247,11 +247,6 @@ class Plan(Part):
     """What was not seen of state or goal, and whether their estimates fail to explain what was."""
     memory: Memory
 
-    @pydantic.model_validator(mode="before")
-    @classmethod
-    def _upgrade(cls, content: Any) -> Any:
-        return _of_version_2(content)
-
     @pydantic.model_validator(mode="after")
     def _agrees(self) -> "Plan":
         check_plan(self, system(self.system))
@@ -269,25 +264,23 @@ _MEMBERS = {"a": 0, "b": 1}
 """Members of the ensemble by their names in version 1."""
 
 
-def _of_version_2(content: Any) -> Any:
-    """The content of a plan file of version 1, as version 2 has it; anything else unchanged."""
-    if not isinstance(content, dict) or content.get("version") != 1 or isinstance(content["version"], bool):
-        return content
-
-    def prediction(old: Any) -> Any:
-        named = isinstance(old, dict) and isinstance(old.get("net"), str)
-        return {**old, "net": _MEMBERS.get(old["net"], old["net"])} if named else old
-
-    def step(old: Any) -> Any:
-        listed = isinstance(old, dict) and isinstance(old.get("predictions"), list)
-        return {**old, "predictions": [prediction(one) for one in old["predictions"]]} if listed else old
-
+def _of_version_2(text: bytes) -> bytes:
+    """The JSON of a plan file of version 1 as version 2 has it; anything else unchanged, JSON or not."""
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError):
+        return text
+    if not isinstance(content, dict) or type(content.get("version")) is not int or content["version"] != 1:
+        return text
     memory, steps = content.get("memory"), content.get("steps")
     if isinstance(memory, dict) and "best" not in memory:
-        memory = {"best" if name == "better" else name: value for name, value in memory.items()}
-    steps = [step(one) for one in steps] if isinstance(steps, list) else steps
-    changed = {"version": 2, "memory": memory, "steps": steps}
-    return {**content, **{name: value for name, value in changed.items() if name in content}}
+        content["memory"] = {"best" if name == "better" else name: value for name, value in memory.items()}
+    for step in steps if isinstance(steps, list) else ():
+        predictions = step.get("predictions") if isinstance(step, dict) else None
+        for prediction in predictions if isinstance(predictions, list) else ():
+            if isinstance(prediction, dict) and isinstance(prediction.get("net"), str):
+                prediction["net"] = _MEMBERS.get(prediction["net"], prediction["net"])
+    return json.dumps({**content, "version": 2}).encode()
 
 
 def schema() -> dict[str, Any]:
@@ -311,13 +304,13 @@ def plan_of(content: dict[str, Any]) -> Plan:
 
 
 def read_plan(path: Path) -> Plan:
-    """Read a plan file. Raises InputError that names the file and the first invalid field."""
+    """Read a plan file of version 1 or 2. Raises InputError that names the file and the first invalid field."""
     try:
         text = path.read_bytes()
     except OSError as error:
         raise system_error(error, path, expected="a plan, as clothkit plan writes it") from error
     try:
-        plan = Plan.model_validate_json(text, strict=True)
+        plan = Plan.model_validate_json(_of_version_2(text), strict=True)
     except pydantic.ValidationError as error:
         raise InputError(f"{path}: {_first(error)}") from error
     # pydantic takes the last of keys that stand twice.

@@ -6,6 +6,7 @@ between columns, and which rows must exist.
 
 import dataclasses
 import json
+import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
@@ -25,6 +26,7 @@ _KINDS: dict[str, Callable[[pa.DataType], bool]] = {
     "text": lambda kind: pa.types.is_string(kind) or pa.types.is_large_string(kind),
 }
 _LIST = "lists of "
+_NUMBERED = re.compile("(.+)_(0|[1-9][0-9]*)")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,7 +91,15 @@ class Table:
     """No two rows have the same values in all of these."""
     rules: tuple[Rule, ...] = ()
     complete: tuple[Complete, ...] = ()
+    numbered: Mapping[str, Column] = dataclasses.field(default_factory=dict)
+    """Optional columns of which there may be any number: `name` declares name_0, name_1, .."""
     may_be_empty: bool = False
+
+    def of_file(self, names: Collection[str]) -> "Table":
+        """The schema for a file with columns of these names: each numbered one among them is declared by itself."""
+        stems = {name: match[1] for name in names if (match := _NUMBERED.fullmatch(name))}
+        found = {name: self.numbered[stem] for name, stem in stems.items() if stem in self.numbered}
+        return dataclasses.replace(self, columns={**self.columns, **found})
 
 
 def read(
@@ -102,6 +112,7 @@ def read(
     """
     try:
         schema = pq.read_schema(path)
+        table = table.of_file(schema.names)
         names = _present(path, table, columns, schema.names)
         rows = None if sequences is None else [("sequence", "in", sorted(sequences))]
         if not (table.may_be_empty and pq.read_metadata(path).num_rows == 0):

@@ -46,6 +46,10 @@ class Store:
         """The length of the first dimension."""
         return next(iter(self._arrays.values())).shape[0]
 
+    def shape(self, name: str) -> tuple[int, ...]:
+        """The shape of an array."""
+        return self._arrays[name].shape
+
     def read(self, name: str, chosen: slice = slice(None)) -> np.ndarray:
         """Read an array, or a slice of its first dimension. Raises InputError for damaged chunks."""
         return read_array(self._arrays[name], f"{self.path}: array {name}", chosen)

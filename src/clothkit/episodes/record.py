@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int64
 from clothkit.dataset.store import LENGTHS, SPLITS, STEPS, Dataset
 from clothkit.dataset.tasks import Task
 from clothkit.dataset.zarr_store import WRITTEN, Declared, open_store
-from clothkit.episodes.record_checks import KEYS, check_keys, check_values
+from clothkit.episodes.record_checks import KEYS, check_keys, check_members, check_values, terms_of_nets
 from clothkit.errors import damaged_piece
 from clothkit.manipulation.vector import is_null
 from clothkit.planning.planner import Planner
@@ -21,7 +21,7 @@ from clothkit.planning.types import Plan
 MESH = ("u", "v", "xyz")
 SEEN = ("seen_0", "seen_1", "seen_2")
 SURE = ("std_0", "std_1", "std_2")
-_LENGTHS = {**LENGTHS, "planned": STEPS, "term": 3}
+_LENGTHS = {**LENGTHS, "planned": STEPS}
 _HOLDS = "which a record of sessions holds"
 
 SHARD = 120
@@ -75,7 +75,7 @@ class Sessions:
     A session of length n has states 0..n and, for each of its n steps, one plan for the remaining steps. Plans and
     predictions are in the labels of that step's estimate; states and goal are in the dataset's labels. If the system
     plans in voxels, estimates and predictions are voxels (occupancy 0..1, without standard deviations) and grasp points
-    are Cartesian.
+    are Cartesian. The axis `net` has the system's K nets, in the order of its members; `term` is one longer.
     """
 
     split: np.ndarray = _array("i1", "task")
@@ -93,7 +93,7 @@ class Sessions:
     plan: np.ndarray = _array("f4", "task", "step", "planned", "component")
     loss: np.ndarray = _array("f4", "task", "step")
     terms: np.ndarray = _array("f4", "task", "step", "term")
-    """Accuracy terms of nets a and b, then u."""
+    """The accuracy term of each net, then u of eq. (15), 0 if it is no term of the objective."""
     common: np.ndarray = _array("i1", "task", "step")
     """Index of the common equivalent in which the plan was found."""
     relative: np.ndarray = _array("i1", "task", "step")
@@ -113,7 +113,7 @@ class Sessions:
     prediction_mean: np.ndarray = _array("f2", "task", "step", "planned", "net", *SEEN)
     prediction_std: np.ndarray = _array("f2", "task", "step", "planned", "net", *SURE)
     refined: np.ndarray = _array("f2", "task", "step", *SURE)
-    """The better net's prediction of the plan's outcome, refined."""
+    """The best net's prediction of the plan's outcome, refined."""
     progress: np.ndarray = _array("f4", "task", "step", "iteration")
     """Lowest loss of all strains up to that iteration."""
     restarts: np.ndarray = _array("f4", "task", "step", "strain", "restart")
@@ -127,6 +127,8 @@ class Sessions:
             for dimension, length in found.items():
                 if lengths.setdefault(dimension, length) != length:
                     raise ValueError(f"{name}: expected {lengths[dimension]} of {dimension}, found {length}")
+        if lengths["term"] != lengths["net"] + 1:
+            raise ValueError(f"terms: expected one of each of {lengths['net']} nets and u, found {lengths['term']}")
 
     def __len__(self) -> int:
         return len(self.sequence)
@@ -172,7 +174,7 @@ class Step(NamedTuple):
     """Their rows in the batch."""
     plan: Plan
     refined: Float[np.ndarray, "acting u v 3"] | None
-    """The better net's prediction of the outcome, refined to a plausible mesh; None for voxels."""
+    """The best net's prediction of the outcome, refined to a plausible mesh; None for voxels."""
     state: Float[np.ndarray, "acting u v 3"]
     """The true state after the step, centred."""
     centre: Float[np.ndarray, "acting 2"]
@@ -209,17 +211,17 @@ def _short(plan: Plan) -> Bool[np.ndarray, " acting"]:
     return np.asarray(is_null(plan.manipulations[:, 0]))
 
 
-def _terms(plan: Plan) -> Float[np.ndarray, "acting 3"]:
-    """The accuracy terms of nets a and b (NaN if there is one net), and u (0 if it is no term of the objective)."""
+def _terms(plan: Plan) -> Float[np.ndarray, "acting term"]:
+    """The accuracy term of each net, then u, 0 if it is no term of the objective."""
     accuracy = plan.terms["accuracy"]
-    missing = np.full((len(accuracy), 2 - accuracy.shape[1]), np.nan, np.float32)
     u = plan.terms.get("uncertainty", np.zeros(len(accuracy), np.float32))
-    return np.concatenate([accuracy, missing, u[:, None]], axis=1)
+    return np.concatenate([accuracy, u[:, None]], axis=1)
 
 
 def _empty(tasks: Tasks, sizes: Sizes) -> dict[str, np.ndarray]:
     lengths = {"task": len(tasks.task), **_LENGTHS}
     lengths |= {name: getattr(sizes, name) for name in ("candidate", "net", "iteration", "strain", "restart")}
+    lengths["term"] = sizes.net + 1
     lengths |= dict(zip(SEEN, sizes.state, strict=True))
     # Voxels have no standard deviations and no refined meshes: these arrays get dimensions of length 0.
     lengths |= {name: length * sizes.probabilistic for name, length in zip(SURE, sizes.state, strict=True)}
@@ -318,10 +320,12 @@ def _cut(sessions: Sessions, chosen: slice) -> Sessions:
 def load(path: Path, chosen: slice = slice(None)) -> Sessions:
     """Read sessions from a zarr store: all of them, or the slice `chosen`.
 
-    Raises InputError for a store that is missing, damaged or not as declared, and for inconsistent sessions.
+    Stores of a single net that were made before nets had any number have an empty term between the others; it is left
+    out. Raises InputError for a store that is missing, damaged or not as declared, and for inconsistent sessions.
     """
     store = open_store(path, FIELDS, lengths=_LENGTHS, holds=_HOLDS)
     arrays = {name: store.read(name, chosen) for name in FIELDS}
+    arrays["terms"] = terms_of_nets(path, arrays["terms"], arrays["prediction_mean"].shape[3])
     names = check_keys(path, arrays, store.attributes)
     check_values(path, arrays)
     return Sessions(**{**arrays, "split": np.array(names, dtype="U10")[arrays["split"]]})
@@ -334,3 +338,13 @@ def load_tasks(path: Path) -> list[tuple[str, int, int, int]]:
     names = check_keys(path, arrays, store.attributes)
     splits = [names[code] for code in arrays["split"]]
     return list(zip(splits, *(arrays[name].tolist() for name in KEYS[1:]), strict=True))
+
+
+def load_members(path: Path) -> tuple[int, ...]:
+    """Read which members of the ensemble the nets of the recorded sessions are, in the order of the axis `net`.
+
+    Stores made before ensembles had members do not say it: their nets are counted from 0. Raises InputError, as `load`
+    does, and for members that are not one number for each net.
+    """
+    store = open_store(path, {"prediction_mean": FIELDS["prediction_mean"]}, lengths=_LENGTHS, holds=_HOLDS)
+    return check_members(path, store.attributes, store.shape("prediction_mean")[3])

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from clothkit.cloth.equivalents import COUNT
 from clothkit.dataset.store import SPLITS, STATES, STEPS
@@ -38,6 +38,30 @@ def check_keys(path: Path, arrays: Mapping[str, np.ndarray], attributes: Mapping
         again[first] = False
         _refuse(path, "sequence", again, "expected each task once, by split, sequence, start and length")
     return splits
+
+
+def check_members(path: Path, attributes: Mapping[str, Any], nets: int) -> tuple[int, ...]:
+    """The attribute `members`, which names the member of each net; 0, 1, .. if there is none.
+
+    Raises InputError unless it is a list of as many different whole numbers as there are nets.
+    """
+    members = attributes.get("members", list(range(nets)))
+    whole = isinstance(members, list) and all(type(member) is int and member >= 0 for member in members)
+    if not whole or len(members) != nets or len(set(members)) != nets:
+        raise InputError(f"{path}: attribute members: expected a number for each of {nets} nets, found {members}")
+    return tuple(members)
+
+
+def terms_of_nets(path: Path, terms: Float[np.ndarray, "task step found"], nets: int) -> np.ndarray:
+    """The terms of the loss [task step nets + 1]: the accuracy term of each net, then u.
+
+    Stores of a single net had a column of NaN for a second one. Raises InputError for another number of terms.
+    """
+    if nets == 1 and terms.shape[-1] == 3 and np.isnan(terms[..., 1]).all():
+        return np.delete(terms, 1, axis=-1)
+    if terms.shape[-1] != nets + 1:
+        raise InputError(f"{path}: terms: expected {nets + 1}, one of each net and u, found {terms.shape[-1]}")
+    return terms
 
 
 def check_values(path: Path, arrays: Mapping[str, np.ndarray]) -> None:

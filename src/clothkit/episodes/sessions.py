@@ -89,7 +89,7 @@ def _folded(seed: Any, sequence: Any, start: Any, length: Any, step: Any) -> jax
 
 
 def _refined(planner: Planner, plan: Plan) -> Meshes | None:
-    """The better net's predictions of the outcomes, refined to plausible meshes; None for voxels."""
+    """The best net's predictions of the outcomes, refined to plausible meshes; None for voxels."""
     if plan.stds is None:
         return None
     last = (np.arange(len(plan.length)), plan.length - 1, planner.best)

@@ -33,9 +33,9 @@ def rows(sessions: Sessions, system: str) -> pd.DataFrame:
     - nulls: manipulations not executed; nulls_fired: those of nulls that the null check cancelled; nulls_last: those of
       nulls_fired in the session's last step, where the manipulation's outcome is the session's outcome; nulls_helped:
       those of nulls_last after which the state would have been farther from the goal.
-    - Of the first plan: loss; loss_recorded (loss of the recorded manipulations); accuracy_a, accuracy_b, uncertainty
-      (terms of the loss; with one net, accuracy_a is its loss and accuracy_b is missing); expected (predicted error);
-      grasp_offered.
+    - Of the first plan: loss; loss_recorded (loss of the recorded manipulations); accuracy_0, accuracy_1, .., one for
+      each of the system's nets, and uncertainty (terms of the loss; a single net's accuracy_0 is the loss); expected
+      (predicted error); grasp_offered.
     - Of the first estimate: estimate_error (not aligned), estimate_layers_reversed.
 
     The columns of the estimate and expected are NaN for systems that plan in voxels.
@@ -70,9 +70,8 @@ def rows(sessions: Sessions, system: str) -> pd.DataFrame:
             "nulls_helped": (fired & last & (sessions.error_otherwise > staying)).sum(1),
             "loss": sessions.loss[:, 0],
             "loss_recorded": sessions.loss_recorded,
-            "accuracy_a": terms[:, 0],
-            "accuracy_b": terms[:, 1],
-            "uncertainty": terms[:, 2],
+            **{f"accuracy_{net}": terms[:, net] for net in range(terms.shape[1] - 1)},
+            "uncertainty": terms[:, -1],
             "expected": sessions.expected[:, 0] if meshes else unknown,
             "grasp_offered": sessions.offered,
             "estimate_error": np.asarray(_unaligned(estimate, start)) if meshes else unknown,

@@ -146,7 +146,7 @@ PLANNING = Table(
         **dict.fromkeys(("nulls", "nulls_fired", "nulls_last", "nulls_helped"), _NULLS),
         "loss": _missing(_NUMBER),
         "loss_recorded": _missing(_NUMBER),
-        **dict.fromkeys(("accuracy_a", "accuracy_b", "uncertainty"), _LOSS),
+        "uncertainty": _LOSS,
         "expected": _missing(_ERROR),
         "grasp_offered": Column("true or false"),
         "estimate_error": _missing(_ERROR),
@@ -155,6 +155,8 @@ PLANNING = Table(
     keys=("split", "system", *_TASK),
     rules=(_ENDS,),
     complete=(_every_task("split", "system"),),
+    # A term of each of the system's nets. In rows of several systems those with fewer nets have none.
+    numbered={"accuracy": _LOSS},
 )
 
 VOXELS_025 = Table(
@@ -256,6 +258,7 @@ CAMERA_PLANNING = Table(
     keys=("condition", *PLANNING.keys),
     rules=(_ENDS,),
     complete=(_every_task("condition", "split", "system"),),
+    numbered=PLANNING.numbered,
 )
 
 HISTORY = Table(

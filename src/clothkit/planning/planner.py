@@ -7,6 +7,7 @@ from typing import Any
 
 import jax
 
+from clothkit.errors import InputError
 from clothkit.manipulation.candidates import CandidateConfig
 from clothkit.models import store
 from clothkit.models.ensemble import Ensemble, folders, load
@@ -85,13 +86,23 @@ def assemble(
     grasping: CandidateConfig,
     members: Sequence[int],
 ) -> Planner:
-    """Load a system's planner from the artifacts under `data`. Raises InputError if one is missing or malformed."""
+    """Load a system's planner from the artifacts under `data`.
+
+    Raises InputError if one is missing or malformed, and for reference values of another number of nets.
+    """
     settings = settings.of(system)
     perception: Perception = ObservedVoxels() if system.voxels else KnownMeshes()
     if system.estimates:
         vtm = store.load(artifacts(system, data, members)["vtm"], "vtm")
         perception = Estimation(vtm, settings.refine, refine=system.refine)
     ensemble = load(data / "nets", system.kind, members)
+    path = artifacts(system, data, members)["reference"]
+    reference = normalisation.load(path)
+    if len(reference.low) != len(ensemble.nets):
+        raise InputError(
+            f"{path}: expected reference values of {len(ensemble.nets)} nets, the ensemble's members, found those of "
+            f"{len(reference.low)}; run the stage that writes it (dvc repro)"
+        )
     if system.single:
         ensemble = Ensemble((ensemble.members[ensemble.best],), (ensemble.best_net,))
     return Planner(
@@ -102,7 +113,7 @@ def assemble(
         nets=ensemble.params,
         best=ensemble.best,
         perception=perception,
-        normalisation=normalisation.load(artifacts(system, data, members)["reference"]),
+        normalisation=reference,
         weights=weights if system.alpha is None else weights._replace(alpha=system.alpha),
         settings=settings,
         grasping=grasping,

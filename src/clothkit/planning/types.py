@@ -134,5 +134,5 @@ class Memory(NamedTuple):
     rest: Float[np.ndarray, "task planned 6"]
     """The manipulations of the last plan after its first."""
     expected: States
-    """The better net's mean prediction of the state after the last executed manipulation."""
+    """The best net's mean prediction of the state after the last executed manipulation."""
     traces: Traces

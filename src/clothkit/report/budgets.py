@@ -36,8 +36,9 @@ def budgets(settings: RunSettings, timings: pd.DataFrame | None, systems: list[s
 
     Columns: source, system; nets (number of forward models used in planning: the ensemble, or the best net of it),
     parameters (of each net), training_iterations, batch, training_cpu_minutes (of the ensemble's forward models
-    together, or of VtM; NaN where the training left no note), strains, iterations_1, _2, _3 (of a search, by plan
-    length), evaluations_1, _2, _3 (of the loss with its gradient: strains times iterations).
+    together, or of VtM; NaN where the training left no note), strains (plans that an iteration
+    evaluates), iterations_1, _2, _3 (of a search, by plan length), evaluations_1, _2, _3 (of the loss: with its
+    gradient in a gradient search, whose first starts are screened without).
     """
     rows, members = [], settings.ensemble.members
     for name in systems:
@@ -54,8 +55,11 @@ def budgets(settings: RunSettings, timings: pd.DataFrame | None, systems: list[s
 def _row(
     source: str, system: str, nets: int, net: TrainedNet, search: SearchConfig | None, minutes: float
 ) -> dict[str, object]:
-    iterations = {length: search.iterations(int(length)) if search else math.nan for length in LENGTHS}
-    strains = search.strains if search else math.nan
+    iterations, plans, evaluations = (dict.fromkeys(LENGTHS, math.nan) for _ in range(3))
+    if search is not None:
+        for length in LENGTHS:
+            iterations[length], plans[length] = search.optimiser.shape(int(length))
+            evaluations[length] = search.optimiser.evaluations(int(length))
     return {
         "source": source,
         "system": system,
@@ -64,9 +68,9 @@ def _row(
         "training_iterations": net.training.iterations,
         "batch": net.training.batch,
         "training_cpu_minutes": minutes,
-        "strains": strains,
+        "strains": plans[LENGTHS[-1]],
         **{f"iterations_{length}": count for length, count in iterations.items()},
-        **{f"evaluations_{length}": strains * count for length, count in iterations.items()},
+        **{f"evaluations_{length}": count for length, count in evaluations.items()},
     }
 
 

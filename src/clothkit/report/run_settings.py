@@ -10,6 +10,7 @@ from ruamel.yaml import YAML, YAMLError
 
 from clothkit.errors import InputError, system_error
 from clothkit.models.settings import EMDVoxelConfig, EnsembleConfig, PEMDConfig, VtMConfig
+from clothkit.planning.optimisers.gradient import GradientConfig
 from clothkit.planning.search import SearchConfig
 from clothkit.training.settings import TrainingConfig
 
@@ -78,8 +79,8 @@ def read(path: Path) -> RunSettings:
         scale=scale,
         simulated=_at(path, stages, "simulate.source") == "own",
         sequences={split: _at(path, stages, f"plan.{split}") for split in ("test", "train")},
-        search=_settings(path, stages, "plan.search", SearchConfig),
-        voxel_search=_settings(path, stages, "plan.voxel_search", SearchConfig),
+        search=_search(path, stages, "plan.search"),
+        voxel_search=_search(path, stages, "plan.voxel_search"),
         # Older reports do not say it: their ensembles are the paper's two nets.
         ensemble=_settings(path, whole, "ensemble", EnsembleConfig) if "ensemble" in whole else EnsembleConfig(),
         pemd=_trained_net(path, stages, "train_pemd", PEMDConfig),
@@ -94,8 +95,21 @@ def _trained_net(path: Path, stages: Any, stage: str, net: type[Net]) -> Trained
     )
 
 
-def _settings(path: Path, stages: Any, key: str, kind: type[T]) -> T:
+def _search(path: Path, stages: Any, key: str) -> SearchConfig:
+    """The settings of a search; older reports have those of the gradient optimiser beside the others."""
     found = _at(path, stages, key)
+    if not isinstance(found, dict) or "optimiser" in found:
+        return _settings(path, stages, key, SearchConfig)
+    own = {name: value for name, value in found.items() if name not in ("every", "fold")}
+    optimiser = _validated(path, key, own, GradientConfig)
+    return SearchConfig(optimiser=optimiser, stride=found.get("every", 1), fold=found.get("fold", False))
+
+
+def _settings(path: Path, stages: Any, key: str, kind: type[T]) -> T:
+    return _validated(path, key, _at(path, stages, key), kind)
+
+
+def _validated(path: Path, key: str, found: Any, kind: type[T]) -> T:
     try:
         # Through JSON, because strict validation takes a list for a tuple only in JSON.
         return pydantic.TypeAdapter(kind).validate_json(pydantic.TypeAdapter(Any).dump_json(found), strict=True)

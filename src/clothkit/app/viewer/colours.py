@@ -28,7 +28,7 @@ _DISAGREEMENT = ((0.98, 0.96, 0.93), (0.95, 0.55, 0.24), (0.50, 0.06, 0.10))
 _SAYS = {
     "height": "height above the table",
     "sigma": "standard deviation of a vertex's place (root mean square of x, y, z)",
-    "disagreement": "distance between the two nets' predictions of a vertex",
+    "disagreement": "distance between the nets' predictions of a vertex (mean over all pairs of nets)",
 }
 
 

@@ -114,6 +114,7 @@ def with_progress(live: Live, progress: Progress) -> Live:
     planned = plans.planned_of(live.planner, best, live.memory)
     shown = ShownPlan(
         manipulations=planned.plan,
+        members=live.planner.members,
         means=planned.means,
         sigmas=planned.stds,
         uncertainty=epistemic_uncertainty(live.planner, planned),

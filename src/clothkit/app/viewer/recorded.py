@@ -69,15 +69,16 @@ def _errors(path: Path) -> dict[tuple[str, int, int, int], float]:
 def session_of(data: Path, system: str, entry: Entry) -> Session:
     """A recorded session. Raises InputError."""
     chosen = record.load(_store(data, system), slice(entry.place, entry.place + 1))
+    members = record.load_members(_store(data, system))
     one = {name: np.asarray(values[0]) for name, values in vars(chosen).items()}
     n = entry.length
     states = tuple(one["state"][: n + 1])
-    steps = tuple(matched(_step(one, i, n), states[i]) for i in range(n))
+    steps = tuple(matched(_step(one, i, n, members), states[i]) for i in range(n))
     title = f"{system}, {entry.split} {entry.title}"
     return Session(title, n, one["goal"], states, steps)
 
 
-def _step(one: dict[str, np.ndarray], i: int, length: int) -> Step:
+def _step(one: dict[str, np.ndarray], i: int, length: int, members: tuple[int, ...]) -> Step:
     points, left = one["candidates"][i], length - i
     sigmas = one["prediction_std"][i, :left].astype(np.float32)
     means = np.swapaxes(one["prediction_mean"][i, :left].astype(np.float32), 0, 1)
@@ -85,10 +86,11 @@ def _step(one: dict[str, np.ndarray], i: int, length: int) -> Step:
     expected, no_action = _expected(one, i)
     plan = ShownPlan(
         manipulations=manipulations,
+        members=members,
         means=means,
         # Predictions in voxels have no standard deviations.
         sigmas=np.swapaxes(sigmas, 0, 1) if sigmas.shape[2:] == means.shape[2:] else None,
-        uncertainty=float(one["terms"][i, 2]) if len(means) > 1 else None,
+        uncertainty=float(one["terms"][i, -1]) if len(means) > 1 else None,
         loss=float(one["loss"][i]),
         progress=progress[np.isfinite(progress)],
         tried=one["restarts"].shape[1],

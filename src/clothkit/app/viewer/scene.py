@@ -34,7 +34,7 @@ class Shown(NamedTuple):
     state: State
     sigma: Mesh | None = None
     apart: Float[np.ndarray, "u v"] | None = None
-    """Distance between the two nets' predictions of each vertex [normalised]."""
+    """Distance between the nets' predictions of each vertex, in the mean over all pairs of nets [normalised]."""
     candidates: Float[np.ndarray, "points 2"] | None = None
     manipulation: Float[np.ndarray, "6"] | None = None
     """The manipulation that the plan has for this state."""
@@ -114,9 +114,9 @@ def to_show(session: Session, at: int) -> list[Shown]:
     end = None if apart is None else apart[-1]
     first = Shown("state", state, None, end, estimate.candidates, plan.manipulations[0])
     found = [first, first._replace(name="estimate", state=estimate.state, sigma=estimate.sigma, column=1)]
-    for net, means in enumerate(plan.means):
+    for net, (member, means) in enumerate(zip(plan.members, plan.means, strict=True)):
         for i, mean in enumerate(means):
-            name = f"net {'ab'[net]}, after {i + 1}" if len(plan.means) > 1 else f"predicted after {i + 1}"
+            name = f"net {member}, after {i + 1}" if len(plan.means) > 1 else f"predicted after {i + 1}"
             sigma = None if plan.sigmas is None else plan.sigmas[net, i]
             then = plan.manipulations[i + 1] if i + 1 < len(plan.manipulations) else None
             found.append(Shown(name, mean, sigma, None if apart is None else apart[i], None, then, 1 + net, i))

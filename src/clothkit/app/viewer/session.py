@@ -15,6 +15,7 @@ from clothkit.cloth.grid import CLOTH_SIDE, SIDE
 from clothkit.cloth.mesh import error
 from clothkit.evaluation.errors import labels_of_truth
 from clothkit.manipulation.geometry import to_cartesian
+from clothkit.models.ensemble import pairs
 
 Mesh = Float[np.ndarray, "u v 3"]
 State = Shaped[np.ndarray, "*state"]
@@ -35,6 +36,8 @@ class ShownPlan(NamedTuple):
     """A plan for the m manipulations that are left, and each net's predictions for it."""
 
     manipulations: Float[np.ndarray, "m 6"]
+    members: tuple[int, ...]
+    """The members of the ensemble whose nets predict."""
     means: Shaped[np.ndarray, "net m *state"]
     sigmas: Float[np.ndarray, "net m u v 3"] | None
     uncertainty: float | None
@@ -160,7 +163,10 @@ def _facts_of(plan: ShownPlan | None) -> list[str]:
 
 
 def disagreement(plan: ShownPlan) -> Float[np.ndarray, "m u v"] | None:
-    """Return the distance between two nets' predictions of each vertex, by manipulation; None for one net or voxels."""
+    """Return the distance between the nets' predictions of each vertex, by manipulation; None for one net or voxels.
+
+    With more than two nets it is the mean over all pairs of them.
+    """
     if len(plan.means) < 2 or not is_mesh(plan.means[0, 0]):
         return None
-    return np.linalg.norm(plan.means[0] - plan.means[1], axis=-1)
+    return np.mean([np.linalg.norm(a - b, axis=-1) for a, b in pairs(list(plan.means))], axis=0)

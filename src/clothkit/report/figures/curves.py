@@ -12,6 +12,9 @@ from clothkit.report import panels
 
 COLOURS = ("#3b75af", "#d9822b", "#519e3e")
 
+NETS = (*COLOURS, "#8e5bd0", "#7a4a2b")
+"""Colours of the members of an ensemble."""
+
 TASKS = {"1/0": 0, "1/1": 0, "1/2": 0, "2/0": 1, "2/1": 1, "3/0": 2}
 """Columns of a forward model's history with validation errors, named length / start, and the index of their colour."""
 
@@ -41,9 +44,7 @@ def curves(forward: Mapping[str, pd.DataFrame], vtm: pd.DataFrame, path: Path) -
         axis.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.yaxis.set_minor_formatter("")
         axis.xaxis.set_major_locator(MaxNLocator(5, integer=True))
-    scores = [
-        (forward[name], "score", f"net {name}", colour) for name, colour in zip(names, cycle(COLOURS), strict=False)
-    ]
+    scores = [(forward[name], "score", f"net {name}", colour) for name, colour in zip(names, cycle(NETS), strict=False)]
     _panel(axes[0], "forward models: score, the mean of six tasks", scores)
     states = [(vtm, column, f"state {column[-1]}", COLOURS[colour]) for column, colour in STEPS.items()]
     _panel(axes[1], "VtM: score, and by state", [(vtm, "score", "score", panels.INK), *states])
