@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.regularise import interpolation
-from clothkit.errors import InputError
+from clothkit.runtime.errors import InputError
 from clothkit.simulation.arcsim_obj import Frame, read_frame
 from clothkit.simulation.arcsim_scene import read_end, read_paths
 from clothkit.simulation.settings import SimulationConfig

@@ -16,7 +16,7 @@ import numpy as np
 from arcsim_replay import Replay, Scene, read_scene, replay
 from tables import show
 
-from clothkit.errors import InputError
+from clothkit.runtime.errors import InputError
 from clothkit.simulation.material import FABRICS
 from clothkit.simulation.settings import Settling, SimulationConfig
 

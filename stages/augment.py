@@ -4,7 +4,7 @@ from pathlib import Path
 
 from clothkit.dataset.augment import augment
 from clothkit.dataset.store import load, save
-from clothkit.stage import stage
+from clothkit.runtime.stage import stage
 
 MESHES = Path("data/meshes.zarr")
 

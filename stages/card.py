@@ -5,7 +5,7 @@ from pathlib import Path
 
 from clothkit.report.card.build import build
 from clothkit.report.card.inputs import PARTS
-from clothkit.stage import stage
+from clothkit.runtime.stage import stage
 
 RAW = Path("data/raw")
 OUTS = ("tables", "figures", "README.md")

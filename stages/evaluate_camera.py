@@ -12,8 +12,8 @@ from clothkit.models.store import load
 from clothkit.planning.objective import Weights
 from clothkit.planning.planner import artifacts, assemble
 from clothkit.planning.systems import SYSTEMS
+from clothkit.runtime.stage import stage
 from clothkit.simulation.executor import end_workers, execute
-from clothkit.stage import stage
 
 DATA = Path("data")
 MESHES, SESSIONS = DATA / "meshes.zarr", DATA / "evaluation/planning/sessions_main.zarr"

@@ -6,7 +6,7 @@ from clothkit.dataset import store
 from clothkit.dataset.rows import write_rows
 from clothkit.evaluation import arrays, estimation
 from clothkit.models.store import load
-from clothkit.stage import stage
+from clothkit.runtime.stage import stage
 
 
 def main() -> None:

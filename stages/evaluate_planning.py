@@ -7,7 +7,7 @@ import pandas as pd
 from clothkit.dataset.rows import write_rows
 from clothkit.episodes import record
 from clothkit.evaluation import planning, viewport
-from clothkit.stage import stage
+from clothkit.runtime.stage import stage
 
 PLANNING = Path("data/evaluation/planning")
 

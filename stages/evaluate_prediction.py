@@ -9,7 +9,7 @@ from clothkit.dataset.rows import write_rows
 from clothkit.evaluation import arrays, calibration, comparisons, prediction, voxel_prediction
 from clothkit.models.ensemble import folders, load
 from clothkit.models.store import Kind
-from clothkit.stage import stage
+from clothkit.runtime.stage import stage
 
 MESHES, ESTIMATES = Path("data/meshes.zarr"), Path("data/evaluation/estimates.zarr")
 NETS = Path("data/nets")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ruamel.yaml import YAML
 
-from clothkit.errors import system_error
+from clothkit.runtime.errors import system_error
 
 LOCK = Path("dvc.lock")
 

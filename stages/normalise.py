@@ -10,7 +10,7 @@ from clothkit.planning.mesh_representation import MESH
 from clothkit.planning.normalisation import normalise, save
 from clothkit.planning.representation import Representation
 from clothkit.planning.voxel_representation import VOXEL
-from clothkit.stage import stage
+from clothkit.runtime.stage import stage
 
 MESHES, NETS = Path("data/meshes.zarr"), Path("data/nets")
 KINDS: dict[str, tuple[Kind, Representation]] = {"mesh": ("pemd", MESH), "voxel": ("emd_voxel", VOXEL)}

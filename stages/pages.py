@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from clothkit.report import pages
-from clothkit.stage import stage
+from clothkit.runtime.stage import stage
 
 
 def main() -> None:

@@ -16,8 +16,8 @@ from clothkit.evaluation.session_rows import rows
 from clothkit.planning.objective import Weights
 from clothkit.planning.planner import artifacts, assemble
 from clothkit.planning.systems import SYSTEMS
+from clothkit.runtime.stage import stage
 from clothkit.simulation.executor import end_workers, execute
-from clothkit.stage import stage
 
 DATA = Path("data")
 MESHES = DATA / "meshes.zarr"

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from clothkit.dataset.regularise import regularise
 from clothkit.dataset.store import save
-from clothkit.stage import stage
+from clothkit.runtime.stage import stage
 
 RAW = Path("data/raw")
 

@@ -8,7 +8,7 @@ from ruamel.yaml import YAML
 from clothkit.report.build import build
 from clothkit.report.inputs import paths, read
 from clothkit.report.timings import table_8, timings
-from clothkit.stage import stage
+from clothkit.runtime.stage import stage
 
 DATA, TIMINGS = Path("data"), Path(".work/timings")
 OUTS = ("tables", "figures", "plots", "metrics.json", "metrics.csv", "params.yaml", "timings.csv", "table_8.csv")

@@ -3,10 +3,10 @@
 import shutil
 from pathlib import Path
 
+from clothkit.runtime.stage import stage
 from clothkit.simulation.arcsim import import_runs
 from clothkit.simulation.arcsim_runs import files, read_runs
 from clothkit.simulation.generation import generate
-from clothkit.stage import stage
 
 RAW = Path("data/raw")
 PARTS = ("states", "manipulations.parquet", "attempts.parquet", "topologies.parquet")

@@ -9,7 +9,7 @@ from clothkit.dataset import store
 from clothkit.models.ensemble import folder, member_named
 from clothkit.models.net import Net
 from clothkit.models.store import save
-from clothkit.stage import stage
+from clothkit.runtime.stage import stage
 from clothkit.training.pemd import train_pemd
 
 NETS = Path("data/nets")

@@ -7,7 +7,7 @@ import jax
 from clothkit.dataset import store
 from clothkit.models.net import Net
 from clothkit.models.store import save
-from clothkit.stage import stage
+from clothkit.runtime.stage import stage
 from clothkit.training.vtm import train_vtm
 
 

@@ -26,7 +26,6 @@ from fingerprint import COLUMN, append, fingerprint, read
 from clothkit.cloth import voxels
 from clothkit.dataset import store as meshes
 from clothkit.dataset.store import STATES
-from clothkit.errors import InputError
 from clothkit.estimation.agreement import Agreement, agreement, proposed
 from clothkit.estimation.estimate import estimate
 from clothkit.evaluation.errors import errors
@@ -35,6 +34,7 @@ from clothkit.models.net import Net
 from clothkit.observation.noise import NoiseConfig
 from clothkit.observation.picture import PictureConfig, take
 from clothkit.params import load_params
+from clothkit.runtime.errors import InputError
 
 KNOWN = ("voxels", "camera")
 BATCH = 64

@@ -28,8 +28,8 @@ from clothkit.params import load_params
 from clothkit.planning.objective import Weights
 from clothkit.planning.planner import artifacts, assemble
 from clothkit.planning.systems import SYSTEMS
-from clothkit.publish import unfinished
 from clothkit.report.figures.studies import weights as draw
+from clothkit.runtime.publish import unfinished
 from clothkit.simulation.executor import execute
 
 NAMES = ("alpha", "beta", "gamma")

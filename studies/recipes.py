@@ -25,8 +25,8 @@ from fingerprint import COLUMN, append, fingerprint, read
 
 from clothkit.dataset import store
 from clothkit.params import load_params
-from clothkit.publish import unfinished
 from clothkit.report.figures.studies import recipes as draw
+from clothkit.runtime.publish import unfinished
 from clothkit.training import emd_voxel as emd_voxel_training
 from clothkit.training import pemd as pemd_training
 from clothkit.training import vtm as vtm_training

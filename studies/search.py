@@ -27,7 +27,6 @@ import numpy as np
 import pandas as pd
 from fingerprint import COLUMN, append, fingerprint, read
 
-from clothkit.clock import Clock
 from clothkit.dataset import store
 from clothkit.episodes.evaluate import try_out
 from clothkit.episodes.record import Sessions
@@ -38,8 +37,9 @@ from clothkit.planning.objective import Weights
 from clothkit.planning.planner import artifacts, assemble
 from clothkit.planning.search import SearchConfig
 from clothkit.planning.systems import SYSTEMS
-from clothkit.publish import unfinished
 from clothkit.report.figures.studies import search as draw
+from clothkit.runtime.clock import Clock
+from clothkit.runtime.publish import unfinished
 from clothkit.simulation.executor import execute
 
 OWN = ("strains", "base_iterations", "iterations_per_step", "near")

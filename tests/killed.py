@@ -10,8 +10,8 @@ import shutil
 import sys
 from pathlib import Path
 
-from clothkit.errors import InputError
-from clothkit.publish import leftovers, publish, recover
+from clothkit.runtime.errors import InputError
+from clothkit.runtime.publish import leftovers, publish, recover
 
 CONTENTS: dict[str, dict[str, bytes] | bytes | None] = {
     "nothing": None,

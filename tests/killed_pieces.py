@@ -12,7 +12,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from clothkit.resumable import Storage, resumable_map
+from clothkit.runtime.resumable import Storage, resumable_map
 
 KEYS = ("a", "b", "c")
 

@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 from ruamel.yaml import YAML
 
-from clothkit.errors import InputError
 from clothkit.params import load_params
+from clothkit.runtime.errors import InputError
 
 ROOT = Path(__file__).parents[1]
 

@@ -16,13 +16,13 @@ from ruamel.yaml.error import MarkedYAMLError, ReusedAnchorWarning
 from clothkit.app.settings import AppConfig
 from clothkit.dataset.augment import AugmentConfig
 from clothkit.dataset.regularise import RegulariseConfig
-from clothkit.errors import InputError, system_error
 from clothkit.evaluation.camera_settings import EvaluateCameraConfig
 from clothkit.evaluation.settings import EvaluateEstimationConfig, EvaluatePlanningConfig, EvaluatePredictionConfig
 from clothkit.models.settings import EnsembleConfig
 from clothkit.planning.settings import NormaliseConfig, PlanConfig
 from clothkit.report.card.settings import CardConfig
 from clothkit.report.settings import ReportConfig
+from clothkit.runtime.errors import InputError, system_error
 from clothkit.simulation.settings import SimulateConfig
 from clothkit.training.settings import TrainEMDVoxelConfig, TrainPEMDConfig, TrainVtMConfig
 

@@ -19,7 +19,6 @@ from clothkit.dataset.tasks import Task
 from clothkit.episodes import record
 from clothkit.episodes.record import Sessions, tasks_of_dataset
 from clothkit.episodes.sessions import run_sessions
-from clothkit.errors import InputError
 from clothkit.evaluation import tidy
 from clothkit.evaluation.diagnosis import diagnosed
 from clothkit.evaluation.session_rows import rows
@@ -32,6 +31,7 @@ from clothkit.planning.planner import Planner
 from clothkit.planning.settings import PlanConfig
 from clothkit.planning.systems import system
 from clothkit.planning.types import Memory, Observation
+from clothkit.runtime.errors import InputError
 from clothkit.simulation.settings import SimulationConfig
 from tests.planning import toy
 from tests.tiny import write_nets

@@ -10,10 +10,10 @@ from clothkit.app.planner import usage_of
 from clothkit.app.settings import AppConfig
 from clothkit.app.viewer.live_panel import keep_upload
 from clothkit.cloth.grid import triangles
-from clothkit.errors import InputError
 from clothkit.observation.camera import CameraConfig, back_project, render
 from clothkit.observation.states import PointCloud
 from clothkit.planning.systems import SYSTEMS
+from clothkit.runtime.errors import InputError
 from tests.observation.scenes import cornered
 from tests.observation.test_surfaces import V, coloured, faces, glb, lines, ply
 

@@ -16,10 +16,10 @@ from clothkit.cloth import voxels
 from clothkit.cloth.grid import flat
 from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.cloth.silhouette import centre
-from clothkit.errors import InputError
 from clothkit.estimation.agreement import AgreementConfig
 from clothkit.estimation.estimate import Estimate
 from clothkit.observation.side import Stated
+from clothkit.runtime.errors import InputError
 from tests.app.conftest import run, succeed
 from tests.observation.scenes import SCALE, folded, turned
 from tests.observation.test_side import ABOVE, TOWEL

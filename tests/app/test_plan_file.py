@@ -11,8 +11,8 @@ import pytest
 from clothkit.app import predict as predict_command
 from clothkit.app import simulate as simulate_command
 from clothkit.app.plan_file import LONGEST, plan_of, read_plan
-from clothkit.errors import InputError
 from clothkit.planning.systems import SYSTEMS
+from clothkit.runtime.errors import InputError
 from clothkit.simulation.world import Worlds
 from tests.app.conftest import run, succeed
 from tests.app.plans import changed, content, version_1, write

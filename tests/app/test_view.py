@@ -28,10 +28,10 @@ from clothkit.app.viewer.tasks import test_tasks as tasks_in
 from clothkit.cloth import voxels
 from clothkit.cloth.grid import flat, triangles
 from clothkit.episodes import record
-from clothkit.errors import InputError
 from clothkit.manipulation.geometry import release_points, to_cartesian
 from clothkit.planning import agent
 from clothkit.planning.types import Memory, Observation
+from clothkit.runtime.errors import InputError
 from tests.app import played
 from tests.app.conftest import run
 from tests.app.plans import finding

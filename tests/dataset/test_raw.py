@@ -15,7 +15,7 @@ import pytest
 
 from clothkit.dataset import raw, tables
 from clothkit.dataset.raw import ATTEMPTS, MANIPULATIONS, Topologies, read_manipulations, read_states
-from clothkit.errors import InputError
+from clothkit.runtime.errors import InputError
 from tests.dataset.test_regularise import write_raw
 
 STATES = "states/0.parquet"

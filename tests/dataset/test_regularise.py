@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.regularise import RegulariseConfig, assign_splits, interpolation, regularise
-from clothkit.errors import InputError
+from clothkit.runtime.errors import InputError
 
 SETTINGS = RegulariseConfig(train=2, validation=1, test=1, evaluated=1)
 

@@ -8,7 +8,7 @@ import zarr
 from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.store import Dataset, load, save
 from clothkit.dataset.tasks import tasks_of
-from clothkit.errors import InputError
+from clothkit.runtime.errors import InputError
 
 
 def make(count: int = 5, seed: int = 0) -> Dataset:

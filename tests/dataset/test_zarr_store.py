@@ -13,7 +13,7 @@ import zarr
 
 from clothkit.dataset.store import Dataset, load, load_splits, save
 from clothkit.dataset.zarr_store import check_shards, open_node
-from clothkit.errors import InputError
+from clothkit.runtime.errors import InputError
 from tests.dataset.test_store import make
 
 STATED = {"train": 2, "validation": 1, "test": 2, "evaluated": 1}

@@ -23,7 +23,7 @@ from clothkit.episodes.record import (
     save_piece,
     tasks_of_dataset,
 )
-from clothkit.errors import InputError
+from clothkit.runtime.errors import InputError
 from tests.dataset.test_store import make
 
 TASKS = [*tasks_of(0, 2), *tasks_of(3, 3)]

@@ -23,14 +23,14 @@ from clothkit.episodes.evaluate import TIMED_SESSIONS, cost, evaluate
 from clothkit.episodes.record import Pieces, Tasks, blank, join, load, save, save_piece, sizes_of, tasks_of_dataset
 from clothkit.episodes.sensors import Sensed
 from clothkit.episodes.sessions import run_sessions
-from clothkit.errors import InputError
 from clothkit.evaluation.session_rows import rows
 from clothkit.planning.agent import best_of_restarts
 from clothkit.planning.mesh_representation import MESH
 from clothkit.planning.perception import KnownMeshes
 from clothkit.planning.planner import Planner
 from clothkit.planning.types import Found, Observation, Problem
-from clothkit.resumable import load_piece
+from clothkit.runtime.errors import InputError
+from clothkit.runtime.resumable import load_piece
 from tests.planning import toy
 
 MANIPULATIONS = np.array([[-1, -1, -1, -1, 0.6, 0.5], [1, 1, 1, 1, -0.7, -0.3], [-1, 1, -1, 1, 0.5, -0.6]], np.float32)

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from clothkit.errors import InputError
 from clothkit.evaluation.arrays import ESTIMATES, PICTURES, NamedArray, load, save
+from clothkit.runtime.errors import InputError
 
 Arrays = dict[str, np.ndarray]
 

@@ -12,10 +12,10 @@ import pytest
 from clothkit.cloth import voxels
 from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.store import SPLITS, Dataset
+from clothkit.episodes.depth_camera import depth_camera
 from clothkit.episodes.evaluate import evaluate
 from clothkit.episodes.record import Sessions
-from clothkit.episodes.sensors import depth_camera, exact_sensor
-from clothkit.errors import InputError
+from clothkit.episodes.sensors import exact_sensor
 from clothkit.estimation.estimate import estimate
 from clothkit.estimation.refine import RefineConfig
 from clothkit.evaluation import camera, camera_planning
@@ -25,6 +25,7 @@ from clothkit.models.net import Net
 from clothkit.models.settings import VtMConfig
 from clothkit.observation.picture import Picture, PictureConfig, take
 from clothkit.planning.perception import Estimation
+from clothkit.runtime.errors import InputError
 from tests.episodes.test_sessions import dataset as toy_dataset
 from tests.evaluation import camera_rows
 from tests.observation.scenes import SMALL, folded
@@ -128,7 +129,7 @@ def test_a_camera_gives_the_voxels_and_shifts_of_its_pictures(net: Net) -> None:
     np.testing.assert_array_equal(sensed.shift, [picture.shift for picture in pictures])
     np.testing.assert_array_equal(sensed.observation.voxels, [picture.observation.voxels for picture in pictures])
     # What can't be seen is taken for what was expected, or for flat.
-    with mock.patch("clothkit.episodes.sensors.take", side_effect=InputError("no cloth")):
+    with mock.patch("clothkit.episodes.depth_camera.take", side_effect=InputError("no cloth")):
         blind, first = camera(truth, truth[::-1]), camera(truth, None)
     assert not blind.shift.any()
     np.testing.assert_array_equal(blind.observation.voxels, voxels.observe(truth[::-1]))
@@ -144,7 +145,7 @@ def test_sensors_see_as_high_as_the_net_knows(net: Net) -> None:
     np.testing.assert_array_equal(observation.voxels, seen)
     np.testing.assert_allclose(perception(observation, None), estimate(perception.vtm, seen, REFINE).mesh, atol=1e-5)
     pictures = []
-    with mock.patch("clothkit.episodes.sensors.take", lambda mesh, how: pictures.append(how) or take(mesh, how)):
+    with mock.patch("clothkit.episodes.depth_camera.take", lambda mesh, how: pictures.append(how) or take(mesh, how)):
         depth_camera(PICTURE, perception)(truth, None)
     assert [how.cloud.height for how in pictures] == [0.25]
 

@@ -9,9 +9,9 @@ from scipy import stats
 
 from clothkit.dataset import tables
 from clothkit.dataset.rows import write_rows
-from clothkit.errors import InputError
 from clothkit.evaluation import planning, tidy
 from clothkit.evaluation.settings import EvaluatePlanningConfig
+from clothkit.runtime.errors import InputError
 from tests.evaluation.planning_rows import SYSTEMS, planning_rows
 
 

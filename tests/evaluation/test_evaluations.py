@@ -12,7 +12,6 @@ from clothkit.cloth.symmetry import relabel
 from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.store import Dataset
 from clothkit.dataset.tasks import TASKS
-from clothkit.errors import InputError
 from clothkit.estimation.refine import RefineConfig
 from clothkit.evaluation import arrays, estimation, prediction
 from clothkit.evaluation.occupancy import occluded_occupancy, occupancy
@@ -21,6 +20,7 @@ from clothkit.models import pemd, vtm
 from clothkit.models.ensemble import Ensemble
 from clothkit.models.net import Net
 from clothkit.models.settings import PEMDConfig, VtMConfig
+from clothkit.runtime.errors import InputError
 from tests.models.predicted import predicted_by
 
 SEQUENCES = 5

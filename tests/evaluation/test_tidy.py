@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 
 from clothkit.dataset.tables import Table, read
-from clothkit.errors import InputError
 from clothkit.evaluation import calibration, camera_planning, planning, tidy
+from clothkit.runtime.errors import InputError
 from tests.evaluation import camera_rows
 from tests.evaluation.planning_rows import planning_rows
 from tests.report.contents import tidy_estimates, tidy_tasks

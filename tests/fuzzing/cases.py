@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from clothkit.errors import InputError
+from clothkit.runtime.errors import InputError
 from tests.fuzzing import of_shapes, of_tables  # noqa: F401
 from tests.fuzzing.mutations import ANY, REFUSED, SAME, mutations
 from tests.fuzzing.results import digest, tree, wildest

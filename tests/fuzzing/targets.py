@@ -34,7 +34,7 @@ from clothkit.planning.planner import Planner
 from clothkit.planning.types import Memory, Observation
 from clothkit.report import run_settings
 from clothkit.report.timings import table_8
-from clothkit.resumable import load_piece
+from clothkit.runtime.resumable import load_piece
 from clothkit.simulation import arcsim_obj, arcsim_runs, arcsim_scene, generation
 from clothkit.training import checkpoint
 from tests.app.plans import BOTH, ONE
@@ -168,7 +168,7 @@ def _raw(folder: Path) -> Any:
 def _table(declared: tables.Table) -> Callable[[Path], Any]:
     def load(path: Path) -> Any:
         rows = tables.read(path, declared)
-        return rows[[name for name in rows if name in declared.of_file(list(rows)).columns]]
+        return rows[[name for name in rows if name in declared.of_file(list(rows.columns)).columns]]
 
     return load
 

@@ -12,12 +12,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from clothkit.errors import InputError
 from clothkit.models import store
 from clothkit.models.ensemble import Ensemble, best_member, folder, folders, load, member_named, pairs
 from clothkit.models.net import Net
 from clothkit.models.pemd import PEMD, initial
 from clothkit.models.settings import PEMDConfig
+from clothkit.runtime.errors import InputError
 
 TINY = PEMDConfig(latent=3, encoder=(4,), manipulation=3, decoder=(4,))
 SCORES = {0: 0.3, 4: 0.1, 2: 0.1}

@@ -8,11 +8,11 @@ import pandas as pd
 import pytest
 from flax import serialization
 
-from clothkit.errors import InputError
 from clothkit.models import store
 from clothkit.models.net import Net
 from clothkit.models.pemd import initial
 from clothkit.models.settings import PEMDConfig, VtMConfig
+from clothkit.runtime.errors import InputError
 
 TINY = PEMDConfig(latent=3, encoder=(7, 6), manipulation=5, decoder=(4, 8))
 HISTORY = pd.DataFrame({"iteration": [1, 2], "score": [0.3, 0.2]})

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from clothkit.cloth import voxels
-from clothkit.errors import InputError
 from clothkit.observation.arrays import from_array, read_numpy
 from clothkit.observation.cloud import observe_cloud
 from clothkit.observation.settings import CloudConfig
 from clothkit.observation.states import MeshState, PointCloud, VoxelState
+from clothkit.runtime.errors import InputError
 from tests.observation.pcds import packed
 from tests.observation.scenes import CLOTH, folded
 

@@ -12,7 +12,6 @@ from scipy import ndimage
 from clothkit.cloth import voxels
 from clothkit.cloth.silhouette import silhouette
 from clothkit.cloth.topology import SQUARE
-from clothkit.errors import InputError
 from clothkit.observation.camera import CameraConfig, back_project
 from clothkit.observation.cloud import closed, observe_cloud, smoothed, voxels_of_points
 from clothkit.observation.coverage import centre, covered, goal_iou, spacing
@@ -21,6 +20,7 @@ from clothkit.observation.plane import LEVEL, plane_of
 from clothkit.observation.segment import segment, without_outliers
 from clothkit.observation.settings import CloudConfig
 from clothkit.observation.states import PointCloud
+from clothkit.runtime.errors import InputError
 from tests.observation.scenes import CLOTH, SCALE, folded, image_of, motion
 
 CAMERA = CameraConfig()

@@ -13,10 +13,10 @@ from clothkit.cloth.silhouette import silhouette
 from clothkit.cloth.topology import SQUARE
 from clothkit.dataset import store
 from clothkit.dataset.export import Surface, encode
-from clothkit.errors import InputError
 from clothkit.observation.cloud import observe_cloud
 from clothkit.observation.files import read
 from clothkit.observation.states import MeshState, PointCloud, VoxelState
+from clothkit.runtime.errors import InputError
 from tests.observation.pcds import written_pcd
 from tests.observation.scenes import CLOTH, SCALE, folded
 

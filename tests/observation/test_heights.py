@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 
 from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE
 from clothkit.cloth.voxels import HEIGHT
-from clothkit.errors import InputError
 from clothkit.observation.cloud import observe_cloud
 from clothkit.observation.heights import check_above, check_lying, clamped, notices_of_points
 from clothkit.observation.observe import observe
 from clothkit.observation.plane import LEVEL
 from clothkit.observation.states import MeshState, PointCloud, VoxelState
+from clothkit.runtime.errors import InputError
 from tests.observation.scenes import CLOTH, SCALE, folded, turned
 
 REMEDY = "turn it"

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from clothkit.cloth import voxels
-from clothkit.errors import InputError
 from clothkit.observation.camera import CameraConfig, back_project
 from clothkit.observation.coverage import goal_iou
 from clothkit.observation.observe import observe
 from clothkit.observation.states import MeshState, VoxelState
+from clothkit.runtime.errors import InputError
 from tests.observation.scenes import CLOTH, SCALE, folded, image_of
 
 MESH = folded()

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from clothkit.errors import InputError
 from clothkit.observation.pcd import read_pcd
+from clothkit.runtime.errors import InputError
 from tests.observation.pcds import packed, written, written_pcd
 
 RANDOM = np.random.default_rng(0)

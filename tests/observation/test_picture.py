@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from clothkit.cloth import voxels
-from clothkit.errors import InputError
 from clothkit.observation.noise import NoiseConfig
 from clothkit.observation.picture import PictureConfig, take
+from clothkit.runtime.errors import InputError
 from tests.observation.scenes import SMALL, folded
 
 CLEAN = PictureConfig(camera=SMALL, noise=None)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from clothkit.errors import InputError
 from clothkit.observation.ply import load_ply
+from clothkit.runtime.errors import InputError
 
 
 def text_ply(*faces: str, says: int | None = None, listed: str = "list uchar int vertex_indices") -> bytes:

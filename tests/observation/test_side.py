@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from clothkit.errors import InputError
 from clothkit.observation.cloud import Observation, observe_cloud
 from clothkit.observation.plane import Plane, plane_of
 from clothkit.observation.side import Heights, Stated, evidence, heights_of, oriented
 from clothkit.observation.states import PointCloud
+from clothkit.runtime.errors import InputError
 from tests.observation.scenes import motion
 
 SIDE = 0.4

@@ -13,11 +13,11 @@ import trimesh
 from clothkit.cloth import voxels
 from clothkit.cloth.silhouette import centred
 from clothkit.cloth.topology import SQUARE
-from clothkit.errors import InputError
 from clothkit.observation.observe import observe
 from clothkit.observation.settings import CloudConfig
 from clothkit.observation.states import MeshState, PointCloud
 from clothkit.observation.surfaces import read_surface
+from clothkit.runtime.errors import InputError
 from tests.observation.scenes import CLOTH, SCALE, cornered
 from tests.observation.test_grids import sheet
 

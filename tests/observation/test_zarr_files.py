@@ -12,9 +12,9 @@ import zarr
 from clothkit.cloth import voxels
 from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.store import save
-from clothkit.errors import InputError
 from clothkit.observation.files import read
 from clothkit.observation.states import MeshState, PointCloud, VoxelState
+from clothkit.runtime.errors import InputError
 from tests.dataset.test_store import make
 
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from clothkit.errors import InputError
 from clothkit.planning import normalisation
 from clothkit.planning.mesh_representation import MESH
 from clothkit.planning.normalisation import load, normalise, save
 from clothkit.planning.settings import NormaliseConfig
+from clothkit.runtime.errors import InputError
 from tests.episodes.test_sessions import dataset
 from tests.planning import toy
 

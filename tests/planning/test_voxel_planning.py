@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from clothkit.clock import clock
 from clothkit.cloth import voxels
 from clothkit.dataset.tasks import Task
 from clothkit.episodes.sessions import run_sessions
@@ -26,6 +25,7 @@ from clothkit.planning.search import SearchConfig
 from clothkit.planning.settings import NormaliseConfig, PlanConfig
 from clothkit.planning.systems import system
 from clothkit.planning.voxel_representation import VOXEL, VoxelRepresentation
+from clothkit.runtime.clock import clock
 from tests.episodes.test_sessions import MANIPULATIONS, dataset, tasks
 from tests.planning import toy
 

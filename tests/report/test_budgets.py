@@ -7,10 +7,10 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from clothkit.errors import InputError
 from clothkit.models.settings import EnsembleConfig, PEMDConfig
 from clothkit.report import run_settings
 from clothkit.report.budgets import budgets, differ, difference, difference_of_training
+from clothkit.runtime.errors import InputError
 from tests.report.contents import LAPTOP
 
 RUN = run_settings.read(LAPTOP / "params.yaml")

@@ -5,13 +5,13 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from clothkit.errors import InputError
 from clothkit.evaluation import comparisons
 from clothkit.report import formatting, pages, sections, texts
 from clothkit.report.blocks import Picture
 from clothkit.report.entries import Figure, Section, Table, Text
 from clothkit.report.markdown.page import page
 from clothkit.report.sections import CAPTIONS, TABLES
+from clothkit.runtime.errors import InputError
 from tests.evaluation.planning_rows import SYSTEMS
 from tests.report.contents import contents_of, parts_of, tables_of, write_report
 from tests.report.web import tree

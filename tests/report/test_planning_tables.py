@@ -7,9 +7,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from clothkit.errors import InputError
 from clothkit.evaluation import planning
 from clothkit.report import layout, paper, planning_tables, rows, timings
+from clothkit.runtime.errors import InputError
 from tests.evaluation.planning_rows import SYSTEMS, planning_rows
 
 TIDY = planning_rows(sequences=12)

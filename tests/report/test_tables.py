@@ -8,13 +8,13 @@ import pandas as pd
 import pytest
 
 from clothkit.dataset.tables import read
-from clothkit.errors import InputError
 from clothkit.evaluation import planning
 from clothkit.evaluation.tidy import PLANNING, PREDICTION
 from clothkit.report import paper, planning_tables, tables, timings
 from clothkit.report.layout import TASKS
 from clothkit.report.markdown import tables as markdown
 from clothkit.report.markdown.page import page
+from clothkit.runtime.errors import InputError
 from tests.evaluation.planning_rows import SYSTEMS, planning_rows
 from tests.report.contents import contents_of, dataset, parts_of, tidy_estimates, tidy_tasks
 

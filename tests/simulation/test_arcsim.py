@@ -12,7 +12,7 @@ import pytest
 
 from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.regularise import RegulariseConfig, interpolation, regularise
-from clothkit.errors import InputError
+from clothkit.runtime.errors import InputError
 from clothkit.simulation import arcsim
 from clothkit.simulation.arcsim import import_runs
 from clothkit.simulation.arcsim_obj import read_frame

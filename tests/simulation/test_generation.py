@@ -11,7 +11,7 @@ import pytest
 from clothkit.cloth.topology import CLOTH_LENGTH, Topology, rectangle, triangles
 from clothkit.dataset.raw import Topologies
 from clothkit.dataset.regularise import Mesher
-from clothkit.errors import InputError
+from clothkit.runtime.errors import InputError
 from clothkit.simulation import generation, world
 from clothkit.simulation.attempts import Attempts, folds, to_metres
 from clothkit.simulation.executor import execute, grasp, perform

@@ -8,8 +8,8 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 
 from clothkit.cloth.topology import Topology, rectangle, square
-from clothkit.errors import InputError
 from clothkit.params import load_params
+from clothkit.runtime.errors import InputError
 from clothkit.simulation.settings import LEAST_SPACING, SimulateConfig, SimulationConfig
 from tests.test_params import write
 

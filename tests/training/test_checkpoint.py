@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clothkit.errors import InputError
+from clothkit.runtime.errors import InputError
 from clothkit.training import checkpoint
 
 

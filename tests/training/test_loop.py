@@ -6,8 +6,8 @@ import jax
 import numpy as np
 import pytest
 
-from clothkit.errors import InputError
 from clothkit.models.settings import EMDVoxelConfig, PEMDConfig, Start, VtMConfig
+from clothkit.runtime.errors import InputError
 from clothkit.training import loop as loop
 from clothkit.training.emd_voxel import train_emd_voxel
 from clothkit.training.loop import Problem, train

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from clothkit.cloth import voxels
-from clothkit.errors import InputError
 from clothkit.models.layers import run
 from clothkit.models.settings import VtMConfig
 from clothkit.models.vtm import VtM, initial
+from clothkit.runtime.errors import InputError
 from clothkit.training import vtm as vtm_training
 from clothkit.training.settings import TrainingConfig, TrainVtMConfig
 from clothkit.training.vtm import EVERY, among, draw, narrowed, problem, states, taken, train_vtm, widened

@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from clothkit.errors import InputError, untold_error
+from clothkit.runtime.errors import InputError, untold_error
 
 COMMANDS = {
     "plan": "A plan that brings a cloth into a given shape.",

@@ -12,7 +12,7 @@ from pathlib import Path
 import click
 
 from clothkit.dataset.export import FORMATS, export
-from clothkit.errors import InputError, untold_error
+from clothkit.runtime.errors import InputError, untold_error
 from clothkit.simulation.settings import SimulationConfig
 
 

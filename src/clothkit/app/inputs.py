@@ -12,8 +12,6 @@ import numpy as np
 from jaxtyping import Bool
 
 from clothkit.app.settings import AppConfig
-from clothkit.cache import ensure_jax_cache
-from clothkit.errors import InputError, system_error
 from clothkit.manipulation.candidates import CandidateConfig
 from clothkit.observation.cloud import Observation
 from clothkit.observation.files import State, read
@@ -27,6 +25,8 @@ from clothkit.observation.waypoints import ReachConfig
 from clothkit.params import load_params
 from clothkit.planning.objective import Weights
 from clothkit.planning.settings import PlanConfig
+from clothkit.runtime.cache import ensure_jax_cache
+from clothkit.runtime.errors import InputError, system_error
 from clothkit.simulation.settings import SimulationConfig
 
 PARAMS = Path("params.yaml")

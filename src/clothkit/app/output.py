@@ -13,8 +13,8 @@ from jaxtyping import Float
 
 from clothkit.cloth.grid import geodesic, triangles
 from clothkit.dataset.export import Surface, encode
-from clothkit.errors import InputError, system_error
-from clothkit.publish import unfinished
+from clothkit.runtime.errors import InputError, system_error
+from clothkit.runtime.publish import unfinished
 
 _ERASE = "\r\x1b[K"
 

@@ -32,11 +32,11 @@ from clothkit.app.planner import (
     turned_goal,
     turned_plan,
 )
-from clothkit.errors import InputError
 from clothkit.observation.waypoints import HandPaths, MotionConfig, ReachConfig, beyond, symmetries
 from clothkit.planning.optimisers import OPTIMISERS, optimiser_of
 from clothkit.planning.planner import Planner
 from clothkit.planning.systems import SYSTEMS, System, system
+from clothkit.runtime.errors import InputError
 
 
 @click.command(short_help="A plan that brings a cloth into a given shape.")

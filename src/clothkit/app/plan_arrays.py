@@ -7,10 +7,10 @@ from jaxtyping import Float
 
 from clothkit.app.plan_file import MeshState, Placed, Plan
 from clothkit.app.planner import State, Traces, traces_after
-from clothkit.errors import InputError
 from clothkit.planning.agent import no_traces
 from clothkit.planning.planner import Planner
 from clothkit.planning.types import Memory
+from clothkit.runtime.errors import InputError
 
 _SAME = 1e-6
 """Relative difference up to which two sides count as equal."""

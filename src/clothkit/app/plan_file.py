@@ -17,10 +17,10 @@ from clothkit.app.output import unfinished
 from clothkit.app.plan_checks import check_axes, check_hand, check_plan, check_step
 from clothkit.cloth.grid import SIDE
 from clothkit.cloth.voxels import RESOLUTION
-from clothkit.errors import InputError, system_error
-from clothkit.json_file import parse_json
 from clothkit.observation.pose import Pose
 from clothkit.planning.systems import system
+from clothkit.runtime.errors import InputError, system_error
+from clothkit.runtime.json_file import parse_json
 
 UNLIKELY = "this plan is not expected to improve the state"
 

@@ -12,7 +12,6 @@ from jaxtyping import Float, Shaped
 from clothkit.app.inputs import Input, Settings, Usage
 from clothkit.cloth.equivalents import compose, inverse, relabel, relabel_manipulation
 from clothkit.cloth.mesh import distance
-from clothkit.errors import InputError
 from clothkit.estimation.estimate import Estimate, estimate
 from clothkit.manipulation.turns import turn_manipulation, turn_mesh
 from clothkit.manipulation.vector import is_null
@@ -26,6 +25,7 @@ from clothkit.planning.predict import Prediction, differences, predict
 from clothkit.planning.systems import System
 from clothkit.planning.types import Memory, Observation, Plan
 from clothkit.planning.uncertainty import uncertainty
+from clothkit.runtime.errors import InputError
 
 State = Shaped[np.ndarray, "*state"]
 """A state as a system represents it: a mesh [u v 3], normalised and centred, or voxels [x y z]."""

@@ -20,10 +20,10 @@ from clothkit.app.plan_arrays import check_nets, manipulations, placed_state, si
 from clothkit.app.plan_file import read_plan
 from clothkit.app.planner import begin, load_planner, observation_of, predict_plan
 from clothkit.cloth.mesh import distance_aligned
-from clothkit.errors import InputError
 from clothkit.planning import agent
 from clothkit.planning.systems import system
-from clothkit.publish import unfinished_files
+from clothkit.runtime.errors import InputError
+from clothkit.runtime.publish import unfinished_files
 
 
 @click.command()

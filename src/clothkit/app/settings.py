@@ -4,10 +4,10 @@ from typing import Annotated
 
 from annotated_types import Gt
 
-from clothkit.config import config
 from clothkit.estimation.agreement import AgreementConfig
 from clothkit.observation.settings import CloudConfig, Triple
 from clothkit.observation.waypoints import MotionConfig, ReachConfig
+from clothkit.runtime.config import config
 from clothkit.simulation.settings import SimulationConfig
 
 

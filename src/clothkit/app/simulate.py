@@ -25,11 +25,11 @@ from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.cloth.mesh import error
 from clothkit.cloth.silhouette import centred, iou, silhouette
 from clothkit.dataset.export import FORMATS
-from clothkit.errors import InputError
 from clothkit.manipulation.turns import turn_mesh
 from clothkit.observation.coverage import goal_iou
 from clothkit.observation.pose import Pose
 from clothkit.observation.surfaces import check_grid
+from clothkit.runtime.errors import InputError
 from clothkit.simulation.executor import execute
 from clothkit.simulation.settings import SimulationConfig
 

@@ -21,9 +21,9 @@ from clothkit.app.inputs import load_settings, observation_options, read_input, 
 from clothkit.app.viewer.page import build
 from clothkit.app.viewer.recorded import systems_in
 from clothkit.app.viewer.tasks import SessionFiles
-from clothkit.errors import InputError
 from clothkit.planning.planner import artifacts
 from clothkit.planning.systems import SYSTEMS
+from clothkit.runtime.errors import InputError
 
 
 @click.command(short_help="A local page on which sessions are played.")

@@ -6,10 +6,10 @@ import numpy as np
 from annotated_types import Ge, Gt, Le
 from jaxtyping import Float
 
-from clothkit.config import config
 from clothkit.dataset.store import STATES, STEPS, Dataset
 from clothkit.manipulation.sampling import SamplingConfig
 from clothkit.manipulation.vector import SHORTEST
+from clothkit.runtime.config import config
 
 
 @config

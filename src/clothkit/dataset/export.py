@@ -21,8 +21,8 @@ from trimesh.visual.material import PBRMaterial
 from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE
 from clothkit.dataset import store
 from clothkit.dataset.raw import STATE_COLUMNS, Topologies, read_states
-from clothkit.errors import InputError
-from clothkit.publish import unfinished_files
+from clothkit.runtime.errors import InputError
+from clothkit.runtime.publish import unfinished_files
 
 FORMATS = ("obj", "ply", "glb")
 LARGEST_SIDE = 100.0

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 
 from clothkit.dataset.store import STATES, STEPS
 from clothkit.dataset.tables import Column, Complete, Table, check, read
-from clothkit.errors import InputError
+from clothkit.runtime.errors import InputError
 
 STATE_COLUMNS = ("sequence", "state", "topology", "vertices")
 MANIPULATION_COLUMNS = ("sequence", "step", "hands", "u1", "v1", "u2", "v2", "dx", "dy")

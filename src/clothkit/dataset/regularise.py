@@ -11,10 +11,10 @@ from tqdm import tqdm
 
 from clothkit.cloth.silhouette import centred
 from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE, Shape, Topology
-from clothkit.config import config
 from clothkit.dataset.raw import STATE_COLUMNS, Topologies, Triangulation, read_manipulations, read_states
 from clothkit.dataset.store import SPLITS, STATES, STEPS, Dataset
-from clothkit.errors import InputError
+from clothkit.runtime.config import config
+from clothkit.runtime.errors import InputError
 
 MARGIN = 1e-3
 """A point counts as covered if no barycentric weight is below -MARGIN, since coordinates may be rounded to 6 digits."""

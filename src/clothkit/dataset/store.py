@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int, Int8
 
 from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.zarr_store import WRITTEN, Declared, Store, open_store
-from clothkit.errors import InputError
+from clothkit.runtime.errors import InputError
 
 SPLITS = ("train", "validation", "test")
 STATES, STEPS = 4, 3

@@ -17,7 +17,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from clothkit.errors import InputError, system_error
+from clothkit.runtime.errors import InputError, system_error
 
 _KINDS: dict[str, Callable[[pa.DataType], bool]] = {
     "whole numbers": pa.types.is_integer,

@@ -8,17 +8,17 @@ from typing import TypedDict
 
 from tqdm import tqdm
 
-from clothkit.clock import Clock, clock
 from clothkit.dataset.store import Dataset
 from clothkit.dataset.tasks import Task, tasks_of
 from clothkit.episodes.record import Pieces, Sessions, Tasks, join, load_piece, save_piece, tasks_of_dataset
 from clothkit.episodes.sensors import Sensor
 from clothkit.episodes.sessions import Execute, run_sessions
-from clothkit.errors import InputError
-from clothkit.json_file import read_json
 from clothkit.planning.planner import Planner
 from clothkit.planning.settings import PlanConfig
-from clothkit.resumable import Storage, resumable_map
+from clothkit.runtime.clock import Clock, clock
+from clothkit.runtime.errors import InputError
+from clothkit.runtime.json_file import read_json
+from clothkit.runtime.resumable import Storage, resumable_map
 
 
 def pieces(dataset: Dataset, settings: PlanConfig) -> list[tuple[str, list[Task]]]:

@@ -13,10 +13,10 @@ from clothkit.dataset.store import LENGTHS, SPLITS, STEPS, Dataset
 from clothkit.dataset.tasks import Task
 from clothkit.dataset.zarr_store import WRITTEN, Declared, open_store
 from clothkit.episodes.record_checks import KEYS, check_keys, check_members, check_values, terms_of_nets
-from clothkit.errors import damaged_piece
 from clothkit.manipulation.vector import is_null
 from clothkit.planning.planner import Planner
 from clothkit.planning.types import Plan
+from clothkit.runtime.errors import damaged_piece
 
 MESH = ("u", "v", "xyz")
 SEEN = ("seen_0", "seen_1", "seen_2")

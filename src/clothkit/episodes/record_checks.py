@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 
 from clothkit.cloth.equivalents import COUNT
 from clothkit.dataset.store import SPLITS, STATES, STEPS
-from clothkit.errors import InputError
+from clothkit.runtime.errors import InputError
 
 KEYS = ("split", "sequence", "start", "length")
 

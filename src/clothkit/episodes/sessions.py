@@ -11,13 +11,13 @@ from clothkit.cloth.mesh import ProbabilisticMesh, error
 from clothkit.cloth.silhouette import centred
 from clothkit.episodes.record import Sessions, Step, Tasks, record, sizes_of
 from clothkit.episodes.sensors import Sensor, exact_sensor
-from clothkit.errors import InputError
 from clothkit.estimation.refine import refine
 from clothkit.manipulation.vector import is_null, is_single
 from clothkit.planning.agent import Keys, begin, decide
 from clothkit.planning.batches import in_batches, take
 from clothkit.planning.planner import Planner
 from clothkit.planning.types import Memory, Meshes, Observation, Plan
+from clothkit.runtime.errors import InputError
 
 Execute = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 """Executes manipulations: meshes [w u v 3], grasp points xy [w 2 2], displacements [w 2], whether one-handed [w] ->

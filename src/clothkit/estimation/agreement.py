@@ -10,7 +10,7 @@ from annotated_types import Ge, Le
 from jaxtyping import Bool, Float
 
 from clothkit.cloth.voxels import HEIGHT, observe
-from clothkit.config import config
+from clothkit.runtime.config import config
 
 _QUANTILES = 41
 

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from clothkit.cloth.mesh import ProbabilisticMesh, nll
 from clothkit.cloth.topology import SQUARE, Topology
-from clothkit.config import config
+from clothkit.runtime.config import config
 
 SHORTEST_SPRING = 1e-6
 """Lower bound of spring lengths [normalised], because the gradient of a length is not defined at zero."""

@@ -10,7 +10,7 @@ import zarr
 from clothkit.cloth.voxels import RESOLUTION
 from clothkit.dataset.store import LENGTHS, STATES
 from clothkit.dataset.zarr_store import WRITTEN, Declared, open_store
-from clothkit.errors import InputError
+from clothkit.runtime.errors import InputError
 
 _LENGTHS = {**LENGTHS, **dict(zip("xyz", RESOLUTION, strict=True))}
 _VERTICES = ("u", "v", "xyz")

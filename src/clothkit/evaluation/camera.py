@@ -12,8 +12,7 @@ from tqdm import tqdm
 from clothkit.cloth import voxels
 from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.dataset.store import STATES, Dataset
-from clothkit.episodes.sensors import with_height
-from clothkit.errors import InputError
+from clothkit.episodes.depth_camera import with_height
 from clothkit.estimation.estimate import estimate
 from clothkit.estimation.refine import RefineConfig
 from clothkit.evaluation.arrays import NamedArray
@@ -24,7 +23,8 @@ from clothkit.models.vtm import seen_by
 from clothkit.observation.coverage import goal_iou
 from clothkit.observation.picture import Picture, PictureConfig, take
 from clothkit.planning.batches import in_batches
-from clothkit.resumable import array_storage, resumable_map
+from clothkit.runtime.errors import InputError
+from clothkit.runtime.resumable import array_storage, resumable_map
 
 NO_CAMERA = Condition(name="voxels")
 """The condition without a camera: noise-free voxels, the input of all other evaluations."""

@@ -10,11 +10,10 @@ import pandas as pd
 
 from clothkit.cloth.silhouette import iou, silhouette
 from clothkit.dataset.store import Dataset
+from clothkit.episodes.depth_camera import depth_camera
 from clothkit.episodes.evaluate import evaluate
 from clothkit.episodes.record import Sessions
-from clothkit.episodes.sensors import depth_camera
 from clothkit.episodes.sessions import Execute
-from clothkit.errors import InputError
 from clothkit.evaluation.camera import NO_CAMERA, picture_settings
 from clothkit.evaluation.camera_settings import Condition, EvaluateCameraConfig
 from clothkit.evaluation.comparisons import COLUMNS, compare
@@ -23,6 +22,7 @@ from clothkit.evaluation.session_rows import rows
 from clothkit.observation.coverage import goal_iou
 from clothkit.observation.picture import PictureConfig, take
 from clothkit.planning.planner import Planner
+from clothkit.runtime.errors import InputError
 
 
 def planning(

@@ -4,8 +4,8 @@ from typing import Annotated
 
 from annotated_types import Ge, Gt, Lt, MinLen
 
-from clothkit.config import config
 from clothkit.observation.picture import PictureConfig
+from clothkit.runtime.config import config
 
 UNMEASURED = -1.0
 """Height in stored pictures [m] of pixels without a measurement."""

@@ -6,11 +6,11 @@ import numpy as np
 import pandas as pd
 
 from clothkit.dataset.tables import read as read_table
-from clothkit.errors import InputError
 from clothkit.evaluation.comparisons import COLUMNS, compare, interval, totals
 from clothkit.evaluation.occupancy import TALL_MEASURE
 from clothkit.evaluation.settings import EvaluatePlanningConfig
 from clothkit.evaluation.tidy import PLANNING
+from clothkit.runtime.errors import InputError
 
 ROWS = (
     "split",

@@ -15,7 +15,6 @@ from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.cloth.voxels import HEIGHT
 from clothkit.dataset.store import SPLITS, STATES, STEPS, Dataset
 from clothkit.dataset.tasks import TASKS
-from clothkit.errors import InputError
 from clothkit.evaluation.arrays import NamedArray
 from clothkit.evaluation.errors import errors, relabelled, sigma_ratio
 from clothkit.evaluation.occupancy import TALL, TALL_MEASURE, differences, occluded_occupancy, occupancy
@@ -23,6 +22,7 @@ from clothkit.evaluation.settings import EvaluatePredictionConfig
 from clothkit.models import forward
 from clothkit.models.ensemble import Ensemble
 from clothkit.models.net import Net
+from clothkit.runtime.errors import InputError
 
 OCCLUDED = "main_occluded"
 """System name of main's predictions as a camera above would see them, comparable to the voxel baseline's."""

@@ -4,8 +4,8 @@ from typing import Annotated
 
 from annotated_types import Ge, Gt, MinLen
 
-from clothkit.config import config
 from clothkit.estimation.refine import RefineConfig
+from clothkit.runtime.config import config
 
 
 @config

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from scipy import ndimage
 
 from clothkit.cloth.silhouette import pixel_centres, silhouette
-from clothkit.config import config
+from clothkit.runtime.config import config
 
 EDGE_BLUR = 0.025
 """Standard deviation of the blur that smooths the steps in a silhouette of voxels [normalised]."""

@@ -8,10 +8,10 @@ from jaxtyping import Float
 
 from clothkit.cloth.silhouette import pixel_centres, silhouette
 from clothkit.cloth.topology import SQUARE, Topology
-from clothkit.config import config
 from clothkit.manipulation.candidates import CandidateConfig, candidates
 from clothkit.manipulation.geometry import release_points, topmost_vertex
 from clothkit.manipulation.vector import SHORTEST
+from clothkit.runtime.config import config
 
 
 @config

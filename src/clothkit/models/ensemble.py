@@ -8,11 +8,11 @@ from typing import TypeVar
 
 from jaxtyping import PyTree
 
-from clothkit.errors import InputError
 from clothkit.models import store
 from clothkit.models.forward import ForwardModel, forward_model
 from clothkit.models.net import Net
 from clothkit.models.store import ATTRIBUTES, Kind, validation_score
+from clothkit.runtime.errors import InputError
 
 T = TypeVar("T")
 

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from annotated_types import Ge, Gt, Lt, MinLen
 
 from clothkit.cloth.voxels import HEIGHT
-from clothkit.config import config
+from clothkit.runtime.config import config
 
 Count = Annotated[int, Gt(0)]
 Rate = Annotated[float, Gt(0)]

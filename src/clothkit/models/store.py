@@ -14,11 +14,11 @@ import pandas as pd
 from flax import serialization
 from flax.traverse_util import flatten_dict
 
-from clothkit.errors import InputError, system_error
-from clothkit.json_file import read_json
 from clothkit.models import emd_voxel, pemd, vtm
 from clothkit.models.net import Net
 from clothkit.models.settings import EMDVoxelConfig, PEMDConfig, VtMConfig
+from clothkit.runtime.errors import InputError, system_error
+from clothkit.runtime.json_file import read_json
 
 WEIGHTS, ATTRIBUTES, HISTORY = "net.msgpack", "net.json", "history.parquet"
 Kind = Literal["pemd", "emd_voxel", "vtm"]

@@ -15,10 +15,10 @@ from jaxtyping import Bool
 from clothkit.cloth.silhouette import centred
 from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE, Topology
 from clothkit.cloth.voxels import RESOLUTION
-from clothkit.errors import InputError, system_error
 from clothkit.observation.colours import as_bytes, colours_of
 from clothkit.observation.states import MeshState, PointCloud, VoxelState, named
 from clothkit.observation.surfaces import check_grid
+from clothkit.runtime.errors import InputError, system_error
 
 _STATES = {
     "mesh": ("mesh", "vertices", "verts"),

@@ -11,10 +11,10 @@ import numpy as np
 from annotated_types import Ge, Gt, Lt
 from jaxtyping import Bool, Float, Int
 
-from clothkit.config import config
 from clothkit.observation.plane import Plane
 from clothkit.observation.states import PointCloud
 from clothkit.observation.zbuffer import topmost
+from clothkit.runtime.config import config
 
 _ROUNDING = 1e-9
 _NEAREST = 0.01  # m in front of the camera; triangles with a nearer vertex are left out

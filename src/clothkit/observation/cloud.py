@@ -14,7 +14,6 @@ from scipy.spatial import cKDTree
 
 from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.cloth.voxels import HEIGHT, RESOLUTION, occlude, voxelise
-from clothkit.errors import InputError
 from clothkit.observation.coverage import centre, spacing
 from clothkit.observation.heights import notices_of_points
 from clothkit.observation.plane import Plane
@@ -23,6 +22,7 @@ from clothkit.observation.segment import segment
 from clothkit.observation.settings import CloudConfig
 from clothkit.observation.side import Stated
 from clothkit.observation.states import PointCloud
+from clothkit.runtime.errors import InputError
 
 _DIAGONAL = 0.75  # of the cloth's side: half of its diagonal, and some slack
 _SMOOTHED_OVER = (9, 64)  # points: fewer reduce noise little, more are slow

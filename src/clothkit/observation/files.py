@@ -21,11 +21,11 @@ from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE, Topology
 from clothkit.cloth.voxels import RESOLUTION
 from clothkit.dataset.store import STATES, open_meshes
 from clothkit.dataset.zarr_store import check_shards, open_node, read_array
-from clothkit.errors import InputError, system_error
 from clothkit.observation.arrays import from_array, read_numpy, shapes
 from clothkit.observation.pcd import read_pcd
 from clothkit.observation.states import MeshState, PointCloud, VoxelState
 from clothkit.observation.surfaces import ENDINGS, read_surface
+from clothkit.runtime.errors import InputError, system_error
 from clothkit.simulation.settings import SimulationConfig
 
 DEFAULT_SIDE = SimulationConfig().cloth_side

@@ -8,7 +8,7 @@ from typing import Any
 
 import trimesh
 
-from clothkit.errors import InputError
+from clothkit.runtime.errors import InputError
 
 _COMPRESSED = {"KHR_draco_mesh_compression": "Draco", "EXT_meshopt_compression": "meshopt"}
 _JSON = 0x4E4F534A

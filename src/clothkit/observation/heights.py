@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from clothkit.cloth.voxels import RESOLUTION
-from clothkit.errors import InputError
+from clothkit.runtime.errors import InputError
 
 MESH_REMEDY = "meshes have z up and the table at 0 (in GLB y is up); if an OBJ or PLY has y up, --y-up turns it"
 """End of the message about a mesh that stands upright or lies below the table."""

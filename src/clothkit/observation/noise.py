@@ -12,8 +12,8 @@ from annotated_types import Ge, Gt, Le
 from jaxtyping import Bool, Float
 from scipy import ndimage
 
-from clothkit.config import config
 from clothkit.observation.camera import DepthImage
+from clothkit.runtime.config import config
 
 NotNegative = Annotated[float, Ge(0)]
 Share = Annotated[float, Ge(0), Le(1)]

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import trimesh
 
-from clothkit.errors import InputError
+from clothkit.runtime.errors import InputError
 
 
 def load_obj(path: Path, content: bytes) -> trimesh.Trimesh | trimesh.PointCloud | None:

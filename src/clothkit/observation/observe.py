@@ -7,7 +7,6 @@ from jaxtyping import Bool, Float
 from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.cloth.voxels import HEIGHT, RESOLUTION, double, occlude
 from clothkit.cloth.voxels import observe as observe_mesh
-from clothkit.errors import InputError
 from clothkit.observation.cloud import Observation, observe_cloud
 from clothkit.observation.heights import (
     MESH_REMEDY,
@@ -21,6 +20,7 @@ from clothkit.observation.pose import Pose
 from clothkit.observation.settings import CloudConfig
 from clothkit.observation.side import Stated
 from clothkit.observation.states import MeshState, PointCloud, VoxelState
+from clothkit.runtime.errors import InputError
 
 
 def observe(

@@ -10,12 +10,12 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from trimesh.visual import ColorVisuals
 
-from clothkit.errors import InputError
 from clothkit.observation.glb import load_glb
 from clothkit.observation.grids import welded
 from clothkit.observation.obj import load_obj
 from clothkit.observation.ply import load_ply
 from clothkit.observation.states import named
+from clothkit.runtime.errors import InputError
 
 _MOST_VERTICES = 20_000_000
 """Largest number of vertices in all objects of a scene, which can contain one mesh many times."""

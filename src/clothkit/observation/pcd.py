@@ -8,10 +8,10 @@ from typing import NamedTuple
 import lzf
 import numpy as np
 
-from clothkit.errors import InputError, system_error
 from clothkit.observation.colours import colours_of
 from clothkit.observation.states import PointCloud
 from clothkit.observation.text import numbers, short
+from clothkit.runtime.errors import InputError, system_error
 
 _KINDS = {"F": "f", "U": "u", "I": "i"}
 _SIZES = ("1", "2", "4", "8")

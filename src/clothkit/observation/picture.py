@@ -9,12 +9,12 @@ from annotated_types import Ge, Gt
 from jaxtyping import Float
 
 from clothkit.cloth.topology import CLOTH_LENGTH, triangles
-from clothkit.config import config
-from clothkit.errors import InputError
 from clothkit.observation.camera import CameraConfig, DepthImage, back_project, render
 from clothkit.observation.cloud import Observation, observe_cloud
 from clothkit.observation.noise import NoiseConfig, noisy
 from clothkit.observation.settings import CloudConfig
+from clothkit.runtime.config import config
+from clothkit.runtime.errors import InputError
 
 _OFF = 1 << 16
 """Distance between the seeds of two pictures of one cloth."""

@@ -8,8 +8,8 @@ import numpy as np
 from annotated_types import Ge, Gt, Le
 from jaxtyping import Float
 
-from clothkit.config import config
-from clothkit.errors import InputError
+from clothkit.runtime.config import config
+from clothkit.runtime.errors import InputError
 
 _CANDIDATE_POINTS = 4000
 _REFINEMENTS = 3

@@ -10,9 +10,9 @@ import plyfile
 import trimesh
 from trimesh.geometry import triangulate_quads
 
-from clothkit.errors import InputError
 from clothkit.observation.colours import as_bytes, colours_of
 from clothkit.observation.text import numbers, short
+from clothkit.runtime.errors import InputError
 
 _SIZES = {
     **dict.fromkeys(("char", "uchar", "int8", "uint8"), 1),

@@ -16,12 +16,12 @@ from scipy.spatial import cKDTree
 
 from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.cloth.voxels import RESOLUTION
-from clothkit.errors import InputError
 from clothkit.observation.heights import check_lying
 from clothkit.observation.plane import Plane, find
 from clothkit.observation.settings import CloudConfig
 from clothkit.observation.side import Stated, heights_of, oriented
 from clothkit.observation.states import PointCloud, named
+from clothkit.runtime.errors import InputError
 
 _LEAST_POINTS = 100
 _UNITS = {"millimetres": 1000.0, "centimetres": 100.0, "inches": 39.37}

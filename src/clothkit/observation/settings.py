@@ -5,8 +5,8 @@ from typing import Annotated
 from annotated_types import Ge, Gt, Le
 
 from clothkit.cloth.voxels import HEIGHT
-from clothkit.config import config
 from clothkit.observation.plane import PlaneConfig
+from clothkit.runtime.config import config
 
 Triple = tuple[float, float, float]
 Colour = tuple[int, int, int]

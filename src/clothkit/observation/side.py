@@ -10,8 +10,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from clothkit.errors import InputError
 from clothkit.observation.plane import Plane
+from clothkit.runtime.errors import InputError
 
 Evidence = Literal["above", "below", "unknown"]
 

@@ -16,13 +16,13 @@ from jaxtyping import Float, Int
 
 from clothkit.cloth.silhouette import centred
 from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE, Topology
-from clothkit.errors import InputError, system_error
 from clothkit.observation.grids import grid_order, widths
 from clothkit.observation.heights import MESH_REMEDY, check_above, check_lying
 from clothkit.observation.parts import Loaded, check_joined, load
 from clothkit.observation.plane import LEVEL
 from clothkit.observation.states import MeshState, PointCloud
 from clothkit.observation.zbuffer import topmost
+from clothkit.runtime.errors import InputError, system_error
 
 ENDINGS = (".obj", ".ply", ".glb")
 _PITCH = 0.005

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from clothkit.errors import InputError
+from clothkit.runtime.errors import InputError
 
 
 def numbers(path: Path, data: bytes, *, width: int) -> Float[np.ndarray, "rows width"]:

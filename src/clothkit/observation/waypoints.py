@@ -10,11 +10,11 @@ from annotated_types import Ge, Gt
 from jaxtyping import Float
 
 from clothkit.cloth.mesh import error
-from clothkit.config import config
 from clothkit.manipulation.geometry import arc, release_points, to_cartesian
 from clothkit.manipulation.turns import planar, turn_mesh
 from clothkit.manipulation.vector import displacement, grasp_points, is_null, is_single
 from clothkit.observation.pose import Pose
+from clothkit.runtime.config import config
 from clothkit.simulation.settings import SimulationConfig
 
 _SIMULATED = SimulationConfig()

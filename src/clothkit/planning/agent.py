@@ -13,13 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int, Shaped
 
-from clothkit.clock import timed
 from clothkit.dataset.store import STEPS
 from clothkit.manipulation.vector import is_null
 from clothkit.planning.batches import in_batches, take
 from clothkit.planning.planner import Planner
 from clothkit.planning.predict import Prediction, differences, predict
 from clothkit.planning.types import UNKNOWN, Candidates, Found, Memory, Observation, Plan, Problem, States, Traces
+from clothkit.runtime.clock import timed
 
 Keys = Shaped[jax.Array, " task"]
 

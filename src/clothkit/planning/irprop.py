@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from annotated_types import Gt, Lt
 from jaxtyping import Array, Float
 
-from clothkit.config import config
+from clothkit.runtime.config import config
 
 Steps = Float[Array, "*batch"]
 

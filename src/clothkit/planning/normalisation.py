@@ -11,8 +11,6 @@ import numpy as np
 from jaxtyping import Array
 
 from clothkit.dataset.store import STEPS, Dataset
-from clothkit.errors import InputError
-from clothkit.json_file import read_json
 from clothkit.models.forward import ForwardModel, rollout
 from clothkit.planning.batches import in_batches
 from clothkit.planning.initial import random_manipulations
@@ -20,6 +18,8 @@ from clothkit.planning.objective import Range, Reference, mean_difference
 from clothkit.planning.representation import Representation
 from clothkit.planning.settings import NormaliseConfig
 from clothkit.planning.uncertainty import Spread
+from clothkit.runtime.errors import InputError
+from clothkit.runtime.json_file import read_json
 
 LEAST_SPAN = 0.001
 """Least difference high - low: for nets with little training, random plans may score as well as the recorded ones."""

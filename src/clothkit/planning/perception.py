@@ -7,7 +7,6 @@ import jax
 import numpy as np
 from jaxtyping import Shaped
 
-from clothkit.clock import timed
 from clothkit.cloth.equivalents import relabel
 from clothkit.cloth.mesh import best_label
 from clothkit.cloth.voxels import HEIGHT
@@ -16,6 +15,7 @@ from clothkit.estimation.refine import RefineConfig
 from clothkit.models.net import Net
 from clothkit.planning.batches import in_batches
 from clothkit.planning.types import Meshes, Observation, States
+from clothkit.runtime.clock import timed
 
 
 @runtime_checkable

@@ -7,7 +7,6 @@ from typing import Any
 
 import jax
 
-from clothkit.errors import InputError
 from clothkit.manipulation.candidates import CandidateConfig
 from clothkit.models import store
 from clothkit.models.ensemble import Ensemble, folders, load
@@ -23,6 +22,7 @@ from clothkit.planning.settings import PlanConfig
 from clothkit.planning.systems import System
 from clothkit.planning.types import Found, Problem
 from clothkit.planning.voxel_representation import VOXEL
+from clothkit.runtime.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ from jaxtyping import Array, Bool, PRNGKeyArray, Shaped
 
 from clothkit.cloth.symmetry import relabel_manipulation_batch
 from clothkit.cloth.topology import SQUARE
-from clothkit.config import config
 from clothkit.manipulation.geometry import release_points
 from clothkit.manipulation.vector import is_null
 from clothkit.models.forward import ForwardModel
@@ -25,6 +24,7 @@ from clothkit.planning.optimisers.gradient import GradientConfig
 from clothkit.planning.optimisers.space import Evaluation, Initial, Plans, Space
 from clothkit.planning.representation import Representation
 from clothkit.planning.types import Found, Problem
+from clothkit.runtime.config import config
 
 
 @config

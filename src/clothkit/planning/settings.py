@@ -5,10 +5,10 @@ from typing import Annotated
 
 from annotated_types import Ge, Gt
 
-from clothkit.config import config
 from clothkit.estimation.refine import RefineConfig
 from clothkit.planning.search import SearchConfig
 from clothkit.planning.systems import System
+from clothkit.runtime.config import config
 
 Count = Annotated[int, Gt(0)]
 Seed = Annotated[int, Ge(0)]

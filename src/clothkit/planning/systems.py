@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from clothkit.errors import InputError
 from clothkit.models.store import Kind
+from clothkit.runtime.errors import InputError
 
 
 @dataclass(frozen=True)

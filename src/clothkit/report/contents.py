@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pandas as pd
 
-from clothkit.errors import InputError, system_error
-from clothkit.json_file import read_json
 from clothkit.report import run_settings
 from clothkit.report.captions import CAPTIONS_FILE
 from clothkit.report.formatting import LEAST
 from clothkit.report.layout import BY_LENGTH, HIGH, LOW
 from clothkit.report.run_settings import RunSettings
+from clothkit.runtime.errors import InputError, system_error
+from clothkit.runtime.json_file import read_json
 
 _CAPTIONED = "a JSON object with a caption for every picture"
 PLANNED = ("split", "sequences")

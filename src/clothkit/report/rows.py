@@ -6,9 +6,9 @@ from pathlib import Path
 import pandas as pd
 
 from clothkit.dataset import tables
-from clothkit.errors import InputError
 from clothkit.evaluation import tidy
 from clothkit.evaluation.tidy import VOXEL_SYSTEMS as VOXEL_SYSTEMS
+from clothkit.runtime.errors import InputError
 
 
 def read_planning(folder: Path, systems: Sequence[str]) -> pd.DataFrame:

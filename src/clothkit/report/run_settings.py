@@ -8,10 +8,10 @@ from typing import Any, TypeVar
 import pydantic
 from ruamel.yaml import YAML, YAMLError
 
-from clothkit.errors import InputError, system_error
 from clothkit.models.settings import EMDVoxelConfig, EnsembleConfig, PEMDConfig, VtMConfig
 from clothkit.planning.optimisers.gradient import GradientConfig
 from clothkit.planning.search import SearchConfig
+from clothkit.runtime.errors import InputError, system_error
 from clothkit.training.settings import TrainingConfig
 
 T = TypeVar("T")

@@ -4,7 +4,7 @@ from typing import Annotated
 
 from annotated_types import Ge, MinLen
 
-from clothkit.config import config
+from clothkit.runtime.config import config
 
 Count = Annotated[int, Ge(1)]
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import pandas as pd
 
-from clothkit.errors import InputError
-from clothkit.json_file import read_json
 from clothkit.report import paper
+from clothkit.runtime.errors import InputError
+from clothkit.runtime.json_file import read_json
 
 COLUMNS = ["stage", "seconds", "cpu_seconds", "peak_memory_mib", "machine"]
 

@@ -16,10 +16,10 @@ from jaxtyping import Float
 from tqdm import tqdm
 
 from clothkit.cloth.topology import CLOTH_LENGTH
-from clothkit.errors import InputError
 from clothkit.manipulation.geometry import release_points
 from clothkit.manipulation.vector import SHORTEST
-from clothkit.resumable import Storage, resumable_map
+from clothkit.runtime.errors import InputError
+from clothkit.runtime.resumable import Storage, resumable_map
 from clothkit.simulation.arcsim_obj import Frame, read_frame
 from clothkit.simulation.arcsim_runs import Run, Sequence
 from clothkit.simulation.arcsim_scene import Handle, read_scene

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from clothkit.errors import InputError, system_error
+from clothkit.runtime.errors import InputError, system_error
 
 SQUARE = 0.01
 """Largest difference between the sides of the material, as a fraction of the longer one."""

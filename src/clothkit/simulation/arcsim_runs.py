@@ -5,7 +5,7 @@ from collections import defaultdict
 from pathlib import Path
 from typing import NamedTuple
 
-from clothkit.errors import InputError, system_error
+from clothkit.runtime.errors import InputError, system_error
 
 TABLE = "runs.csv"
 COLUMNS = ("sequence", "state", "folder", "frame")

@@ -11,7 +11,7 @@ from annotated_types import Ge, Gt
 from jaxtyping import Float
 from scipy.interpolate import CubicHermiteSpline
 
-from clothkit.errors import InputError, system_error
+from clothkit.runtime.errors import InputError, system_error
 
 
 class Handle(NamedTuple):

@@ -12,8 +12,8 @@ import numpy as np
 from tqdm import tqdm
 
 from clothkit.cloth.topology import Topology
-from clothkit.errors import InputError
-from clothkit.resumable import array_storage, load_piece, resumable_map
+from clothkit.runtime.errors import InputError
+from clothkit.runtime.resumable import array_storage, load_piece, resumable_map
 from clothkit.simulation.attempts import Attempts, attempt_sequences
 from clothkit.simulation.processes import cores, make_pool
 from clothkit.simulation.records import write_raw

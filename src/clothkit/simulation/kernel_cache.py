@@ -7,7 +7,7 @@ from pathlib import Path
 
 import warp as wp
 
-from clothkit.cache import writable
+from clothkit.runtime.cache import writable
 
 
 def start_warp() -> None:

@@ -7,9 +7,9 @@ from annotated_types import Ge, Gt, Le
 from pydantic import BeforeValidator
 
 from clothkit.cloth.topology import CLOTH_LENGTH, Topology, square
-from clothkit.config import config
 from clothkit.manipulation.candidates import CandidateConfig
 from clothkit.manipulation.sampling import SamplingConfig
+from clothkit.runtime.config import config
 from clothkit.simulation.material import Material, NotNegative, Positive, of_fabric
 
 LEAST_VERTICES, MOST_VERTICES = 8, 64

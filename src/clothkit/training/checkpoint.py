@@ -10,7 +10,7 @@ import numpy as np
 from flax import serialization
 from jaxtyping import PyTree
 
-from clothkit.errors import damaged_piece
+from clothkit.runtime.errors import damaged_piece
 
 
 def write(path: Path, arrays: PyTree, notes: Any) -> None:

@@ -5,7 +5,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import PyTree
 
-from clothkit.errors import InputError
+from clothkit.runtime.errors import InputError
 
 
 def _sharding(*axes: str) -> NamedSharding:

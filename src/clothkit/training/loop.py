@@ -14,7 +14,7 @@ import pandas as pd
 from jaxtyping import PRNGKeyArray, PyTree
 from tqdm import tqdm
 
-from clothkit.errors import InputError
+from clothkit.runtime.errors import InputError
 from clothkit.training import checkpoint
 from clothkit.training.devices import on_all
 from clothkit.training.recipe import optimiser, rate

@@ -4,8 +4,8 @@ from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Le
 
-from clothkit.config import config
 from clothkit.models.settings import EMDVoxelConfig, PEMDConfig, Start, VtMConfig
+from clothkit.runtime.config import config
 
 Count = Annotated[int, Gt(0)]
 Rate = Annotated[float, Gt(0)]

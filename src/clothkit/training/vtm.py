@@ -19,12 +19,12 @@ from clothkit.cloth import voxels
 from clothkit.cloth.equivalents import SWAP, equivalents, relabel_batch
 from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.dataset.store import STEPS, Dataset
-from clothkit.errors import InputError
 from clothkit.manipulation.turns import turn_mesh
 from clothkit.models.canonical import lies_along_y
 from clothkit.models.layers import run
 from clothkit.models.settings import VtMConfig
 from clothkit.models.vtm import VtM, initial, turned
+from clothkit.runtime.errors import InputError
 from clothkit.training.augment import random_turns
 from clothkit.training.devices import spread
 from clothkit.training.likelihood import held_nll

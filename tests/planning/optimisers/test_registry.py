@@ -9,8 +9,6 @@ import pydantic
 import pytest
 from jaxtyping import Array
 
-from clothkit.config import config
-from clothkit.errors import InputError
 from clothkit.planning.irprop import IRpropConfig
 from clothkit.planning.optimisers import OPTIMISERS, AnySettings, evaluations, optimise, optimiser, register
 from clothkit.planning.optimisers.cem import CEMConfig
@@ -18,6 +16,8 @@ from clothkit.planning.optimisers.gradient import GradientConfig
 from clothkit.planning.optimisers.hybrid import HybridConfig
 from clothkit.planning.optimisers.population import evaluate_in_chunks, outcome
 from clothkit.planning.optimisers.space import Evaluate, Initial, Outcome, Space
+from clothkit.runtime.config import config
+from clothkit.runtime.errors import InputError
 from tests.planning.optimisers import bowl
 
 

@@ -19,7 +19,6 @@ from clothkit.app.viewer.search_progress import OnProgress, Progress, search_in_
 from clothkit.app.viewer.session import Mesh, Session, ShownPlan, StateEstimate, Step, error_of, matched
 from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.cloth.silhouette import centred
-from clothkit.errors import InputError
 from clothkit.estimation.estimate import estimate_probabilistic
 from clothkit.manipulation.vector import is_null, is_single
 from clothkit.observation.observe import observe
@@ -28,6 +27,7 @@ from clothkit.planning import agent
 from clothkit.planning.perception import Estimation
 from clothkit.planning.planner import Planner
 from clothkit.planning.types import Memory, Observation, Plan
+from clothkit.runtime.errors import InputError
 from clothkit.simulation.executor import execute
 
 

@@ -12,8 +12,8 @@ from clothkit.app.viewer.live import Live, begin, perform, plan, with_progress
 from clothkit.app.viewer.player import Player, assign, by_hand
 from clothkit.app.viewer.search_progress import Progress
 from clothkit.app.viewer.tasks import SessionFiles
-from clothkit.errors import InputError, system_error
 from clothkit.planning.systems import SYSTEMS, system
+from clothkit.runtime.errors import InputError, system_error
 
 OWN = "own files"
 

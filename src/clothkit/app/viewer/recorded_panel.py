@@ -7,7 +7,7 @@ import viser
 
 from clothkit.app.viewer.player import Player, by_hand
 from clothkit.app.viewer.recorded import Entry, entries, session_of
-from clothkit.errors import InputError
+from clothkit.runtime.errors import InputError
 
 _ORDERS = ("by sequence", "worst first", "best first")
 

@@ -19,7 +19,6 @@ import jax.numpy as jnp
 from annotated_types import Ge, Gt, Lt
 from jaxtyping import Array, PRNGKeyArray
 
-from clothkit.config import config
 from clothkit.planning.optimisers.distribution import (
     PlanDistribution,
     complete,
@@ -39,6 +38,7 @@ from clothkit.planning.optimisers.population import (
     outcome,
 )
 from clothkit.planning.optimisers.space import Best, Evaluate, Initial, Outcome, Plans, Space
+from clothkit.runtime.config import config
 
 Count = Annotated[int, Gt(0)]
 

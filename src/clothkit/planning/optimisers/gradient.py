@@ -12,7 +12,6 @@ import numpy as np
 from annotated_types import Ge, Gt, Le
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
-from clothkit.config import config
 from clothkit.manipulation.vector import is_single
 from clothkit.planning.irprop import IRpropConfig, irprop_minus
 from clothkit.planning.optimisers.population import lowest
@@ -29,6 +28,7 @@ from clothkit.planning.optimisers.space import (
     select,
     take,
 )
+from clothkit.runtime.config import config
 
 Count = Annotated[int, Gt(0)]
 

@@ -13,7 +13,6 @@ import jax.numpy as jnp
 from annotated_types import Gt
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from clothkit.config import config
 from clothkit.planning.optimisers.population import (
     check_sizes,
     evaluate_in_chunks,
@@ -23,6 +22,7 @@ from clothkit.planning.optimisers.population import (
     outcome,
 )
 from clothkit.planning.optimisers.space import Best, Evaluate, Initial, Outcome, Plans, Space
+from clothkit.runtime.config import config
 
 Count = Annotated[int, Gt(0)]
 

@@ -11,11 +11,11 @@ import jax.numpy as jnp
 from annotated_types import MinLen
 from jaxtyping import PRNGKeyArray
 
-from clothkit.config import config
 from clothkit.planning.optimisers.cem import CEMConfig
 from clothkit.planning.optimisers.gradient import GradientConfig
 from clothkit.planning.optimisers.registry import AnySettings, optimiser_of
 from clothkit.planning.optimisers.space import Evaluate, Initial, Outcome, Space
+from clothkit.runtime.config import config
 
 
 @config

@@ -10,7 +10,6 @@ import jax
 from annotated_types import Gt
 from jaxtyping import Array, PRNGKeyArray
 
-from clothkit.config import config
 from clothkit.planning.optimisers.population import (
     check_sizes,
     evaluate_in_chunks,
@@ -20,6 +19,7 @@ from clothkit.planning.optimisers.population import (
     outcome,
 )
 from clothkit.planning.optimisers.space import Best, Evaluate, Initial, Outcome, Space
+from clothkit.runtime.config import config
 
 Count = Annotated[int, Gt(0)]
 

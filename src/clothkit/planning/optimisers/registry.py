@@ -8,8 +8,8 @@ from typing import Annotated, Any
 import pydantic
 from jaxtyping import PRNGKeyArray
 
-from clothkit.errors import InputError
 from clothkit.planning.optimisers.space import Evaluate, Initial, Outcome, Result, Settings, Space, choose
+from clothkit.runtime.errors import InputError
 
 DEFAULT = "gradient"
 """The optimiser of settings that name none."""
@@ -21,7 +21,7 @@ class Optimiser:
 
     name: str
     settings: type
-    """The class of its settings (`clothkit.config.config`), with `finalists` and `evaluations`; all have defaults."""
+    """The class of its settings (see `runtime.config`), with what `space.Settings` asks for; all have defaults."""
     search: Callable[..., Outcome]
     """evaluate, space, settings, initial, key -> Outcome"""
 

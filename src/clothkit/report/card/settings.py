@@ -4,7 +4,7 @@ from typing import Annotated
 
 from annotated_types import Ge
 
-from clothkit.config import config
+from clothkit.runtime.config import config
 
 
 @config

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from clothkit.errors import InputError
-from clothkit.publish import ARRIVING, REPLACED, leftovers, publish, recover, unfinished_files
+from clothkit.runtime.errors import InputError
+from clothkit.runtime.publish import ARRIVING, REPLACED, leftovers, publish, recover, unfinished_files
 from tests.killed import name_of, write
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 SHARED_MEMORY = Path("/dev/shm")
 
 
@@ -98,8 +98,8 @@ def test_leftovers_are_found_and_mended(tmp_path: Path) -> None:
 IN_A_SMALL_FILE_SYSTEM = """
 import subprocess, sys
 from pathlib import Path
-from clothkit.errors import InputError
-from clothkit.publish import publish
+from clothkit.runtime.errors import InputError
+from clothkit.runtime.publish import publish
 from tests.killed import name_of, write
 work, data = Path(sys.argv[1]), Path(sys.argv[2])
 write(data / "out", "old folder")

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from clothkit.errors import InputError
-from clothkit.json_file import read_json
+from clothkit.runtime.errors import InputError
+from clothkit.runtime.json_file import read_json
 
 
 def test_an_object_is_read(tmp_path: Path) -> None:

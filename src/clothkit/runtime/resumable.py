@@ -14,7 +14,7 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 from tqdm import tqdm
 
-from clothkit.errors import InputError, damaged_piece
+from clothkit.runtime.errors import InputError, damaged_piece
 
 K = TypeVar("K")
 T = TypeVar("T")

@@ -15,10 +15,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tqdm import tqdm
 
-from clothkit.errors import InputError
-from clothkit.resumable import Piece, array_storage, load_piece, resumable_map
+from clothkit.runtime.errors import InputError
+from clothkit.runtime.resumable import Piece, array_storage, load_piece, resumable_map
 from tests.pool import SerialPool
-from tests.test_publish import ROOT, run_program
+from tests.runtime.test_publish import ROOT, run_program
 
 
 class Pair(NamedTuple):

@@ -17,10 +17,10 @@ from typing import Any
 import jax
 
 import clothkit
-from clothkit.cache import ensure_jax_cache
-from clothkit.errors import InputError, untold_error
 from clothkit.params import Params, load_params
-from clothkit.publish import alone, leftovers, publish, recover
+from clothkit.runtime.cache import ensure_jax_cache
+from clothkit.runtime.errors import InputError, untold_error
+from clothkit.runtime.publish import alone, leftovers, publish, recover
 
 WORK = Path(".work")
 PUBLISHING = WORK / "publishing.lock"

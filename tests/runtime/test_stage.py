@@ -12,14 +12,14 @@ from types import SimpleNamespace
 import jax
 import pytest
 
-import clothkit.stage
-from clothkit.cache import ensure_jax_cache, writable
-from clothkit.errors import InputError
-from clothkit.stage import WORK, Stage, stage
+import clothkit.runtime.stage
+from clothkit.runtime.cache import ensure_jax_cache, writable
+from clothkit.runtime.errors import InputError
+from clothkit.runtime.stage import WORK, Stage, stage
 from tests.killed import name_of, write
 from tests.tiny import write_params
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture
@@ -28,7 +28,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     write_params(tmp_path / "params.yaml")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(
-        clothkit.stage, "clothkit", SimpleNamespace(__file__=str(tmp_path / "src/clothkit/__init__.py"))
+        clothkit.runtime.stage, "clothkit", SimpleNamespace(__file__=str(tmp_path / "src/clothkit/__init__.py"))
     )
     return tmp_path
 
@@ -146,9 +146,9 @@ def test_a_device_that_is_not_there_is_told(tmp_path: Path, platform: str) -> No
         pytest.skip("it is there")
     write_params(tmp_path / "params.yaml")
     program = (
-        "import clothkit, clothkit.stage, jax.numpy\n"
+        "import clothkit, clothkit.runtime.stage, jax.numpy\n"
         "clothkit.__file__ = 'src/clothkit/__init__.py'\n"
-        "with clothkit.stage.stage('regularise'): jax.numpy.zeros(1)"
+        "with clothkit.runtime.stage.stage('regularise'): jax.numpy.zeros(1)"
     )
     environment = {**os.environ, "PYTHONPATH": str(ROOT / "src"), "JAX_PLATFORMS": platform}
     ended = subprocess.run(

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from clothkit.errors import InputError, system_error
+from clothkit.runtime.errors import InputError, system_error
 
 
 def read_json(path: Path, *, expected: str) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from clothkit.errors import InputError, system_error, untold_error
+from clothkit.runtime.errors import InputError, system_error, untold_error
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from clothkit.errors import system_error
+from clothkit.runtime.errors import system_error
 
 ARRIVING, REPLACED = ".arriving", ".replaced"
 """Suffixes of the hidden names beside an output: of the new one before it is renamed in, and of the old one after."""
