@@ -1,4 +1,4 @@
-"""dvc.yaml lists the code that each stage runs: folders where a stage uses a quarter of a package or more, else modules."""
+"""dvc.yaml lists the code of each stage: folders where it uses a quarter of a package or more, else modules."""
 
 import ast
 import re
