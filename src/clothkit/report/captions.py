@@ -21,7 +21,11 @@ MEMORY = (
     "cloth that is observed in a new frame, in which the old trace means nothing: there it is dropped after each "
     "observation, so that sessions of mesh systems do without this mechanism of the paper's. "
 )
-MEMORY_STUDY = "[A study](studies/memory.csv) tells what it is worth.\n"
+MEMORY_STUDY = (
+    "[A study](studies/memory.csv) on {sequences} validation sequences measured what it is worth: with the trace "
+    "carried on into the new frame, the error of predictions changes by {low:+.4f} to {high:+.4f}, depending on the "
+    "task (above zero, the trace does harm; p at most {p:.2g}).\n"
+)
 MEMORY_UNKNOWN = "What it is worth was not measured for this report.\n"
 MISSING = "Not measured in this report.\n"
 PAPER = (

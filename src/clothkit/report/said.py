@@ -35,8 +35,18 @@ def descriptions(contents: Contents) -> str:
     if not made_with.canonical:
         return ""
     voxels = captions.VOXELS_CANONICAL if made_with.voxels_canonical else captions.VOXELS_AS_THEY_ARE
-    study = captions.MEMORY_STUDY if contents.studied else captions.MEMORY_UNKNOWN
-    return f"{captions.CANONICAL}; {voxels}. {captions.MEMORY}{study}"
+    return f"{captions.CANONICAL}; {voxels}. {captions.MEMORY}{_memory(contents)}"
+
+
+def _memory(contents: Contents) -> str:
+    """What carrying the memory trace on was worth, by the study of it."""
+    if contents.memory is None:
+        return captions.MEMORY_UNKNOWN
+    carried = contents.memory[contents.memory["system"] == "carried"]
+    difference = carried["difference"]
+    return captions.MEMORY_STUDY.format(
+        sequences=int(carried["sequences"].min()), low=difference.min(), high=difference.max(), p=carried["p"].max()
+    )
 
 
 def viewport(contents: Contents, name: str, in_meshes: str) -> str:
