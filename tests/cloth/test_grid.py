@@ -1,6 +1,6 @@
 import numpy as np
 
-from clothkit.cloth.grid import CLOTH_SIDE, edges, flat, geodesic, springs, triangles
+from clothkit.cloth.grid import CLOTH_SIDE, edges, flat, geodesic, springs, thinned, triangles
 
 
 def test_flat_cloth_spans_the_normalised_square() -> None:
@@ -35,3 +35,10 @@ def test_springs_join_the_neighbours_of_equation_11() -> None:
     assert {tuple(pair) for pair in ends.tolist()} == expected
     positions = flat(side).reshape(-1, 3)
     np.testing.assert_allclose(np.linalg.norm(positions[ends[:, 0]] - positions[ends[:, 1]], axis=-1), rest, rtol=1e-5)
+
+
+def test_kept_vertices_by_hand() -> None:
+    """Every fourth from both ends of a side, so that the same ones are kept whichever end is the first."""
+    mesh = np.stack(np.meshgrid(np.arange(32), np.arange(32), indexing="ij"), axis=-1)
+    kept = thinned(mesh, 4)
+    assert kept[:, 0, 0].tolist() == kept[0, :, 1].tolist() == [1, 5, 9, 13, 18, 22, 26, 30]

@@ -23,6 +23,7 @@ from clothkit.planning.search import (
     Problem,
     SearchConfig,
     _Best,
+    _first_state,
     _least,
     _move,
     _some_near,
@@ -334,3 +335,16 @@ def test_inverse_table() -> None:
     mesh = toy.bent()
     for k in range(COUNT):
         np.testing.assert_array_equal(relabel(relabel(mesh, k), int(INVERSE[k])), mesh)
+
+
+def test_a_carried_plan_starts_once_in_each_common_equivalent() -> None:
+    mesh, plan = (
+        toy.bent(),
+        np.array([[-1.0, -1.0, -1.0, -1.0, 0.7, 0.4], [0.9, 0.2, -0.3, 0.1, 0.5, -0.6]], np.float32),
+    )
+    asked = problem(mesh, mesh, 2, carried=plan, later=np.bool_(True), relative=np.int32(0))
+    state = _first_state(toy.FORWARD, jax.tree.map(jnp.asarray, asked), 2, toy.SEARCH)
+    assert state.strains.common[:COUNT].tolist() == list(range(COUNT))
+    assert state.restart.tolist() == [False] * COUNT + [True] * (64 - COUNT)
+    expected = [relabel_manipulation(plan, k) for k in range(COUNT)]
+    np.testing.assert_allclose(state.strains.plan[:COUNT], expected, atol=1e-6)
