@@ -338,10 +338,8 @@ def test_inverse_table() -> None:
 
 
 def test_a_carried_plan_starts_once_in_each_common_equivalent() -> None:
-    mesh, plan = (
-        toy.bent(),
-        np.array([[-1.0, -1.0, -1.0, -1.0, 0.7, 0.4], [0.9, 0.2, -0.3, 0.1, 0.5, -0.6]], np.float32),
-    )
+    mesh = toy.bent()
+    plan = np.array([[-1.0, -1.0, -1.0, -1.0, 0.7, 0.4], [0.9, 0.2, -0.3, 0.1, 0.5, -0.6]], np.float32)
     asked = problem(mesh, mesh, 2, carried=plan, later=np.bool_(True), relative=np.int32(0))
     state = _first_state(toy.FORWARD, jax.tree.map(jnp.asarray, asked), 2, toy.SEARCH)
     assert state.strains.common[:COUNT].tolist() == list(range(COUNT))
