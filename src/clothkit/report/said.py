@@ -40,9 +40,10 @@ def descriptions(contents: Contents) -> str:
 
 def _memory(contents: Contents) -> str:
     """What carrying the memory trace on was worth, by the study of it."""
-    if contents.memory is None:
+    study = contents.memory
+    carried = None if study is None else study[study["system"] == "carried"]
+    if carried is None or carried.empty:
         return captions.MEMORY_UNKNOWN
-    carried = contents.memory[contents.memory["system"] == "carried"]
     difference = carried["difference"]
     return captions.MEMORY_STUDY.format(
         sequences=int(carried["sequences"].min()), low=difference.min(), high=difference.max(), p=carried["p"].max()
