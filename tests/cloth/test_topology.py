@@ -210,3 +210,10 @@ REFUSED: list[tuple[Callable[[], Topology], str]] = [
 def test_parts_that_do_not_fit_together_are_refused(made: Callable[[], Topology], told: str) -> None:
     with pytest.raises(ValueError, match=told):
         made()
+
+
+def test_kept_vertices_by_hand() -> None:
+    """Every fourth from both ends of a side, so that the same ones are kept whichever end is the first."""
+    mesh = np.stack(np.meshgrid(np.arange(32), np.arange(32), indexing="ij"), axis=-1)
+    kept = thinned(mesh, 4)
+    assert kept[:, 0, 0].tolist() == kept[0, :, 1].tolist() == [1, 5, 9, 13, 18, 22, 26, 30]

@@ -10,7 +10,7 @@ from scipy.stats import norm
 from clothkit.cloth import voxels
 from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.cloth.topology import SQUARE
-from clothkit.evaluation.occupancy import differences, occluded_occupancy, occupancy
+from clothkit.evaluation.occupancy import TALL, differences, occluded_occupancy, occupancy
 
 
 def prediction(seed: int, *, spread: float = 0.1, batch: int = 1) -> ProbabilisticMesh:
@@ -99,3 +99,9 @@ def test_differences_by_hand() -> None:
     truth = np.zeros(a.shape, bool)
     truth[0, 3, 4, 5] = truth[0, 0, 0, 0] = True
     np.testing.assert_allclose(differences(a, truth), [1.75 / 16384, 1 / 16384], rtol=1e-6)
+
+
+def test_the_high_viewport_is_four_times_finer_in_z() -> None:
+    """Height 0.25 in 16 voxels, width 2 in 32: what the paper's text says of the ratio."""
+    assert TALL == 0.25
+    assert (2 / 32) / (TALL / 16) == 4

@@ -16,7 +16,7 @@ from clothkit.manipulation.vector import is_null
 from clothkit.planning.initial import EXTENT, FOLD_POINT, RASTER
 from clothkit.planning.mesh_representation import MESH
 from clothkit.planning.objective import Accuracy, Fixed, Objective, Range, Weights, evaluate, objective_of
-from clothkit.planning.search import SearchConfig, search
+from clothkit.planning.search import SearchConfig, carried_plans, search
 from clothkit.planning.types import UNKNOWN, Candidates, Found, Problem
 from clothkit.planning.uncertainty import uncertainty
 from tests.planning import toy
@@ -279,3 +279,15 @@ def test_inverse_table() -> None:
     mesh = toy.bent()
     for k in range(COUNT):
         np.testing.assert_array_equal(relabel(relabel(mesh, k), int(INVERSE[k])), mesh)
+
+
+def test_a_carried_plan_begins_a_later_search_once_in_each_common_equivalent() -> None:
+    mesh = toy.bent()
+    plan = np.array([[-1.0, -1.0, -1.0, -1.0, 0.7, 0.4], [0.9, 0.2, -0.3, 0.1, 0.5, -0.6]], np.float32)
+    asked = problem(mesh, mesh, 2, carried=plan, later=np.bool_(True), relative=np.int32(3))
+    initial = carried_plans(MESH, asked)
+    np.testing.assert_array_equal(initial.plans.plan, np.broadcast_to(plan, (COUNT, 2, 6)))
+    assert initial.plans.labels[0].tolist() == list(range(COUNT))
+    assert initial.plans.labels[1].tolist() == [3] * COUNT
+    assert initial.given.all()
+    assert not carried_plans(MESH, asked._replace(later=np.bool_(False))).given.any()

@@ -116,8 +116,12 @@ def test_a_study_of_the_memory_trace_is_linked_where_there_is_one(tmp_path: Path
     shown = contents_of(tmp_path / "report", SYSTEMS)
     assert "The effect was not measured for this report." in page("Report: laptop", parts_of(shown))
     (tmp_path / "report/studies").mkdir()
-    (tmp_path / "report/studies/memory.csv").write_text("system\n")
-    assert "[A study](studies/memory.csv)" in page("Report: laptop", parts_of(pages.read(tmp_path / "report")))
+    rows = ("carried,1/1,40,0.0042,0.0001", "carried,2/1,38,-0.001,0.03", "none,1/1,,,", "frame,1/1,40,0.3,0.5")
+    (tmp_path / "report/studies/memory.csv").write_text("\n".join(("system,column,sequences,difference,p", *rows)))
+    told = page("Report: laptop", parts_of(pages.read(tmp_path / "report")))
+    assert "[A study](studies/memory.csv) on 38 validation sequences" in told
+    assert "changes by -0.0010 to +0.0042" in told
+    assert "p at most 0.03)" in told
 
 
 def test_whole_figures_stay_figures_and_counts_stay_counts(tmp_path: Path) -> None:

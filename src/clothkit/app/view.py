@@ -104,8 +104,9 @@ def command(
         with tempfile.TemporaryDirectory(prefix="clothkit-view-") as uploads:
             name_of_host = "localhost" if host in ("127.0.0.1", "0.0.0.0") else f"[{host}]" if ":" in host else host
             address = f"http://{name_of_host}:{server.get_port()}"
-            click.echo(f"{address} (Ctrl-C ends it)")
             build(server, data=data, chosen=name, own=own, settings=settings, options=options, uploads=Path(uploads))
+            # Not before the page is there: an interrupt while stores are read would leave tracebacks of zarr's threads.
+            click.echo(f"{address} (Ctrl-C ends it)")
             if not no_browser and _has_screen():
                 webbrowser.open(address)
             threading.Event().wait()

@@ -280,17 +280,19 @@ def save(path: Path, parts: Iterable[Sessions], attributes: dict[str, Any]) -> N
     """Write the sessions of several batches as one zarr v3 group, with one task per chunk and SHARD tasks per shard."""
     # Zarr has no stable type for strings, so the names of the splits are stored as an attribute.
     group = zarr.open_group(path, mode="w", zarr_format=3, attributes={**attributes, "splits": list(SPLITS)})
+    # Arrays are kept, because one that is opened anew would leave out chunks of zeros.
+    arrays: dict[str, zarr.Array] = {}
     for block in _blocks(parts, SHARD):
         for name, field in FIELDS.items():
             values = getattr(block, name)
             if name == "split":
                 values = np.array([SPLITS.index(value) for value in values], np.int8)
-            if name in group:
-                group[name].append(values)  # type: ignore[union-attr]
+            if name in arrays:
+                arrays[name].append(values)
                 continue
             chunk = tuple(max(1, length) for length in values.shape[1:])
             shards = (SHARD, *chunk)
-            group.create_array(
+            arrays[name] = group.create_array(
                 name,
                 data=values,
                 chunks=(1, *chunk),

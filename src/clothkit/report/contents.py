@@ -26,6 +26,9 @@ COUNTS = (
 )
 """Columns of counts and indices, which stay integers; other columns of numbers are read as floats."""
 
+MEMORY = ("system", "column", "sequences", "difference", "p")
+"""Columns of the study of the memory trace."""
+
 
 @dataclass(frozen=True)
 class Contents:
@@ -38,8 +41,8 @@ class Contents:
     """The captions of the pictures that exist, by name."""
     planned: Mapping[str, int]
     """Number of sequences that were planned for, by split."""
-    studied: bool
-    """Whether there is a study of the memory trace's effect."""
+    memory: pd.DataFrame | None
+    """The study of the memory trace's effect (studies/memory.py), if there is one."""
 
 
 def read(folder: Path, columns: Mapping[str, tuple[str, ...]], captions: Mapping[str, str]) -> Contents:
@@ -58,7 +61,7 @@ def read(folder: Path, columns: Mapping[str, tuple[str, ...]], captions: Mapping
         tables={name: enough(table, planned) for name, table in tables.items()},
         figures=_figures(folder / "figures", captions),
         planned=planned,
-        studied=(folder / "studies/memory.csv").is_file(),
+        memory=_table(study, MEMORY) if (study := folder / "studies/memory.csv").is_file() else None,
     )
 
 

@@ -42,8 +42,19 @@ def descriptions(report: Report) -> str:
     if not settings.canonical:
         return ""
     voxels = captions.VOXELS_CANONICAL if settings.voxels_canonical else captions.VOXELS_AS_THEY_ARE
-    study = captions.MEMORY_STUDY if report.contents.studied else captions.MEMORY_UNKNOWN
-    return f"{captions.CANONICAL}; {voxels}. {captions.MEMORY}{study}"
+    return f"{captions.CANONICAL}; {voxels}. {captions.MEMORY}{_memory(report.contents)}"
+
+
+def _memory(contents: Contents) -> str:
+    """The effect of carrying on the memory trace, as measured by its study."""
+    study = contents.memory
+    carried = None if study is None else study[study["system"] == "carried"]
+    if carried is None or carried.empty:
+        return captions.MEMORY_UNKNOWN
+    difference = carried["difference"]
+    return captions.MEMORY_STUDY.format(
+        sequences=int(carried["sequences"].min()), low=difference.min(), high=difference.max(), p=carried["p"].max()
+    )
 
 
 def viewport_of_planning(report: Report) -> str:
