@@ -323,7 +323,7 @@ def test_memory_does_not_grow_with_the_number_of_tasks(tmp_path: Path, monkeypat
 def test_a_shard_of_zeros_is_written_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """All tasks of the second shard are of the training split, whose code is zero: its file must be there, too."""
     monkeypatch.setattr(record, "SHARD", 2)
-    sessions, _ = run_sessions(tasks(Task(0, 0, 1), Task(1, 1, 1)), toy.planner("b1"), toy.execute)
+    sessions = run_sessions(tasks(Task(0, 0, 1), Task(1, 1, 1)), toy.planner("b1"), toy.execute)
     other = dataclasses.replace(sessions, split=np.array(["train"] * 2, "U10"))
     save(tmp_path / "sessions.zarr", [sessions, other], {})
     assert (tmp_path / "sessions.zarr/split/c/1").is_file()

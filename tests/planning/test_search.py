@@ -66,7 +66,8 @@ def find(
 
 def accuracy(goal: jax.Array, outcome: ProbabilisticMesh, span: Range) -> jax.Array:
     """An accuracy term of eq. (13), for a whitened goal."""
-    return (nll(goal, whiten_probabilistic(outcome)) - span.low) / (span.high - span.low)
+    low, high = span.low[-1], span.high[-1]
+    return (nll(goal, whiten_probabilistic(outcome)) - low) / (high - low)
 
 
 def first(found: Found) -> Found:
