@@ -117,7 +117,12 @@ def space_of(representation: Representation, problem: Problem, length: int, *, f
             like_data &= folds(problem.covered, grasps, first)
         return like_data
 
-    return Space(length, problem.candidates.grasps, problem.candidates.present, sample, valid)
+    def variants(plans: Plans) -> Plans:
+        count, labels = len(plans.plan), representation.labels
+        repeated = jax.tree.map(lambda leaf: jnp.repeat(leaf, labels, axis=0), plans)
+        return repeated._replace(labels=(jnp.tile(jnp.arange(labels), count), repeated.labels[1]))
+
+    return Space(length, problem.candidates.grasps, problem.candidates.present, sample, valid, variants)
 
 
 def carried_plans(representation: Representation, problem: Problem) -> Initial:

@@ -12,9 +12,9 @@ import numpy as np
 from annotated_types import Ge, Gt, Le
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
+from clothkit.cloth.topology import SQUARE
 from clothkit.manipulation.vector import is_single
 from clothkit.planning.irprop import IRpropConfig, irprop_minus
-from clothkit.planning.optimisers.population import lowest
 from clothkit.planning.optimisers.space import (
     Best,
     Evaluate,
@@ -50,40 +50,47 @@ class GradientConfig:
     near: Annotated[float, Ge(0), Le(1)] = 0.0
     """Share of the restarts that begin near the best plan so far, instead of at a random plan."""
     halvings: Annotated[int, Ge(0)] = 0
-    """How often only the better half of the strains is kept, at equal intervals of iterations; compare successive
-    halving (Jamieson and Talwalkar, AISTATS 2016)."""
+    """How often only the better half of the strains is kept: successive halving (Jamieson and Talwalkar, AISTATS 2016).
+    Every round evaluates as many plans, so that its iterations double when its strains are halved; the iterations above
+    are those of the last round. After each round, the best strains go on in the labels that suit them best."""
     irprop: IRpropConfig = IRpropConfig()
 
     def __post_init__(self) -> None:
-        if self.strains % 2**self.halvings:
-            raise ValueError(f"strains must be a multiple of {2**self.halvings}, to be halved {self.halvings} times")
+        parts = 2**self.halvings
+        for name in ("strains", "base_iterations", "iterations_per_step"):
+            if getattr(self, name) % parts:
+                raise ValueError(f"{name} must be a multiple of {parts}, because strains are halved {self.halvings} times")
 
     @property
     def finalists(self) -> int:
-        """The strains that are left at the end."""
+        """The strains that are left in the last round. As many are moved at a time in all rounds."""
         return self.strains >> self.halvings
 
     def iterations(self, length: int) -> int:
-        """Number of iterations in a search for plans of this length; each evaluates every strain's loss once."""
+        """Number of iterations of the last round in a search for plans of this length."""
         return self.base_iterations + self.iterations_per_step * length
 
     def rounds(self, length: int) -> list[tuple[int, int]]:
         """The number of strains and of iterations in each round of the search, between halvings."""
-        ends = np.linspace(0, self.iterations(length), self.halvings + 2).round().astype(int)
-        return [(self.strains >> index, int(count)) for index, count in enumerate(np.diff(ends))]
+        last, halvings = self.iterations(length), self.halvings
+        return [(self.strains >> number, last >> (halvings - number)) for number in range(halvings + 1)]
 
     def evaluations(self, length: int) -> int:
-        """Number of plans of this length that a search evaluates, all but those for screening with gradients."""
+        """Number of plans of this length that a search evaluates.
+
+        Those for screening, and those of finalists in all labels of a square cloth after each round, need no gradients.
+        """
         screened = self.strains * self.screen if self.screen > 1 else 0
-        return screened + sum(strains * iterations for strains, iterations in self.rounds(length))
+        labelled = (self.halvings + 1) * self.finalists * SQUARE.count if self.halvings else 0
+        return screened + labelled + sum(strains * iterations for strains, iterations in self.rounds(length))
 
     def shape(self, length: int) -> tuple[int, int]:
-        """Iterations and strains."""
-        return self.iterations(length), self.strains
+        """Iterations of all rounds, each of as many strains as the last round has, and that number."""
+        return (self.halvings + 1) * self.iterations(length), self.finalists
 
     def starts(self, length: int) -> int:
         """How often a strain can start: it goes on for at least `patience` iterations."""
-        return self.iterations(length) // self.patience + 1
+        return self.shape(length)[0] // self.patience + 1
 
 
 class _Strains(NamedTuple):
@@ -109,16 +116,20 @@ def descend(
 ) -> Outcome:
     """Search by gradient descent; the first strains start from the initial plans, the others from random ones.
 
-    A strain whose plan is not valid restarts at once. The rows of the best plans are strains.
+    A strain whose plan is not valid restarts at once. The rows of the best plans are strains. Groups of strains take
+    turns, each as large as the last round's, so that one compiled iteration serves all rounds.
     """
+    size, rounds = settings.finalists, settings.rounds(space.length)
 
-    def iterate(state: _State, key: PRNGKeyArray) -> tuple[_State, tuple[Array, Array]]:
+    def iterate(state: _State, turn: tuple[Array, PRNGKeyArray]) -> tuple[_State, tuple[Array, Array]]:
+        first, key = turn
+        rows = first + jnp.arange(size)
         key_fresh, key_near = jax.random.split(key)
-        count = len(state.restart)
-        drawn = space.sample(count, key=key_fresh)
+        drawn = space.sample(size, key=key_fresh)
         if settings.near:
             drawn = _some_near(state.best, drawn, settings.near, key=key_near)
-        strains = select(state.restart, _started(drawn, settings.irprop), state.strains)
+        group = take(rows, state)
+        strains = select(group.restart, _started(drawn, settings.irprop), group.strains)
 
         def total(plan: Float[Array, "strains n 6"]) -> tuple[Array, tuple]:
             evaluation = evaluate(Plans(plan, strains.plans.labels))
@@ -126,26 +137,26 @@ def descend(
 
         gradient, (loss, labels) = jax.grad(total, has_aux=True)(strains.plans.plan)
         loss = masked(loss, space.valid(strains.plans))
-        best = select(loss < state.best.loss, Best(strains.plans, labels, loss), state.best)
+        best = select(loss < group.best.loss, Best(strains.plans, labels, loss), group.best)
         stale = jnp.where(loss < strains.lowest, 0, strains.stale + 1)
         restart = jnp.isinf(loss) | (stale >= settings.patience)
         strains = _moved(strains, gradient, settings.irprop)
         strains = strains._replace(lowest=jnp.minimum(loss, strains.lowest), stale=stale)
-        return _State(strains, best, restart), (loss, restart)
+        moved = _State(strains, best, restart)
+        return jax.tree.map(lambda all, some: all.at[rows].set(some), state, moved), (loss, restart)
+
+    def pursue(state: _State, turns: tuple[Array, PRNGKeyArray]) -> tuple[_State, tuple[Array, Array]]:
+        state, record = jax.lax.scan(iterate, state, turns)
+        return (_sorted(evaluate, space, settings, state) if settings.halvings else state), record
 
     key_first, key_search = jax.random.split(key)
     state = _first_state(evaluate, space, settings, initial, key=key_first)
-    keys = jax.random.split(key_search, settings.iterations(space.length))
-    record = []
-    for strains, iterations in settings.rounds(space.length):
-        if strains < len(state.restart):
-            state = take(lowest(state.best.loss, strains), state)
-        state, (losses, restarts) = jax.lax.scan(iterate, state, keys[:iterations])
-        keys = keys[iterations:]
-        missing = ((0, 0), (0, settings.strains - strains))
-        record.append((jnp.pad(losses, missing, constant_values=jnp.inf), jnp.pad(restarts, missing)))
-    losses, restarts = (jnp.concatenate(parts) for parts in zip(*record, strict=True))
-    return Outcome(state.best, losses, restarts)
+    last = settings.iterations(space.length)
+    first = jnp.array([np.arange(last) % (strains // size) * size for strains, _ in rounds])
+    keys = jax.random.split(key_search, len(rounds) * last).reshape(len(rounds), last)
+    state, record = jax.lax.scan(pursue, state, (first, keys))
+    losses, restarts = (values.reshape(-1, size) for values in record)
+    return Outcome(take(jnp.arange(size), state.best), losses, restarts)
 
 
 def _first_state(
@@ -161,6 +172,25 @@ def _first_state(
     plans, given = begin_with(initial, count, drawn)
     best = Best(plans, plans.labels, jnp.full(count, jnp.inf))
     return _State(_started(plans, settings.irprop), best, restart=~given & (settings.screen == 1))
+
+
+def _sorted(evaluate: Evaluate, space: Space, settings: GradientConfig, state: _State) -> _State:
+    """The strains in order of their best plans, from which they go on.
+
+    As many as there are in the last round are tried in all labels, and go on in those of the lowest loss.
+    """
+    strains, best, restart = take(jnp.argsort(state.best.loss), state)
+    leading = jnp.arange(settings.finalists)
+    variants = space.variants(take(leading, best.plans))
+    found = evaluate(variants)
+    loss = masked(found.loss, space.valid(variants)).reshape(len(leading), -1)
+    rows = leading * loss.shape[1] + jnp.argmin(loss, axis=1)
+    tried = Best(take(rows, variants), take(rows, found.labels), loss.min(axis=1))
+    better = select(tried.loss < best.loss[leading], tried, take(leading, best))
+    best = jax.tree.map(lambda all, some: all.at[leading].set(some), best, better)
+    # A strain that is at its best plan keeps its step sizes.
+    elsewhere = restart | (best.loss < strains.lowest)
+    return _State(select(elsewhere, _started(best.plans, settings.irprop), strains), best, jnp.isinf(best.loss))
 
 
 def _some_near(best: Best, drawn: Plans, share: float, *, key: PRNGKeyArray) -> Plans:

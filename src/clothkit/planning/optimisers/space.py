@@ -48,6 +48,8 @@ class Space(NamedTuple):
     Where labels are assigned in turn, each `draws` (default 1) consecutive plans have the same."""
     valid: Callable[[Plans], Bool[Array, " plans"]]
     """Whether the plans meet all restrictions; one that doesn't is never chosen."""
+    variants: Callable[[Plans], Plans] = lambda plans: plans
+    """count plans -> count * k plans: each k consecutive ones are one plan with all labels that it can have."""
 
 
 class Evaluation(NamedTuple):
