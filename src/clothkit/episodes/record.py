@@ -202,11 +202,6 @@ def record(tasks: Tasks, steps: Sequence[Step], sizes: Sizes) -> Sessions:
     return Sessions(**fields)
 
 
-def blank(tasks: Tasks, sizes: Sizes) -> Sessions:
-    """Records of sessions that have not started."""
-    return record(tasks, [], sizes)
-
-
 def _short(plan: Plan) -> Bool[np.ndarray, " acting"]:
     return np.asarray(is_null(plan.manipulations[:, 0]))
 

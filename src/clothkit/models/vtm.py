@@ -5,8 +5,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree, Shaped
 from numpy import ndarray
 
-from clothkit.cloth.equivalents import COUNT, SWAP, equivalents, relabel
 from clothkit.cloth.mesh import Mesh, ProbabilisticMesh, distance
+from clothkit.cloth.symmetry import equivalents, relabel
+from clothkit.cloth.topology import SQUARE, SWAP
 from clothkit.cloth.voxels import RESOLUTION, observe
 from clothkit.manipulation.turns import turn_mesh
 from clothkit.models.canonical import axes, lies_along_y
@@ -50,7 +51,7 @@ def estimate(net: Net, voxels: Shaped[Array | ndarray, "*batch 32 32 16"]) -> Pr
     views are equal in pairs, so only four are computed.
     """
     voxels = jnp.asarray(voxels)
-    count = COUNT if net.config.views > 1 else 1
+    count = SQUARE.count if net.config.views > 1 else 1
     views = [seen_as(net, voxels, k) for k in range(0, count, 2 if net.config.canonical else 1)]
     if len(views) == 1:
         return views[0]
