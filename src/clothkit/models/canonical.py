@@ -8,7 +8,7 @@ A mesh is rotated or mirrored to bring its vertices as close as possible to thos
 Procrustes). Eight descriptions, one for each equivalent, remain possible. The canonical one has its larger second
 moment along x, and third moments in x and y that are not negative. For a flat cloth all eight are equal. Voxels can be
 rotated by right angles and mirrored only: the input of the voxel EM*D is the canonical one of these eight versions. The
-input of VtM has its larger second moment along x; mirrored versions are covered by the views of `vtm.estimate`.
+input of VtM has its larger second moment along x; mirrored versions are covered by `vtm.Views`.
 """
 
 from collections.abc import Callable
