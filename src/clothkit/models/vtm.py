@@ -1,7 +1,7 @@
 """VtM, the voxel-to-mesh net: seven fully connected layers, probabilistic output (section 4.7, design 6.3)."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import flax.linen as nn
 import jax.numpy as jnp
@@ -45,6 +45,7 @@ def seen_by(net: Net, mesh: Float[Array | ndarray, "*batch u v 3"]) -> Bool[Arra
     return observe(mesh, height=net.config.height)
 
 
+@runtime_checkable
 class Estimator(Protocol):
     """VtM as a pure function of a net's weights."""
 
