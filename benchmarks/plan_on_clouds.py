@@ -25,13 +25,13 @@ from tables import show
 
 from clothkit.app.output import write_mesh
 from clothkit.cloth import voxels
-from clothkit.cloth.grid import CLOTH_SIDE
+from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.dataset import store
 from clothkit.observation.camera import CameraConfig, back_project
 from clothkit.observation.picture import PictureConfig, take
 
 PICTURE = PictureConfig(camera=CameraConfig(tilt=0.35), off=0.0)
-SCALE = PICTURE.side / CLOTH_SIDE
+SCALE = PICTURE.side / CLOTH_LENGTH
 
 
 def clothkit(*arguments: object) -> str:

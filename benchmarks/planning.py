@@ -27,8 +27,8 @@ import numpy as np
 from tables import show
 from timed import least
 
-from clothkit.cloth.grid import SIDE, flat
 from clothkit.cloth.silhouette import silhouette
+from clothkit.cloth.topology import SQUARE
 from clothkit.cloth.voxels import observe
 from clothkit.estimation.estimate import estimate, estimate_unrefined
 from clothkit.models import emd_voxel, pemd, vtm
@@ -57,7 +57,7 @@ def problems(
 ) -> Problem:
     """Return a batch of problems whose state and goal are the flat cloth."""
     voxels = representation is VOXEL
-    state = np.asarray(observe(flat())) if voxels else flat()
+    state = np.asarray(observe(SQUARE.flat())) if voxels else SQUARE.flat()
     grasps = np.zeros((CANDIDATES, 2), np.float32)
     grasps[: len(CORNERS)] = 0.7 * CORNERS if voxels else CORNERS
     widths = [jax.eval_shape(model.encode, net, jnp.asarray(state)).shape[-1] for net in nets]
@@ -69,7 +69,7 @@ def problems(
         relative=np.array(0 if voxels else UNKNOWN),
         later=np.array(False),
         carried=np.zeros((length, 6), np.float32),
-        covered=silhouette(flat(), resolution=RASTER, extent=EXTENT),
+        covered=silhouette(SQUARE.flat(), resolution=RASTER, extent=EXTENT),
     )
     return jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[None], batch, axis=0), one)
 
@@ -159,7 +159,7 @@ def estimates(stages: Any, batch: int, rounds: int) -> list[dict]:
     net = Net(settings, vtm.initial(settings, key=jax.random.key(0)))
     found = []
     for count in sorted({1, batch}):
-        seen = np.repeat(np.asarray(observe(flat()))[None], count, axis=0)
+        seen = np.repeat(np.asarray(observe(SQUARE.flat()))[None], count, axis=0)
         calls: dict[str, Callable[[], Any]] = {
             "VtM": partial(estimate_unrefined, net, seen),
             "refined": partial(estimate, net, seen, stages.plan.refine),
@@ -176,7 +176,7 @@ def main() -> None:
     parser.add_argument("systems", nargs="*", metavar="SYSTEM")
     parser.add_argument("--scale")
     parser.add_argument("--strains", type=int)
-    parser.add_argument("--stride", type=int, choices=[e for e in range(1, SIDE + 1) if SIDE % e == 0])
+    parser.add_argument("--stride", type=int, choices=[n for n in range(1, 33) if SQUARE.shape[0] % n == 0])
     parser.add_argument("--batch", type=int)
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--csv", type=Path, metavar="FOLDER", help="write the tables there, too")

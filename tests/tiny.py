@@ -13,7 +13,7 @@ from ruamel.yaml import YAML
 
 from clothkit.app.output import write_mesh
 from clothkit.cloth import voxels
-from clothkit.cloth.grid import flat, triangles
+from clothkit.cloth.topology import SQUARE
 from clothkit.dataset import store as meshes
 from clothkit.dataset.augment import augment
 from clothkit.dataset.regularise import regularise
@@ -72,7 +72,7 @@ def write_nets(folder: Path, members: Sequence[int] = MEMBERS) -> None:
 def write_files(folder: Path) -> None:
     """A cloth as mesh, voxels and cloud, goals, and what tells the cloth from the table."""
     bent = folded(angle=0.3)
-    write_mesh(folder / "start.obj", flat().astype(float) * SCALE + [*AT, 0])
+    write_mesh(folder / "start.obj", SQUARE.flat().astype(float) * SCALE + [*AT, 0])
     write_mesh(folder / "bent.obj", bent.astype(float) * SCALE + [*AT, 0])
     write_mesh(folder / "goal.glb", folded(along=0.0).astype(float) * SCALE)
     np.save(folder / "voxels.npy", np.asarray(voxels.observe(bent)))
@@ -83,8 +83,8 @@ def write_files(folder: Path) -> None:
     np.save(folder / "points.npy", cloud.points)
     np.save(folder / "mask.npy", cloud.cloth)
     other = np.random.default_rng(0).permutation(1024)
-    faces = np.argsort(other)[triangles()]
-    rows = (flat().astype(float) * SCALE).reshape(-1, 3)[other]
+    faces = np.argsort(other)[SQUARE.triangles()]
+    rows = (SQUARE.flat().astype(float) * SCALE).reshape(-1, 3)[other]
     text = [f"v {x} {y} {z}" for x, y, z in rows.tolist()]
     text += [f"f {a} {b} {c}" for a, b, c in (faces + 1).tolist()]
     (folder / "surface.obj").write_text("\n".join(text) + "\n")
@@ -130,7 +130,7 @@ def attempts(accepted: int = 10) -> Attempts:
     count = accepted + 1
     states = np.zeros((count, 4, 32, 32, 3), np.float32)
     for k in range(count):
-        shapes = [flat(), *(folded(along=0.5 - 0.2 * i, angle=0.1 * k) for i in range(3))]
+        shapes = [SQUARE.flat(), *(folded(along=0.5 - 0.2 * i, angle=0.1 * k) for i in range(3))]
         states[k] = np.stack(shapes) * SCALE + np.array([0.002 * k, 0, 0.001], np.float32)
     measured = np.full((count, 4), 0.001, np.float32)
     manipulation = np.tile(np.array([1, -1, 1, 1, -0.8, 0.1], np.float32), (count, 3, 1))
@@ -162,7 +162,7 @@ def sessions(dataset: meshes.Dataset) -> Sessions:
     tasks = tasks_of_dataset(dataset, tasks_of(sequence, 3), "test")
     assert tasks.recorded is not None
     sizes = Sizes(state=(32, 32, 3), probabilistic=True, candidate=12, net=2, iteration=10, strain=8, restart=3)
-    done = record.blank(tasks, sizes)
+    done = record.record(tasks, [], sizes)
     for row, (task, way) in enumerate(zip(tasks.task, tasks.recorded, strict=True)):
         for step in range(task.length):
             left = task.length - step

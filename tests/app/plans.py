@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from clothkit.app.output import write_mesh
-from clothkit.cloth.grid import flat
 from clothkit.cloth.silhouette import centred
+from clothkit.cloth.topology import SQUARE
 from clothkit.cloth.voxels import RESOLUTION
 from clothkit.observation.pose import Pose
 from clothkit.observation.waypoints import hand_paths, paths_from
@@ -60,7 +60,7 @@ def content(
     members = members[:1] if chosen.single else members
     several = len(members) > 1
     axes, origin = camera or (np.eye(3), np.zeros(3))
-    poses, mesh, steps = [Pose(axes, origin, np.array(AT), side / 1.4)], flat(), []
+    poses, mesh, steps = [Pose(axes, origin, np.array(AT), side / 1.4)], SQUARE.flat(), []
     start = {"state": _state(mesh, chosen.voxels, poses[0]), "centre_m": _centre(poses[0])}
     for vector in vectors:
         paths = hand_paths(vector, mesh, poses[-1])
@@ -146,7 +146,7 @@ def _centre(pose: Pose) -> list[float]:
 def write(path: Path, plan: dict[str, Any]) -> None:
     """A plan file, and the cloth that it is about as start.obj."""
     path.write_text(json.dumps(plan))
-    write_mesh(path.with_name("start.obj"), flat().astype(float) * plan["side_m"] / 1.4 + [*AT, 0])
+    write_mesh(path.with_name("start.obj"), SQUARE.flat().astype(float) * plan["side_m"] / 1.4 + [*AT, 0])
 
 
 def changed(plan: dict[str, Any], field: str, value: object) -> dict[str, Any]:

@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 
 from clothkit.app.viewer.session import Session, ShownPlan, StateEstimate, Step, error_of
-from clothkit.cloth.equivalents import relabel, relabel_manipulation
 from clothkit.cloth.silhouette import centred
+from clothkit.cloth.symmetry import relabel, relabel_manipulation
 from clothkit.dataset import store
 from clothkit.dataset.tasks import Task
-from clothkit.episodes.record import Sessions, blank, join, save, sizes_of, tasks_of_dataset
+from clothkit.episodes.record import Sessions, join, record, save, sizes_of, tasks_of_dataset
 from tests.planning import toy
 from tests.toy_dataset import dataset
 
@@ -59,7 +59,7 @@ def session() -> Session:
 def recorded(task: Task) -> Sessions:
     """A record of `session`'s sort for a task of the toy dataset, estimates under other labels."""
     planner = toy.planner("main")
-    found = blank(tasks_of_dataset(dataset(), [task], "test"), sizes_of(planner))
+    found = record(tasks_of_dataset(dataset(), [task], "test"), [], sizes_of(planner))
     n = task.length
     for i in range(n):
         plan = np.concatenate([PLAN, PLAN])[i:n]

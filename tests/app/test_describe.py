@@ -10,10 +10,10 @@ from clothkit.app.describe import PlanRequest, covered, describe, expected, fram
 from clothkit.app.inputs import Input
 from clothkit.app.plan_file import UNLIKELY, Plan, read_plan, write_plan
 from clothkit.app.planner import Planned
-from clothkit.cloth.equivalents import relabel
-from clothkit.cloth.grid import flat
 from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.cloth.silhouette import centred, iou, silhouette
+from clothkit.cloth.symmetry import relabel
+from clothkit.cloth.topology import SQUARE
 from clothkit.observation.observe import observe
 from clothkit.observation.pose import Pose
 from clothkit.observation.states import MeshState, PointCloud
@@ -59,7 +59,7 @@ def planned(nets: int = 2) -> Planned:
     apart = [np.asarray(MESH.difference(each[a], each[b])) for a, b in PAIRS if b < nets]
     none = np.zeros((8, 4), np.float32)
     return Planned(
-        state=flat(),
+        state=SQUARE.flat(),
         plan=PLAN,
         common=2,
         relative=5,
@@ -75,7 +75,7 @@ def planned(nets: int = 2) -> Planned:
 
 
 def request(goal: np.ndarray, frame: str = "camera") -> PlanRequest:
-    mesh = MeshState(flat(), np.zeros(2, np.float32), SCALE)
+    mesh = MeshState(SQUARE.flat(), np.zeros(2, np.float32), SCALE)
     seen = observe(mesh, cloth_side=SIDE)
     state = Input("start.obj", mesh, dataclasses.replace(seen, pose=POSE))
     return PlanRequest(state, Input("goal.obj", mesh, seen), goal, None, SIDE, 7, frame)
@@ -126,12 +126,12 @@ def test_places_are_in_metres_in_the_plans_frame(frame: str) -> None:
     assert (plan.state.kind, plan.goal.kind) == ("mesh", "mesh")
     np.testing.assert_allclose(plan.table.axes, AXES if frame == "camera" else np.eye(3))
     np.testing.assert_allclose(plan.table.origin_m, ORIGIN if frame == "camera" else np.zeros(3))
-    np.testing.assert_allclose(plan.start.state.vertices_m, in_metres(flat(), np.zeros(2), frame), atol=1e-6)
+    np.testing.assert_allclose(plan.start.state.vertices_m, in_metres(SQUARE.flat(), np.zeros(2), frame), atol=1e-6)
     assert plan.start.state.sigma_m is None
     moved = np.zeros(2)
     nothing = np.zeros((1, 1, 3))
     for number, step in enumerate(plan.steps):
-        grasp = in_metres((flat(), of.means[1, 0])[number], moved, frame)[-number, -number]
+        grasp = in_metres((SQUARE.flat(), of.means[1, 0])[number], moved, frame)[-number, -number]
         np.testing.assert_allclose(step.hands[0].grasp_m, grasp, atol=1e-6)
         moved = moved + SHIFTS[number]
         np.testing.assert_allclose(step.centre_m, in_metres(nothing, moved, frame)[0, 0], atol=1e-6)
@@ -151,7 +151,7 @@ def test_errors_are_those_that_the_agent_found_and_all_else_is_of_the_nets_mean(
     assert (found.error_cloth_lengths, found.error_no_action_cloth_lengths) == (0.05, 0.11)
     assert found.error_m == pytest.approx(0.05 * 0.42)
     assert found.error_no_action_m == pytest.approx(0.11 * 0.42)
-    goal, still = (silhouette(centred(mesh)[0]) for mesh in (toy.bent(), flat()))
+    goal, still = (silhouette(centred(mesh)[0]) for mesh in (toy.bent(), SQUARE.flat()))
     assert found.silhouette_iou == pytest.approx(1, abs=0.01)
     assert found.silhouette_iou_no_action == pytest.approx(iou(still, goal), abs=1e-9)
     assert found.silhouette_iou_no_action < 0.95
@@ -262,5 +262,5 @@ def test_frames_and_silhouettes() -> None:
     voxels = np.zeros((32, 32, 16), np.float32)
     voxels[3, 4, 7], voxels[5, 6, 2] = 0.5, 0.49
     assert np.argwhere(covered(voxels)).tolist() == [[3, 4]]
-    moved = flat() + np.float32([0.3, -0.2, 0])
-    assert iou(covered(moved), silhouette(flat())) > 0.98
+    moved = SQUARE.flat() + np.float32([0.3, -0.2, 0])
+    assert iou(covered(moved), silhouette(SQUARE.flat())) > 0.98

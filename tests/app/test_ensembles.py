@@ -12,7 +12,7 @@ from clothkit.app.plan_arrays import check_nets, memory_of, traces_before
 from clothkit.app.plan_file import read_plan, write_plan
 from clothkit.app.planner import Planned, begin, decide, load_planner
 from clothkit.app.settings import AppConfig
-from clothkit.cloth.grid import flat
+from clothkit.cloth.topology import SQUARE
 from clothkit.dataset import tables
 from clothkit.dataset.rows import write_rows
 from clothkit.dataset.tasks import Task
@@ -116,12 +116,12 @@ def test_rows_have_a_term_for_each_net(sessions: Sessions, planner: Planner, tmp
 def decided(planner: Planner) -> tuple[Planned, Memory, Memory]:
     """A decision for a flat cloth: the plan, and the memory before and after it."""
     before = begin(planner, toy.bent(), 1)
-    return *decide(planner, Observation(meshes=flat()[None]), before, seed=3), before
+    return *decide(planner, Observation(meshes=SQUARE.flat()[None]), before, seed=3), before
 
 
 def test_a_plan_file_says_all_that_a_later_plan_needs(planner: Planner, folder: Path, tmp_path: Path) -> None:
     planned, later, before = decided(planner)
-    mesh = MeshState(flat(), np.zeros(2, np.float32), SIDE / 1.4)
+    mesh = MeshState(SQUARE.flat(), np.zeros(2, np.float32), SIDE / 1.4)
     source = Input("start.obj", mesh, observe(mesh, cloth_side=SIDE))
     paths = paths_of(planner, planned, source.pose, MotionConfig())
     path = tmp_path / "plan.json"

@@ -14,7 +14,7 @@ import pytest
 from clothkit.app import export as app_export
 from clothkit.app.inputs import keep_compiled_programs
 from clothkit.app.output import write_mesh
-from clothkit.cloth.grid import flat
+from clothkit.cloth.topology import SQUARE
 from clothkit.models import store
 from tests.app.conftest import run, succeed
 from tests.app.plans import changed, content, write
@@ -237,7 +237,7 @@ def test_estimate_without_a_name_to_write_is_told(here: Path, files: Path) -> No
 
 def test_a_plan_in_another_frame_is_not_simulated(here: Path, files: Path) -> None:
     write(here / "plan.json", content())
-    write_mesh(here / "elsewhere.obj", flat().astype(float) * 0.4 / 1.4 + [2, 0, 0])
+    write_mesh(here / "elsewhere.obj", SQUARE.flat().astype(float) * 0.4 / 1.4 + [2, 0, 0])
     result = run("simulate", "--plan", "plan.json", "--state", "elsewhere.obj")
     assert result.exit_code == 1
     assert "plan.json: step 1 grasps" in result.stderr
@@ -279,7 +279,7 @@ def test_commands_keep_programs_in_a_temporary_folder_where_theirs_can_not_be_wr
 
 def test_a_name_as_long_as_names_may_be_can_be_written(here: Path, files: Path) -> None:
     name = "m" * 251 + ".obj"
-    write_mesh(Path(name), flat().astype(float))
+    write_mesh(Path(name), SQUARE.flat().astype(float))
     assert Path(name).is_file()
     assert [path.name for path in here.iterdir() if path.suffix == ".obj"] == [name]
 

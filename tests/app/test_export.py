@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from clothkit.app.export import main
-from clothkit.cloth.grid import geodesic
+from clothkit.cloth.topology import geodesic
 from clothkit.dataset.regularise import RegulariseConfig, regularise
 from clothkit.dataset.store import save
 
@@ -89,7 +89,7 @@ def test_meshes_of_a_store_lie_where_they_lay_in_metres(raw: Path, tmp_path: Pat
     mesh = read(tmp_path / "new/folder/sequence_0001_state_1.ply")
     corners = np.asarray(mesh.vertices)[[0, 31 * 32, 32 * 32 - 1, 31]]
     np.testing.assert_allclose(corners, position(5, 1)[:4], atol=1e-6)
-    np.testing.assert_allclose(mesh.visual.uv, (geodesic().reshape(-1, 2) + 1) / 2, atol=1e-6)
+    np.testing.assert_allclose(mesh.visual.uv, (geodesic((32, 32)).reshape(-1, 2) + 1) / 2, atol=1e-6)
     assert (mesh.face_normals[:, 2] > 0.9).all()
 
 

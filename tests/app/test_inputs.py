@@ -9,7 +9,7 @@ from clothkit.app.inputs import Input, observation_options, read_input
 from clothkit.app.planner import usage_of
 from clothkit.app.settings import AppConfig
 from clothkit.app.viewer.live_panel import keep_upload
-from clothkit.cloth.grid import triangles
+from clothkit.cloth.topology import SQUARE
 from clothkit.observation.camera import CameraConfig, back_project, render
 from clothkit.observation.states import PointCloud
 from clothkit.planning.systems import SYSTEMS
@@ -30,7 +30,7 @@ def read_with(**options: object) -> Input:
 
 def meshed(path: Path) -> Path:
     """What a camera measured, some of it joined by triangles, without colours."""
-    cloud = back_project(render(cornered(), triangles(), CAMERA))
+    cloud = back_project(render(cornered(), SQUARE.triangles(), CAMERA))
     points = cloud.points[cloud.cloth]
     return ply(path, points, [[k, k + 1, k + 2] for k in range(0, len(points) - 2, 3)])
 
@@ -49,7 +49,7 @@ def test_as_points_takes_what_is_no_grid_for_measured(tmp_path: Path) -> None:
 
 
 def test_what_is_to_be_said_of_a_file_is_said_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    cloud = back_project(render(cornered(), triangles(), CAMERA))
+    cloud = back_project(render(cornered(), SQUARE.triangles(), CAMERA))
     np.savez(tmp_path / "a.npz", points=cloud.points, mask=cloud.cloth, K=np.eye(3))
     read_with(file=tmp_path / "a.npz")
     said = capsys.readouterr()
@@ -64,8 +64,8 @@ def test_what_is_to_be_said_of_a_file_is_said_once(tmp_path: Path, capsys: pytes
 
 
 def test_meshes_are_taken_as_they_are_by_those_that_plan_from_meshes(tmp_path: Path) -> None:
-    mesh = read_with(file=glb(tmp_path / "a.glb", {"cloth": (V, triangles())}))
-    other = glb(tmp_path / "b.glb", {"cloth": (V, triangles()[:-1])})
+    mesh = read_with(file=glb(tmp_path / "a.glb", {"cloth": (V, SQUARE.triangles())}))
+    other = glb(tmp_path / "b.glb", {"cloth": (V, SQUARE.triangles()[:-1])})
     surface = read_with(file=other)
     assert (mesh.kind, surface.kind) == ("mesh", "points")
     for name, system in SYSTEMS.items():

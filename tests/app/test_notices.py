@@ -13,9 +13,9 @@ from clothkit.app.inputs import load_settings, observation_options, read_input
 from clothkit.app.output import write_mesh
 from clothkit.app.settings import AppConfig
 from clothkit.cloth import voxels
-from clothkit.cloth.grid import flat
 from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.cloth.silhouette import centre
+from clothkit.cloth.topology import SQUARE
 from clothkit.estimation.agreement import AgreementConfig
 from clothkit.estimation.estimate import Estimate
 from clothkit.observation.side import Stated
@@ -38,7 +38,7 @@ def base(here: Path) -> Path:
 
 
 def test_every_command_refuses_what_is_upside_down_and_takes_what_is_said_of_up(here: Path, base: Path) -> None:
-    np.save(here / "goal.npy", flat())
+    np.save(here / "goal.npy", SQUARE.flat())
     for command in (
         ("estimate", base),
         ("plan", "--state", base, "--goal", "goal.npy", "--steps", 1),
@@ -104,7 +104,7 @@ def test_what_is_clamped_is_said_and_stands_in_the_plan(here: Path) -> None:
     assert "% of the cloth lies higher than nets see, whose viewport ends 36 mm above the table" in notice
     seen = read_input("thick.obj", observation_options(APP, side=None, table=None))
     unknown = EstimateAgreement(0.2, 0.1, False, "thick.obj: the estimate does not explain what was seen")
-    request = PlanRequest(seen, seen, flat(), None, 0.4, 0, "table", (unknown, None))
+    request = PlanRequest(seen, seen, SQUARE.flat(), None, 0.4, 0, "table", (unknown, None))
     # Once, although state and goal are one file.
     assert notices(request) == [notice.removeprefix("notice: "), unknown.sentence]
 
@@ -132,11 +132,11 @@ def test_estimate_tells_what_it_covers_and_whether_it_explains(here: Path, files
 
 
 def test_the_least_agreement_is_a_setting(here: Path) -> None:
-    np.save(here / "flat.npy", flat())
-    assert np.abs(centre(flat())).max() < 0.01
+    np.save(here / "flat.npy", SQUARE.flat())
+    assert np.abs(centre(SQUARE.flat())).max() < 0.01
     settings = load_settings()
     seen = read_input("flat.npy", observation_options(settings.app, side=None, table=None))
-    lower = flat() * np.float32([0.9, 1, 1])
+    lower = SQUARE.flat() * np.float32([0.9, 1, 1])
     found = compare_estimate(seen, lower, settings)
     assert found.silhouette_iou == pytest.approx(found.height_iou)
     assert 0.85 < found.silhouette_iou < 0.95

@@ -17,8 +17,8 @@ from clothkit.app.plan_arrays import placed_state
 from clothkit.app.plan_file import UNLIKELY, Plan, read_plan, schema
 from clothkit.app.planner import begin, decide, for_one_cloth, turned_plan
 from clothkit.app.settings import AppConfig
-from clothkit.cloth.grid import flat
 from clothkit.cloth.mesh import distance
+from clothkit.cloth.topology import SQUARE
 from clothkit.manipulation.geometry import to_cartesian
 from clothkit.observation.camera import CameraConfig
 from clothkit.observation.files import read
@@ -166,7 +166,7 @@ def of_version_1(folder: Path) -> Path:
 
 def test_a_plan_read_back_and_simulated_does_what_it_says(here: Path, files: Path) -> None:
     """In the toy world net 0 knows exactly what hands do, so the simulated cloth is where the plan predicts it."""
-    goal = np.asarray(toy.dragged(jnp.asarray(flat()), jnp.array([-1, -1, -1, -1, 0.6, 0.5])))
+    goal = np.asarray(toy.dragged(jnp.asarray(SQUARE.flat()), jnp.array([-1, -1, -1, -1, 0.6, 0.5])))
     goal = np.asarray(toy.dragged(jnp.asarray(goal), jnp.array([1, 1, 1, 1, -0.7, -0.3])))
     np.save(here / "goal.npy", goal)
     with mock.patch.object(plan_command, "load_planner", toy_planner):
@@ -246,9 +246,9 @@ def test_a_plan_is_judged_in_the_labelling_that_was_found(
 
 @pytest.mark.parametrize("useless", [False, True])
 def test_a_turned_plan_keeps_the_decision_and_turns_its_errors(useless: bool) -> None:
-    planner, goal = toy_planner(), np.asarray(toy.dragged(jnp.asarray(flat()), jnp.asarray(0.9 * TOWARDS[0])))
+    planner, goal = toy_planner(), np.asarray(toy.dragged(jnp.asarray(SQUARE.flat()), jnp.asarray(0.9 * TOWARDS[0])))
     with finding(TOWARDS):
-        planned, _ = decide(planner, Observation(meshes=flat()[None]), begin(planner, goal, 1), seed=0)
+        planned, _ = decide(planner, Observation(meshes=SQUARE.flat()[None]), begin(planner, goal, 1), seed=0)
     assert not planned.useless
     turned = turned_plan(planner, planned._replace(useless=useless), goal, -np.eye(2))
     np.testing.assert_allclose(turned.plan, [[1, 1, 1, 1, -0.6, -0.5]], atol=1e-5)
@@ -325,7 +325,7 @@ def test_every_kind_of_system_goes_on_and_predicts(here: Path, files: Path, name
 
 def test_a_plan_is_turned_into_reach_and_its_goal_with_it(here: Path, files: Path) -> None:
     """The flat cloth looks the same turned by right angles; what is beyond its middle is out of reach."""
-    goal = np.asarray(toy.dragged(jnp.asarray(flat()), jnp.array([-1, -1, -1, -1, 0.6, 0.5])))
+    goal = np.asarray(toy.dragged(jnp.asarray(SQUARE.flat()), jnp.array([-1, -1, -1, -1, 0.6, 0.5])))
     np.save(here / "goal.npy", goal)
     with mock.patch.object(plan_command, "load_planner", toy_planner):
         wanted = ("plan", "--state", files / "start.obj", "--goal", here / "goal.npy", "--steps", 1)

@@ -26,7 +26,7 @@ from clothkit.app.viewer.search_progress import STRAINS_PER_BATCH, OnProgress, P
 from clothkit.app.viewer.session import StateEstimate, disagreement, error_of, facts, matched, places
 from clothkit.app.viewer.tasks import test_tasks as tasks_in
 from clothkit.cloth import voxels
-from clothkit.cloth.grid import flat, triangles
+from clothkit.cloth.topology import SQUARE, triangles
 from clothkit.episodes import record
 from clothkit.manipulation.geometry import release_points, to_cartesian
 from clothkit.planning import agent
@@ -57,7 +57,7 @@ def test_paths_lead_from_grasp_to_release_points() -> None:
 
 
 def test_paths_in_voxels_start_on_top_of_them() -> None:
-    seen = np.asarray(voxels.observe(flat()))
+    seen = np.asarray(voxels.observe(SQUARE.flat()))
     (path,) = hand_paths(seen, np.array([0.5, 0.5, 0.5, 0.5, -0.8, 0], np.float32))
     np.testing.assert_allclose(path[0, :2], 0.5, atol=1e-6)
     assert 0 < path[0, 2] < 0.01
@@ -200,7 +200,7 @@ def test_a_cloth_is_drawn_from_both_sides() -> None:
     assert not a.visual.material.doubleSided
     np.testing.assert_array_equal(a.faces[:, ::-1], b.faces)
     np.testing.assert_allclose(a.face_normals, -b.face_normals, atol=1e-4)
-    assert len(a.faces) == len(triangles(63))
+    assert len(a.faces) == len(triangles((63, 63)))
     np.testing.assert_allclose(finer(mesh, degree=3)[::2, ::2], mesh, atol=1e-5)
 
 

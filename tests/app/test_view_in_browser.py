@@ -14,7 +14,7 @@ from playwright.sync_api import TimeoutError as PlaywrightTimeout
 
 from clothkit.app.inputs import load_settings, observation_options
 from clothkit.app.viewer.page import build
-from clothkit.cloth.grid import flat
+from clothkit.cloth.topology import SQUARE
 from tests.app import played
 
 CHROMIUM = shutil.which("chromium")
@@ -150,7 +150,7 @@ def test_sessions_are_played_planned_and_executed(page: Page, tmp_path: Path) ->
 
     # Own files are uploaded; what is wrong with them is told.
     page.get_by_text("Own files", exact=True).click()
-    for name, content in (("state", np.zeros((5, 5))), ("goal", flat())):
+    for name, content in (("state", np.zeros((5, 5))), ("goal", SQUARE.flat())):
         np.save(tmp_path / f"my_{name}.npy", content)
         chooser(page, f"upload {name}").set_files(tmp_path / f"my_{name}.npy")
         expect(page.get_by_text(f"my_{name}.npy is here")).to_be_visible()

@@ -14,11 +14,11 @@ from clothkit.dataset.tasks import tasks_of
 from clothkit.episodes.record import (
     Sessions,
     Sizes,
-    blank,
     load,
     load_members,
     load_piece,
     load_tasks,
+    record,
     save,
     save_piece,
     tasks_of_dataset,
@@ -34,7 +34,7 @@ def sessions(*, voxels: bool = False, nets: int = 1) -> Sessions:
     dataset = make()
     shape = (32, 32, 16) if voxels else (32, 32, 3)
     sizes = Sizes(shape, not voxels, candidate=2, net=nets, iteration=2, strain=2, restart=1)
-    found = blank(tasks_of_dataset(dataset, TASKS, "test"), sizes)
+    found = record(tasks_of_dataset(dataset, TASKS, "test"), [], sizes)
     for row, (sequence, start, length) in enumerate(TASKS):
         for step in range(length):
             found.state[row, step + 1] = dataset.vertices[sequence, start + step + 1]

@@ -12,15 +12,15 @@ import pandas as pd
 import pytest
 import zarr
 
-from clothkit.cloth.equivalents import relabel
-from clothkit.cloth.grid import flat
 from clothkit.cloth.mesh import distance_aligned, error
 from clothkit.cloth.silhouette import centred
+from clothkit.cloth.symmetry import relabel
+from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.store import SPLITS, Dataset
 from clothkit.dataset.tasks import Task
 from clothkit.episodes import record
 from clothkit.episodes.evaluate import TIMED_SESSIONS, cost, evaluate
-from clothkit.episodes.record import Pieces, Tasks, blank, join, load, save, save_piece, sizes_of, tasks_of_dataset
+from clothkit.episodes.record import Pieces, Tasks, join, load, save, save_piece, sizes_of, tasks_of_dataset
 from clothkit.episodes.sensors import Sensed
 from clothkit.episodes.sessions import run_sessions
 from clothkit.evaluation.session_rows import rows
@@ -236,7 +236,7 @@ def test_a_broken_simulation_is_told() -> None:
 
 
 def test_candidates_of_the_flat_cloth_are_its_corners() -> None:
-    points = MESH.candidates(flat(), toy.planner("b1").grasping)
+    points = MESH.candidates(SQUARE.flat(), toy.planner("b1").grasping)
     assert sorted(points.tolist()) == [[-1, -1], [-1, 1], [1, -1], [1, 1]]
     disc = np.zeros((32, 32, 3), np.float32)
     angle, radius = np.linspace(0, 2 * np.pi, 32)[:, None], np.linspace(0, 0.6, 32)[None]
@@ -287,7 +287,7 @@ def test_an_interrupted_run_goes_on_to_the_same_rows(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["sessions.npz", "seconds.json"])
 def test_a_damaged_piece_is_told_by_its_folder(tmp_path: Path, name: str) -> None:
-    sessions = blank(tasks(Task(0, 0, 3)), sizes_of(toy.planner("b1")))
+    sessions = record.record(tasks(Task(0, 0, 3)), [], sizes_of(toy.planner("b1")))
     seconds = {"1": [(2, 0.1)], "estimates": [(1, 0.2)]}
     TIMED_SESSIONS.save(tmp_path / "piece", (sessions, seconds))
     loaded, loaded_seconds = load_piece(tmp_path / "piece", TIMED_SESSIONS)
@@ -301,7 +301,7 @@ def test_a_damaged_piece_is_told_by_its_folder(tmp_path: Path, name: str) -> Non
 
 def test_memory_does_not_grow_with_the_number_of_tasks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(record, "SHARD", 6)
-    sessions = blank(tasks(*[Task(0, 0, 3)] * 4), sizes_of(toy.planner("b1")))
+    sessions = record.record(tasks(*[Task(0, 0, 3)] * 4), [], sizes_of(toy.planner("b1")))
     save_piece(tmp_path / "piece.npz", sessions)
 
     def peak(count: int) -> int:

@@ -5,7 +5,7 @@ import numpy as np
 
 from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.tasks import Task
-from clothkit.episodes.record import Sizes, Tasks, blank
+from clothkit.episodes.record import Sizes, Tasks, record
 from clothkit.evaluation import viewport
 from clothkit.evaluation.occupancy import pooled
 
@@ -25,7 +25,7 @@ def test_outcomes_in_the_high_viewport() -> None:
     tasks = Tasks(
         [Task(7, 1, 2), Task(8, 0, 1)], ["test", "train"], np.stack([start] * 2), np.zeros((2, 2)), np.stack([goal] * 2)
     )
-    sessions = blank(tasks, Sizes((32, 32, 3), True, 1, 2, 1, 1, 1))
+    sessions = record(tasks, [], Sizes((32, 32, 3), True, 1, 2, 1, 1, 1))
     sessions.state[0, 2], sessions.state[1, 1] = outcome, goal
     found = viewport.rows(sessions, "b1")
     assert found[["split", "system", "sequence", "start", "length"]].to_numpy().tolist() == [

@@ -10,7 +10,7 @@ import trimesh
 import zarr
 from ruamel.yaml import YAML
 
-from clothkit.cloth.grid import triangles
+from clothkit.cloth.topology import SQUARE
 from clothkit.dataset import store
 from clothkit.dataset.regularise import regularise
 from clothkit.dataset.rows import write_rows
@@ -53,7 +53,7 @@ def _write_shapes(folder: Path) -> None:
     bent = folded(angle=0.3)
     np.save(folder / "mesh.npy", bent)
     np.save(folder / "goal.npy", folded(along=0.0))
-    surface = trimesh.Trimesh(bent.reshape(-1, 3).astype(float) * SCALE, triangles(), process=False)
+    surface = trimesh.Trimesh(bent.reshape(-1, 3).astype(float) * SCALE, SQUARE.triangles(), process=False)
     surface.export(folder / "bent.ply", file_type="ply", encoding="ascii")
     with np.load(folder / "cloud.npz") as stored:
         # Text takes long to read, many times over.

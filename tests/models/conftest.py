@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from clothkit.cloth.grid import SIDE, flat
+from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.store import Dataset
 
 
 def crumpled(count, seed):
     rng = np.random.default_rng(seed)
-    uv = np.linspace(0, 1, SIDE, dtype=np.float32)
+    uv = np.linspace(0, 1, SQUARE.shape[0], dtype=np.float32)
     u, v = np.meshgrid(uv, uv, indexing="ij")
-    vertices = np.broadcast_to(flat(), (count, 4, SIDE, SIDE, 3)).copy()
+    vertices = np.broadcast_to(SQUARE.flat(), (count, 4, *SQUARE.shape, 3)).copy()
     for state in range(1, 4):
         waves = rng.normal(0, 0.1, (count, 3, 1, 1)) * u + rng.normal(0, 0.1, (count, 3, 1, 1)) * np.sin(3 * v)
         moved = vertices[:, state - 1] + np.moveaxis(waves, 1, -1)

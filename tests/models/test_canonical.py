@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from clothkit.cloth import mesh as meshes
 from clothkit.cloth import voxels
-from clothkit.cloth.equivalents import equivalents, relabel, relabel_manipulation
-from clothkit.cloth.grid import SIDE, flat, thinned
+from clothkit.cloth.symmetry import equivalents, relabel, relabel_manipulation
+from clothkit.cloth.topology import SQUARE, thinned
 from clothkit.dataset.tasks import TASKS
 from clothkit.manipulation.turns import planar, turn, turn_manipulation, turn_mesh
 from clothkit.models import emd_voxel, pemd, vtm
@@ -31,7 +31,7 @@ from tests.models.test_nets import nearly_flat
 
 def lopsided(mesh):
     """The mesh, longer on one side: nearly symmetric ones have two nearly canonical descriptions."""
-    bent = mesh + np.array([0.3, 0.2, 0.0], np.float32) * flat() ** 2
+    bent = mesh + np.array([0.3, 0.2, 0.0], np.float32) * SQUARE.flat() ** 2
     return bent - [1, 1, 0] * bent.mean((-3, -2), keepdims=True)
 
 
@@ -65,7 +65,7 @@ def test_turns_mirrors_and_labels_change_no_canonical_description(isometry):
 
 def test_no_turn_or_mirror_brings_a_mesh_nearer_to_the_flat_cloth():
     def far(matrix):
-        return ((turn_mesh(jnp.asarray(MESHES), matrix) - flat())[..., :2] ** 2).mean((1, 2, 3))
+        return ((turn_mesh(jnp.asarray(MESHES), matrix) - SQUARE.flat())[..., :2] ** 2).mean((1, 2, 3))
 
     swept = [
         far(jnp.broadcast_to(planar(jnp.float32(angle), jnp.array(mirrored)), (8, 2, 2)))
@@ -85,14 +85,14 @@ def test_a_canonical_mesh_lies_widest_along_x_with_its_heavier_tails_at_positive
 
 
 def test_the_flat_cloth_is_described_as_it_is():
-    mesh = jnp.asarray(flat())
+    mesh = jnp.asarray(SQUARE.flat())
     np.testing.assert_allclose(described(mesh, frame(mesh)), mesh, atol=1e-6)
 
 
 def test_labels_and_axes_of_an_equivalent_cancel_out_on_the_flat_cloth():
     for k in range(8):
         matrix = axes(jnp.array(k))
-        np.testing.assert_allclose(relabel(turn_mesh(jnp.asarray(flat()), matrix), k), flat(), atol=1e-6)
+        np.testing.assert_allclose(relabel(turn_mesh(jnp.asarray(SQUARE.flat()), matrix), k), SQUARE.flat(), atol=1e-6)
 
 
 @given(ISOMETRIES)
@@ -120,7 +120,7 @@ def test_standard_deviations_are_those_along_the_axes():
     predicted = MODEL.decode(NET.params, MODEL.encode(NET.params, mesh))
     found, bare = frame(mesh), PEMD(CONFIG)
     inner = bare.decode(NET.params, bare.encode(NET.params, described(mesh, found)))
-    samples = inner.mean + inner.std * jax.random.normal(jax.random.key(3), (4000, SIDE, SIDE, 3))
+    samples = inner.mean + inner.std * jax.random.normal(jax.random.key(3), (4000, *SQUARE.shape, 3))
     back = jnp.broadcast_to(found.matrix.T, (4000, 2, 2))
     samples = turn_mesh(samples, back)
     samples = next(relabel(samples, k) for k in range(8) if (relabel(relabel(mesh, int(found.k)), k) == mesh).all())
@@ -144,7 +144,7 @@ def test_thinned_decoding_is_the_decoder_at_these_vertices(stride):
     for model in (MODEL, PEMD(CONFIG)):
         latent = model.encode(NET.params, MESHES)
         full, thin = model.decode(NET.params, latent), model.decode(NET.params, latent, stride)
-        assert thin.mean.shape == (8, SIDE // stride, SIDE // stride, 3)
+        assert thin.mean.shape == (8, 32 // stride, 32 // stride, 3)
         np.testing.assert_allclose(thin.mean, thinned(full.mean, stride), rtol=1e-5, atol=1e-5)
         np.testing.assert_allclose(thin.std, thinned(full.std, stride), rtol=1e-4)
 

@@ -10,8 +10,8 @@ import pytest
 from flax.traverse_util import flatten_dict
 
 from clothkit.cloth import voxels
-from clothkit.cloth.equivalents import equivalents, equivalents_of_manipulation
-from clothkit.cloth.grid import flat
+from clothkit.cloth.symmetry import equivalents, equivalents_of_manipulation
+from clothkit.cloth.topology import SQUARE
 from clothkit.manipulation.turns import planar
 from clothkit.models import emd_voxel, pemd, store
 from clothkit.models.emd_voxel import EMDVoxel, cartesian, initial
@@ -125,13 +125,13 @@ def test_logits_start_at_their_bias_and_a_loaded_net_keeps_it(config, tmp_path):
 def test_grasp_points_are_cartesian_about_the_centre_of_each_state():
     """On flat cloths, which lie centred, a geodesic point is 0.7 times itself, wherever the cloth was on the table."""
     manipulations = np.random.default_rng(0).uniform(-1, 1, (4, 3, 6)).astype(np.float32)
-    found = cartesian(np.broadcast_to(flat(), (4, 3, 32, 32, 3)), manipulations)
+    found = cartesian(np.broadcast_to(SQUARE.flat(), (4, 3, 32, 32, 3)), manipulations)
     np.testing.assert_allclose(found[..., :4], 0.7 * manipulations[..., :4], atol=1e-6)
     np.testing.assert_array_equal(found[..., 4:], manipulations[..., 4:])
 
 
 def test_later_grasp_points_are_clipped_to_the_viewport():
-    wide = np.broadcast_to(2 * flat(), (3, 32, 32, 3))
+    wide = np.broadcast_to(2 * SQUARE.flat(), (3, 32, 32, 3))
     found = cartesian(wide, np.broadcast_to(np.array([1, -1, 0.5, 0, 1, 2], np.float32), (3, 6)))
     np.testing.assert_allclose(found[0], [1.4, -1.4, 0.7, 0, 1, 2], atol=1e-6)
     np.testing.assert_allclose(found[1:], [[1, -1, 0.7, 0, 1, 2]] * 2, atol=1e-6)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from flax.traverse_util import flatten_dict
 
-from clothkit.cloth.equivalents import equivalents, relabel_batch
-from clothkit.cloth.grid import SIDE, flat
 from clothkit.cloth.mesh import distance
+from clothkit.cloth.symmetry import equivalents, relabel_batch
+from clothkit.cloth.topology import SQUARE
 from clothkit.models import pemd, store, vtm
 from clothkit.models.forward import forward_model
 from clothkit.models.net import Net
@@ -71,14 +71,14 @@ def by_hand(params, mesh, manipulations, channel, trace=None):
         latent = np.tanh(output[:channel]) + layers[14][:channel]
         trace, shift = np.tanh(output[channel : 2 * channel]), output[2 * channel :]
         hidden = np.tanh(dense(decoder["layer_2"], np.tanh(dense(decoder["layer_1"], latent))))
-        units = dense(decoder["mesh"], hidden).reshape(SIDE, SIDE, 6)
+        units = dense(decoder["mesh"], hidden).reshape(*SQUARE.shape, 6)
         outcomes.append((units[..., :3], np.exp(units[..., 3:]) + 0.01, trace, shift))
     return [np.stack(values) for values in zip(*outcomes, strict=True)]
 
 
 def test_rollout_is_the_forward_pass_by_hand():
     net, rng = random_net(TINY, 0), np.random.default_rng(1)
-    mesh = rng.uniform(-0.05, 0.05, (2, SIDE, SIDE, 3)).astype(np.float32)
+    mesh = rng.uniform(-0.05, 0.05, (2, *SQUARE.shape, 3)).astype(np.float32)
     manipulations = rng.uniform(-1, 1, (2, 3, 6)).astype(np.float32)
     predicted, found = predicted_by(net, mesh, manipulations)
     for example in range(2):
@@ -91,7 +91,7 @@ def test_rollout_is_the_forward_pass_by_hand():
 
 def test_steps_chain_to_a_rollout_and_a_rollout_goes_on_from_its_trace():
     net, rng = random_net(TINY, 2), np.random.default_rng(3)
-    mesh = rng.uniform(-0.05, 0.05, (SIDE, SIDE, 3)).astype(np.float32)
+    mesh = rng.uniform(-0.05, 0.05, (*SQUARE.shape, 3)).astype(np.float32)
     manipulations = rng.uniform(-1, 1, (2, 6)).astype(np.float32)
     predicted, found = predicted_by(net, mesh, manipulations)
     latent, trace = MODEL.encode(net.params, mesh), np.zeros(TINY.latent, np.float32)
@@ -117,7 +117,7 @@ def test_vtm_is_the_forward_pass_by_hand():
     units = voxels.astype(np.float32).ravel()
     for i in range(1, 6):
         units = np.tanh(units @ net.params[f"layer_{i}"]["kernel"] + net.params[f"layer_{i}"]["bias"])
-    units = (units @ net.params["mesh"]["kernel"] + net.params["mesh"]["bias"]).reshape(SIDE, SIDE, 6)
+    units = (units @ net.params["mesh"]["kernel"] + net.params["mesh"]["bias"]).reshape(*SQUARE.shape, 6)
     estimate = vtm.estimate(net, voxels)
     np.testing.assert_allclose(estimate.mean, units[..., :3], atol=1e-4)
     np.testing.assert_allclose(estimate.std, np.exp(units[..., 3:]) + 0.01, rtol=1e-4)
@@ -126,7 +126,7 @@ def test_vtm_is_the_forward_pass_by_hand():
 def nearly_flat(views):
     """A net that says of everything that it is nearly flat."""
     net = random_net(VtMConfig(hidden=6, views=views), 4)
-    bias = np.concatenate([flat(), np.full((SIDE, SIDE, 3), -3.0, np.float32)], axis=-1)
+    bias = np.concatenate([SQUARE.flat(), np.full((*SQUARE.shape, 3), -3.0, np.float32)], axis=-1)
     return replace(
         net, params={**net.params, "mesh": {"kernel": 0.02 * net.params["mesh"]["kernel"], "bias": bias.ravel()}}
     )
@@ -158,7 +158,7 @@ def test_eight_views_are_a_mixture_of_what_each_shows():
             mean = mean * [-1, 1, 1] if mirrored else mean
             candidates = [np.rot90(np.flip(mean, 0) if f else mean, q) for q in range(4) for f in (False, True)]
             stds = [np.rot90(np.flip(std, 0) if f else std, q) for q in range(4) for f in (False, True)]
-            best = int(np.argmin([np.linalg.norm(c - flat(), axis=-1).mean() for c in candidates]))
+            best = int(np.argmin([np.linalg.norm(c - SQUARE.flat(), axis=-1).mean() for c in candidates]))
             means.append(candidates[best])
             squares.append(stds[best] ** 2 + candidates[best] ** 2)
     np.testing.assert_allclose(mixed.mean, np.mean(means, 0), atol=1e-5)

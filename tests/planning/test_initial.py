@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from clothkit.cloth.grid import flat, triangles
 from clothkit.cloth.silhouette import iou
+from clothkit.cloth.topology import SQUARE
 from clothkit.cloth.voxels import observe
 from clothkit.planning.initial import EXTENT, RASTER, folds, random_manipulations, random_plans, snap
 from clothkit.planning.mesh_representation import MESH
@@ -52,7 +52,7 @@ def test_a_single_candidate_leaves_one_hand() -> None:
 
 def test_snapping_takes_the_nearest_candidate_in_xy() -> None:
     # The cloth folded over u = 0: the far corner lies on the near one.
-    mesh = flat().copy()
+    mesh = SQUARE.flat().copy()
     mesh[..., 0] = -np.abs(mesh[..., 0])
     candidates = Candidates(jnp.array([[-1.0, -1], [-1, 1], [9, 9]]), 2)
     manipulation = jnp.array([1.0, 0.9, -0.8, -0.9, 0.5, 0.6])
@@ -100,7 +100,7 @@ def test_a_fold_has_its_q_on_the_silhouette(seed: int) -> None:
 
 def on_triangles(mesh: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Whether each point lies on one of the mesh's triangles, seen from above, by its signed areas."""
-    a, b, c = (mesh.reshape(-1, 3)[triangles()[:, k], :2].astype(float) for k in range(3))
+    a, b, c = (mesh.reshape(-1, 3)[SQUARE.triangles()[:, k], :2].astype(float) for k in range(3))
     p = points[:, None]
     areas = [(v - u)[:, 0] * (p - u)[..., 1] - (v - u)[:, 1] * (p - u)[..., 0] for u, v in ((a, b), (b, c), (c, a))]
     return ((np.minimum.reduce(areas) >= 0) | (np.maximum.reduce(areas) <= 0)).any(1)

@@ -5,8 +5,9 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from clothkit.cloth.equivalents import COUNT, relabel_manipulation
 from clothkit.cloth.mesh import whiten_probabilistic
+from clothkit.cloth.symmetry import relabel_manipulation
+from clothkit.cloth.topology import SQUARE
 from clothkit.planning.mesh_representation import MESH
 from clothkit.planning.predict import differences, predict
 from tests.planning import toy
@@ -27,7 +28,7 @@ def test_expectations_are_those_of_the_plan_after_what_is_remembered() -> None:
     """Each common equivalent has a trace of its own; whatever the equivalent, predictions are in the state's labels."""
     states, common = np.stack([toy.bent(), toy.bent(3)]), np.array([5, 2])
     # Net a remembers k manipulations in equivalent k, net b twice as many, and both ten more in the second task.
-    counts = np.array([np.arange(COUNT), 2.0 * np.arange(COUNT)])[:, None] + np.array([0, 10])[:, None]
+    counts = np.array([np.arange(SQUARE.count), 2.0 * np.arange(SQUARE.count)])[:, None] + np.array([0, 10])[:, None]
     traces = tuple(np.repeat(count[..., None], 3072, axis=-1).astype(np.float32) for count in counts)
     plans = np.stack([PLAN, -PLAN])
     found = predict(NOTING, MESH, toy.NETS, states, traces, plans, common)
@@ -40,7 +41,7 @@ def test_expectations_are_those_of_the_plan_after_what_is_remembered() -> None:
                 before = before + float(relabel_manipulation(manipulation, int(common[task]))[0])
                 np.testing.assert_allclose(expected.states.mean[task, i], mesh, atol=1e-5)
         # Only the first manipulation will be executed, in whichever equivalent the next plan is found.
-        grasped = [[float(relabel_manipulation(plan[0], k)[0]) for k in range(COUNT)] for plan in plans]
+        grasped = [[float(relabel_manipulation(plan[0], k)[0]) for k in range(SQUARE.count)] for plan in plans]
         np.testing.assert_allclose(expected.traces[..., 0], count + grasped, atol=1e-5)
 
 
@@ -48,7 +49,7 @@ def test_differences_are_means_over_all_pairs_of_nets() -> None:
     """Of three nets, by hand: the mean of eq. (15)'s diff between nets 0 and 1, 0 and 2, 1 and 2."""
     state, plans = toy.bent()[None], PLAN[None]
     nets = tuple(jnp.float32(strength) for strength in (1.0, 1.1, 0.7))
-    traces = tuple(np.zeros((1, COUNT, 3072), np.float32) for _ in nets)
+    traces = tuple(np.zeros((1, SQUARE.count, 3072), np.float32) for _ in nets)
     found = predict(toy.MODEL, MESH, nets, state, traces, plans, np.array([0]))
     apart = differences(MESH, found)
     whitened = [whiten_probabilistic(of_net.states) for of_net in found]

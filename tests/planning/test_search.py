@@ -8,9 +8,10 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from clothkit.cloth.equivalents import COUNT, INVERSE, compose, equivalents, inverse, relabel, relabel_manipulation
 from clothkit.cloth.mesh import ProbabilisticMesh, error, nll, whiten, whiten_probabilistic
 from clothkit.cloth.silhouette import pixel_centres
+from clothkit.cloth.symmetry import equivalents, relabel, relabel_manipulation
+from clothkit.cloth.topology import SQUARE
 from clothkit.manipulation.geometry import release_points, to_cartesian
 from clothkit.manipulation.vector import is_null
 from clothkit.planning.initial import EXTENT, FOLD_POINT, RASTER
@@ -40,7 +41,7 @@ def problem(mesh: np.ndarray, goal: np.ndarray, length: int = 1, **changes: obje
         "state": mesh,
         "goal": goal,
         "candidates": padded(CORNERS),
-        "traces": tuple(np.zeros((COUNT, 3072), np.float32) for _ in toy.NETS),
+        "traces": tuple(np.zeros((SQUARE.count, 3072), np.float32) for _ in toy.NETS),
         "relative": np.int32(UNKNOWN),
         "later": np.bool_(False),
         "carried": np.zeros((length, 6), np.float32),
@@ -89,7 +90,7 @@ def test_finds_what_the_memory_traces_make_of_a_manipulation() -> None:
     """After ten manipulations vertices follow a hand by 1.2 times as much: another displacement reaches the goal."""
     mesh = toy.bent()
     goal = np.asarray(toy.dragged(jnp.asarray(mesh), BEST * jnp.array([1, 1, 1, 1, 1.2, 1.2])))
-    traces = tuple(np.full((COUNT, 3072), 10, np.float32) for _ in toy.NETS)
+    traces = tuple(np.full((SQUARE.count, 3072), 10, np.float32) for _ in toy.NETS)
     asked = problem(mesh, goal, relative=np.int32(0), candidates=padded(CORNERS[[0, 3]]), traces=traces)
     np.testing.assert_allclose(first(find(asked)).plan[0], BEST, atol=0.04)
 
@@ -124,10 +125,10 @@ def test_labels_of_estimate_and_goal_do_not_matter(a: int, b: int) -> None:
     candidates = padded(np.asarray(only)[None])
     asked = problem(np.asarray(relabel(truth, a)), np.asarray(relabel(goal, b)), candidates=candidates)
     found = first(find(asked, seeds=(8 * a + b,)))
-    on_the_truth = relabel_manipulation(found.plan[0], inverse(a))
+    on_the_truth = relabel_manipulation(found.plan[0], SQUARE.inverses[a])
     outcome = toy.dragged(jnp.asarray(truth), on_the_truth)
     assert error(outcome, goal, aligned=True) < 0.02
-    assert found.relative == compose(inverse(b), a)
+    assert found.relative == SQUARE.composed[SQUARE.inverses[b], a]
 
 
 def test_the_loss_is_the_same_in_every_common_equivalent() -> None:
@@ -136,21 +137,21 @@ def test_the_loss_is_the_same_in_every_common_equivalent() -> None:
     fixed = Fixed(
         tuple(toy.encode(net, equivalents(mesh)) for net in toy.NETS),
         # Net a remembers three manipulations, net b five.
-        tuple(jnp.full((COUNT, 3072), count) for count in (3.0, 5.0)),
+        tuple(jnp.full((SQUARE.count, 3072), count) for count in (3.0, 5.0)),
         equivalents(goal),
     )
-    labels = jnp.arange(COUNT)
-    plans = jnp.stack([relabel_manipulation(plan, k) for k in range(COUNT)])
+    labels = jnp.arange(SQUARE.count)
+    plans = jnp.stack([relabel_manipulation(plan, k) for k in range(SQUARE.count)])
     reference = SURE.reference(2)
     objective = objective_of(2, reference, toy.WEIGHTS)
     loss_of = jax.jit(lambda *of: evaluate(objective, toy.MODEL, MESH, toy.NETS, fixed, plans, labels, *of))
-    loss, terms, _ = loss_of(jnp.full(8, inverse(3)))
+    loss, terms, _ = loss_of(jnp.full(8, SQUARE.inverses[3]))
     np.testing.assert_allclose(loss, loss[0], rtol=1e-3)
     # Eq. (13), spelled out in the labels of the mesh.
     chains = (_chain(net, mesh, plan, before=count) for net, count in zip(toy.NETS, (3, 5), strict=True))
     states = [toy.decode(toy.NETS[0], chain, 1) for chain in chains]
     outcomes = [jax.tree.map(lambda part: part[-1], state) for state in states]
-    aimed = whiten(relabel(goal, inverse(3)))
+    aimed = whiten(relabel(goal, SQUARE.inverses[3]))
     scores = [accuracy(aimed, outcome, span) for outcome, span in zip(outcomes, reference.spans, strict=True)]
     u = uncertainty(MESH.difference(*states), reference.spread, beta=5.0, gamma=1.25)
     np.testing.assert_allclose(terms["accuracy"][0], jnp.stack(scores), rtol=1e-3)
@@ -168,7 +169,7 @@ def test_the_loss_is_the_same_in_every_common_equivalent() -> None:
     # One net plans with the plain NLL.
     one = Fixed(fixed.latents[:1], fixed.traces[:1], fixed.goals)
     plain = objective_of(1, reference, toy.WEIGHTS)
-    alone = evaluate(plain, toy.MODEL, MESH, toy.NETS[:1], one, plans, labels, jnp.full(8, inverse(3)))
+    alone = evaluate(plain, toy.MODEL, MESH, toy.NETS[:1], one, plans, labels, jnp.full(8, SQUARE.inverses[3]))
     np.testing.assert_allclose(alone.loss, nll(aimed, whiten_probabilistic(outcomes[0])), rtol=1e-3)
     assert list(alone.terms) == ["accuracy"]
 
@@ -179,7 +180,7 @@ def test_a_goal_that_is_foreseen_exactly_is_not_missed_by_thinned_vertices_eithe
     net = toy.NETS[:1]
     outcome = jax.tree.map(lambda part: part[0], toy.decode(net[0], _chain(net[0], mesh, plan), 4))
     whole = toy.decode(net[0], _chain(net[0], mesh, plan), 1).mean[0]
-    fixed = Fixed((toy.encode(net[0], equivalents(mesh)),), (jnp.zeros((COUNT, 3072)),), equivalents(whole))
+    fixed = Fixed((toy.encode(net[0], equivalents(mesh)),), (jnp.zeros((SQUARE.count, 3072)),), equivalents(whole))
     plain, first = Objective(Accuracy(()), {}), jnp.array([0])
     loss = evaluate(plain, toy.MODEL, MESH, net, fixed, plan[None], first, first, stride=4).loss
     std = np.asarray(outcome.std / jnp.maximum(outcome.mean.std((0, 1)), 0.005))
@@ -278,8 +279,8 @@ def test_the_same_key_gives_the_same_plan_beside_any_neighbour() -> None:
 
 def test_inverse_table() -> None:
     mesh = toy.bent()
-    for k in range(COUNT):
-        np.testing.assert_array_equal(relabel(relabel(mesh, k), int(INVERSE[k])), mesh)
+    for k in range(SQUARE.count):
+        np.testing.assert_array_equal(relabel(relabel(mesh, k), int(SQUARE.inverses[k])), mesh)
 
 
 def test_a_carried_plan_begins_a_later_search_once_in_each_common_equivalent() -> None:
@@ -287,8 +288,8 @@ def test_a_carried_plan_begins_a_later_search_once_in_each_common_equivalent() -
     plan = np.array([[-1.0, -1.0, -1.0, -1.0, 0.7, 0.4], [0.9, 0.2, -0.3, 0.1, 0.5, -0.6]], np.float32)
     asked = problem(mesh, mesh, 2, carried=plan, later=np.bool_(True), relative=np.int32(3))
     initial = carried_plans(MESH, asked)
-    np.testing.assert_array_equal(initial.plans.plan, np.broadcast_to(plan, (COUNT, 2, 6)))
-    assert initial.plans.labels[0].tolist() == list(range(COUNT))
-    assert initial.plans.labels[1].tolist() == [3] * COUNT
+    np.testing.assert_array_equal(initial.plans.plan, np.broadcast_to(plan, (SQUARE.count, 2, 6)))
+    assert initial.plans.labels[0].tolist() == list(range(SQUARE.count))
+    assert initial.plans.labels[1].tolist() == [3] * SQUARE.count
     assert initial.given.all()
     assert not carried_plans(MESH, asked._replace(later=np.bool_(False))).given.any()

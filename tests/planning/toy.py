@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from clothkit.cloth.equivalents import relabel
-from clothkit.cloth.grid import SIDE, flat, geodesic, thinned
 from clothkit.cloth.mesh import ProbabilisticMesh
+from clothkit.cloth.symmetry import relabel
+from clothkit.cloth.topology import SQUARE, thinned
 from clothkit.manipulation.candidates import CandidateConfig
 from clothkit.manipulation.geometry import to_geodesic
 from clothkit.planning.mesh_representation import MESH
@@ -39,7 +39,7 @@ WEIGHTS = Weights(0.25, 5.0, 1.25)
 
 def dragged(mesh: Array, manipulation: Array, strength: Array | float = 1.0) -> Array:
     """The meshes [*b u v 3] after a manipulation [*b 6] each."""
-    uv = jnp.asarray(geodesic())
+    uv = jnp.asarray(SQUARE.geodesic())
     grasps = manipulation[..., :4].reshape(*manipulation.shape[:-1], 1, 1, 2, 2)
     near = jnp.exp(-jnp.sum((uv[:, :, None] - grasps) ** 2, axis=-1) / 0.5).max(-1)
     d = manipulation[..., None, None, 4:]
@@ -54,12 +54,12 @@ def encode(net: Array, mesh: Array) -> Array:
 
 def step(net: Array, latent: Array, trace: Array, manipulation: Array) -> tuple[Array, Array, Array]:
     strength = net * (1 + REMEMBERED * trace[..., 0])
-    mesh = dragged(latent.reshape(*latent.shape[:-1], SIDE, SIDE, 3), manipulation, strength[..., None, None, None])
+    mesh = dragged(latent.reshape(*latent.shape[:-1], *SQUARE.shape, 3), manipulation, strength[..., None, None, None])
     return mesh.reshape(latent.shape), trace + 1, manipulation[..., :2]
 
 
 def decode(net: Array, latent: Array, stride: int = 1) -> ProbabilisticMesh:
-    mesh = thinned(latent.reshape(*latent.shape[:-1], SIDE, SIDE, 3), stride)
+    mesh = thinned(latent.reshape(*latent.shape[:-1], *SQUARE.shape, 3), stride)
     return ProbabilisticMesh(mesh, jnp.full_like(mesh, 0.015))
 
 
@@ -76,7 +76,7 @@ MODEL = Model()
 
 def bent(k: int = 0) -> np.ndarray:
     """A start whose eight equivalents all differ, centred near enough."""
-    mesh = dragged(jnp.asarray(flat()), jnp.array([1.0, 0.3, 1.0, 0.3, -0.35, 0.1]))
+    mesh = dragged(jnp.asarray(SQUARE.flat()), jnp.array([1.0, 0.3, 1.0, 0.3, -0.35, 0.1]))
     return np.asarray(relabel(mesh, k))
 
 

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.store import Dataset
 from clothkit.dataset.tasks import TASKS, Task
-from clothkit.episodes.record import Sessions, Sizes, blank, tasks_of_dataset
+from clothkit.episodes.record import Sessions, Sizes, record, tasks_of_dataset
 from clothkit.evaluation import calibration, camera_planning, planning
 from clothkit.evaluation.comparisons import of_predictions
 from clothkit.report import pages, panels, timings
@@ -53,7 +53,7 @@ def dataset() -> Dataset:
 def recorded_sessions(dataset: Dataset) -> Sessions:
     """Sessions in which everything happened as recorded."""
     tasks = [Task(sequence, start, length) for sequence in (0, 1) for start, length in TASKS]
-    sessions = blank(tasks_of_dataset(dataset, tasks, "test"), Sizes((32, 32, 3), True, 4, 2, 5, 8, 2))
+    sessions = record(tasks_of_dataset(dataset, tasks, "test"), [], Sizes((32, 32, 3), True, 4, 2, 5, 8, 2))
     for place, (sequence, start, length) in enumerate(tasks):
         for step in range(length):
             state, left = dataset.vertices[sequence, start + step], length - step

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from clothkit.cloth.equivalents import equivalents
-from clothkit.cloth.grid import SIDE
 from clothkit.cloth.mesh import ProbabilisticMesh
+from clothkit.cloth.symmetry import equivalents
+from clothkit.cloth.topology import SQUARE
 from clothkit.models.forward import predict
 from clothkit.models.layers import probabilistic_mesh
 from clothkit.models.pemd import PEMD, initial
@@ -25,9 +25,9 @@ NET = PEMDConfig(latent=3, encoder=(7, 6), manipulation=5, decoder=(4, 8))
 
 
 def test_sigma_is_exp_plus_a_hundredth():
-    units = np.random.default_rng(0).normal(size=(2, SIDE * SIDE * 6)).astype(np.float32)
+    units = np.random.default_rng(0).normal(size=(2, 32 * 32 * 6)).astype(np.float32)
     mesh = probabilistic_mesh(jnp.asarray(units))
-    vertex = units[1].reshape(SIDE, SIDE, 6)[5, 9]
+    vertex = units[1].reshape(*SQUARE.shape, 6)[5, 9]
     np.testing.assert_allclose(mesh.mean[1, 5, 9], vertex[:3], rtol=1e-6)
     np.testing.assert_allclose(mesh.std[1, 5, 9], np.exp(vertex[3:]) + 0.01, rtol=1e-6)
 

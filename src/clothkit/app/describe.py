@@ -10,9 +10,9 @@ from clothkit.app.agreement import EstimateAgreement
 from clothkit.app.inputs import Input
 from clothkit.app.plan_file import Plan, plan_of, rounded
 from clothkit.app.planner import Planned, State, epistemic_uncertainty, usage_of
-from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.cloth.mesh import distance
 from clothkit.cloth.silhouette import centred, iou, silhouette
+from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.cloth.voxels import HEIGHT, RESOLUTION
 from clothkit.manipulation.vector import grasp_points, is_null
 from clothkit.models.ensemble import pairs
@@ -183,7 +183,7 @@ def _step(planner: Planner, planned: Planned, i: int, path: HandPaths, after: Po
     stds = [None] * len(means) if planned.stds is None else planned.stds[:, i]
     apart = None
     if len(means) > 1 and not planner.system.voxels:
-        apart = float(np.mean([float(distance(a, b)) for a, b in pairs(list(means))])) * CLOTH_SIDE * after.scale
+        apart = float(np.mean([float(distance(a, b)) for a, b in pairs(list(means))])) * CLOTH_LENGTH * after.scale
     points = after.table_to_camera(path.points)
     hands = [
         {

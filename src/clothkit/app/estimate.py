@@ -17,8 +17,8 @@ from clothkit.app.inputs import (
 )
 from clothkit.app.output import check_target, part, write_arrays, write_mesh
 from clothkit.app.planner import estimate_mesh, load_vtm
-from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.cloth.silhouette import silhouette
+from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.dataset.export import FORMATS
 from clothkit.observation.coverage import EXTENT, covered, resolution_for
 
@@ -69,7 +69,7 @@ def command(file: str, *, out: Path, sigma: Path | None, data: Path, mask: str |
     arrays = {"mesh": place(mesh), "mean": place(mean), "sigma": std * scale}
     write_arrays(sigma_path, {name: array.astype(np.float32) for name, array in arrays.items()})
     agreement = compare_estimate(source, mesh, settings)
-    unit = (CLOTH_SIDE * scale) ** 2 * 1e4
+    unit = (CLOTH_LENGTH * scale) ** 2 * 1e4
     click.echo(
         f"{out}: sigma {1000 * scale * std.mean():.1f} mm on average (in {sigma_path.name}), the estimate covers "
         f"{_covers(silhouette(mesh.astype(np.float32), extent=EXTENT)) * unit:.0f} cm², what was observed "
@@ -85,4 +85,4 @@ def _observed(points: Float[np.ndarray, "points 3"]) -> Bool[np.ndarray, "x y"]:
 
 def _covers(pixels: Bool[np.ndarray, "x y"]) -> float:
     """Return the area of a mask over the square -EXTENT..EXTENT, as a share of the flat cloth's area."""
-    return float(pixels.mean() * (2 * EXTENT) ** 2 / CLOTH_SIDE**2)
+    return float(pixels.mean() * (2 * EXTENT) ** 2 / CLOTH_LENGTH**2)

@@ -11,7 +11,7 @@ import click
 import numpy as np
 from jaxtyping import Float
 
-from clothkit.cloth.grid import geodesic, triangles
+from clothkit.cloth.topology import geodesic, triangles
 from clothkit.dataset.export import Surface, encode
 from clothkit.runtime.errors import InputError, system_error
 from clothkit.runtime.publish import unfinished
@@ -55,8 +55,9 @@ def check_target(path: Path, endings: tuple[str, ...]) -> None:
 
 def write_mesh(path: Path, vertices: Float[np.ndarray, "u v 3"]) -> None:
     """Write a mesh [m, z up] as OBJ, PLY or GLB, by the file's ending. Raises InputError."""
-    uv = (geodesic(len(vertices)).reshape(-1, 2) + 1) / 2
-    surface = Surface(0, 0, vertices.reshape(-1, 3).astype(np.float32), triangles(len(vertices)), uv, path.stem)
+    shape = vertices.shape[:2]
+    uv = (geodesic(shape).reshape(-1, 2) + 1) / 2
+    surface = Surface(0, 0, vertices.reshape(-1, 3).astype(np.float32), triangles(shape), uv, path.stem)
     with unfinished(path) as part:
         part.write_bytes(encode(surface, path.suffix.lower()[1:]))
 

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from clothkit.app.plan_file import MeshState, Placed, Plan
 from clothkit.app.planner import State, Traces, traces_after
-from clothkit.planning.agent import no_traces
+from clothkit.planning.agent import initial_traces
 from clothkit.planning.planner import Planner
 from clothkit.planning.types import Memory
 from clothkit.runtime.errors import InputError
@@ -53,7 +53,7 @@ def check_nets(plan: Plan, planner: Planner, data: Path, name: Path) -> None:
 
 def traces_before(plan: Plan, planner: Planner, name: Path) -> Traces:
     """Return the memory traces before a plan. Raises InputError when their shapes don't fit the planner's nets."""
-    first = tuple(trace[0] for trace in no_traces(planner, 1))
+    first = tuple(trace[0] for trace in initial_traces(planner, 1))
     if plan.memory.traces_before is None:
         return first
     found = tuple(np.array(trace, np.float32) for trace in plan.memory.traces_before)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from clothkit.cloth.grid import CLOTH_SIDE
+from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.manipulation.geometry import release_points, to_cartesian
 from clothkit.manipulation.vector import is_null, is_single
 from clothkit.observation.pose import Pose
@@ -61,7 +61,7 @@ def check_step(step: "clothkit.app.plan_file.Step") -> None:
     vector = np.array(step.manipulation, np.float32)
     null, hands = bool(is_null(vector)), 1 if bool(is_single(vector)) else 2
     if step.null != null:
-        length = float(np.hypot(*step.manipulation[4:])) / CLOTH_SIDE
+        length = float(np.hypot(*step.manipulation[4:])) / CLOTH_LENGTH
         raise ValueError(
             f"null: expected {str(null).lower()}, by a displacement of {length:.2f} cloth lengths (null below 0.35)"
         )
@@ -87,10 +87,10 @@ def check_plan(plan: "clothkit.app.plan_file.Plan", system: System) -> None:
 
 
 def _check_frame(plan: "clothkit.app.plan_file.Plan") -> None:
-    scale = plan.side_m / CLOTH_SIDE
+    scale = plan.side_m / CLOTH_LENGTH
     if abs(plan.metres_per_normalised / scale - 1) > ROUNDING:
         raise ValueError(
-            f"metres_per_normalised: expected side_m / {CLOTH_SIDE}, {scale:.6g}, found "
+            f"metres_per_normalised: expected side_m / {CLOTH_LENGTH}, {scale:.6g}, found "
             f"{plan.metres_per_normalised:.6g}"
         )
     own = np.abs(np.array(plan.table.axes) - np.eye(3)).max() <= ROUNDING and not np.any(plan.table.origin_m)
@@ -166,14 +166,14 @@ def _check_places(plan: "clothkit.app.plan_file.Plan") -> None:
     if plan.start.state.kind == "mesh":
         xy = pose.camera_to_normalised(np.array(plan.start.state.vertices_m, float))[..., :2]
         # The centre is the mean of the silhouette's pixels, and so must be within the bounds of the vertices.
-        if xy.min((0, 1)).max() > AGREES * CLOTH_SIDE or xy.max((0, 1)).min() < -AGREES * CLOTH_SIDE:
+        if xy.min((0, 1)).max() > AGREES * CLOTH_LENGTH or xy.max((0, 1)).min() < -AGREES * CLOTH_LENGTH:
             raise ValueError("start.centre_m: expected the middle of start.state, found a point beside it")
 
 
 def _check_near(
     plan: "clothkit.app.plan_file.Plan", pose: Pose, name: str, points: Float[np.ndarray, "*points 3"]
 ) -> None:
-    away = float(np.linalg.norm(pose.camera_to_normalised(points), axis=-1).max()) / CLOTH_SIDE
+    away = float(np.linalg.norm(pose.camera_to_normalised(points), axis=-1).max()) / CLOTH_LENGTH
     if away > FARTHEST:
         raise ValueError(
             f"{name}: expected within {FARTHEST:g} cloth sides of start.centre_m, found {away:.3g} sides of "
@@ -197,9 +197,9 @@ def _check_hands(plan: "clothkit.app.plan_file.Plan", system: System, number: in
     if state.kind == "mesh":
         mesh = pose.camera_to_normalised(np.array(state.vertices_m, float)).astype(np.float32)
         expected = np.stack([np.asarray(to_cartesian(mesh, point), float)[:2] for point in uv])
-    off = np.linalg.norm(grasps[:, :2] - expected, axis=-1) / CLOTH_SIDE
+    off = np.linalg.norm(grasps[:, :2] - expected, axis=-1) / CLOTH_LENGTH
     where = np.asarray(release_points(grasps[:, :2], np.array(step.manipulation[4:], float)).points)
-    missed = np.linalg.norm(releases[:, :2] - where, axis=-1) / CLOTH_SIDE
+    missed = np.linalg.norm(releases[:, :2] - where, axis=-1) / CLOTH_LENGTH
     for name, distances, by in (
         ("grasp_m", off, "the manipulation's grasp point"),
         ("release_m", missed, "the release point of eq. (1) by the manipulation's displacement"),

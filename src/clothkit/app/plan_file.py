@@ -15,7 +15,7 @@ from annotated_types import Ge, Gt, Le, Len
 from clothkit.app.inputs import Kind, Usage
 from clothkit.app.output import unfinished
 from clothkit.app.plan_checks import check_axes, check_hand, check_plan, check_step
-from clothkit.cloth.grid import SIDE
+from clothkit.cloth.topology import SQUARE
 from clothkit.cloth.voxels import RESOLUTION
 from clothkit.observation.pose import Pose
 from clothkit.planning.systems import system
@@ -43,9 +43,10 @@ Displacement = Annotated[float, Ge(-LONGEST), Le(LONGEST)]
 NotNegative = Annotated[float, Ge(0)]
 _Unit = Annotated[float, Ge(-1e6), Le(1e6)]
 Share = Annotated[float, Ge(0), Le(1)]
-Grid = Annotated[list[Annotated[list[Point], Len(SIDE, SIDE)]], Len(SIDE, SIDE)]
+_U, _V = SQUARE.shape
+Grid = Annotated[list[Annotated[list[Point], Len(_V, _V)]], Len(_U, _U)]
 _Deviation = tuple[NotNegative, NotNegative, NotNegative]
-Deviations = Annotated[list[Annotated[list[_Deviation], Len(SIDE, SIDE)]], Len(SIDE, SIDE)]
+Deviations = Annotated[list[Annotated[list[_Deviation], Len(_V, _V)]], Len(_U, _U)]
 _Column = Annotated[list[Share], Len(RESOLUTION[2], RESOLUTION[2])]
 Occupancy = Annotated[
     list[Annotated[list[_Column], Len(RESOLUTION[1], RESOLUTION[1])]], Len(RESOLUTION[0], RESOLUTION[0])

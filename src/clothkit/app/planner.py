@@ -10,8 +10,9 @@ import numpy as np
 from jaxtyping import Float, Shaped
 
 from clothkit.app.inputs import Input, Settings, Usage
-from clothkit.cloth.equivalents import compose, inverse, relabel, relabel_manipulation
 from clothkit.cloth.mesh import distance
+from clothkit.cloth.symmetry import relabel, relabel_manipulation
+from clothkit.cloth.topology import SQUARE
 from clothkit.estimation.estimate import Estimate, estimate
 from clothkit.manipulation.turns import turn_manipulation, turn_mesh
 from clothkit.manipulation.vector import is_null
@@ -257,11 +258,12 @@ def turned_plan(planner: Planner, planned: Planned, goal: State, matrix: Float[n
     turn = jnp.asarray(matrix, jnp.float32)
     turns = jnp.broadcast_to(turn, (len(planned.plan), 2, 2))
     turned = turn_mesh(jnp.asarray(planned.state), turn)
-    k = int(jnp.argmin(jnp.stack([distance(turned, relabel(planned.state, k)) for k in range(8)])))
-    plan = relabel_manipulation(turn_manipulation(jnp.asarray(planned.plan), turns), inverse(k))
-    common = compose(k, planned.common)
+    k = int(jnp.argmin(jnp.stack([distance(turned, relabel(planned.state, k)) for k in range(SQUARE.count)])))
+    back = int(SQUARE.inverses[k])
+    plan = relabel_manipulation(turn_manipulation(jnp.asarray(planned.plan), turns), back)
+    common = int(SQUARE.composed[k, planned.common])
     found = predict_plan(planner, planned.state, np.asarray(plan), common=common, traces=planned.traces)
-    relative, representation = compose(planned.relative, inverse(k)), planner.representation
+    relative, representation = int(SQUARE.composed[planned.relative, back]), planner.representation
     labelled = representation.relabel(turned_goal(goal, matrix)[None], np.array([relative]))
     expected, no_action = (
         float(representation.distance(state[None], labelled)[0]) for state in (found.means[:, -1].mean(0), found.state)

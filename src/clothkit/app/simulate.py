@@ -21,9 +21,9 @@ from clothkit.app.output import check_target, part, write_mesh
 from clothkit.app.plan_arrays import placed_state, side_of
 from clothkit.app.plan_file import Plan, Step, read_plan
 from clothkit.app.planner import estimate_mesh, load_vtm, mesh_of
-from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.cloth.mesh import error
 from clothkit.cloth.silhouette import centred, iou, silhouette
+from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.dataset.export import FORMATS
 from clothkit.manipulation.turns import turn_mesh
 from clothkit.observation.coverage import goal_iou
@@ -122,7 +122,7 @@ def command(
         matrix = None if plan.turned is None else np.array(plan.turned)
         before, after = (score(state, goal_input, matrix) for state in (states[0], states[-1]))
         if before.error is not None and after.error is not None:
-            unit = CLOTH_SIDE * pose.scale * 1000
+            unit = CLOTH_LENGTH * pose.scale * 1000
             expected = plan.expected.error_m if len(states) > len(plan.steps) else None
             click.echo(
                 f"error {after.error * unit:.0f} mm ({after.error:.3f} cloth lengths), "
@@ -155,7 +155,7 @@ def simulate_plan(
             states.append(states[-1])
             continue
         grasps = _grasps(step, hands or plan.pose(plan.start.centre_m))
-        beside = np.linalg.norm(states[-1][..., None, :2] - grasps, axis=-1).min((0, 1)).max() / CLOTH_SIDE
+        beside = np.linalg.norm(states[-1][..., None, :2] - grasps, axis=-1).min((0, 1)).max() / CLOTH_LENGTH
         if beside > _BESIDE:
             raise InputError(
                 f"{name}: step {number} grasps {beside:.2f} cloth lengths beside the cloth; is the state in the frame "

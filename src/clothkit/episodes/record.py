@@ -18,9 +18,13 @@ from clothkit.planning.planner import Planner
 from clothkit.planning.types import Plan
 from clothkit.runtime.errors import damaged_piece
 
-MESH = ("u", "v", "xyz")
-SEEN = ("seen_0", "seen_1", "seen_2")
-SURE = ("std_0", "std_1", "std_2")
+MESH_AXES = ("u", "v", "xyz")
+STATE_AXES = ("seen_0", "seen_1", "seen_2")
+"""Dimensions of a state as the system observes it: a mesh, or voxels."""
+
+STD_AXES = ("std_0", "std_1", "std_2")
+"""Dimensions of what only meshes have: of length 0 for a system that plans in voxels, else as `STATE_AXES`."""
+
 _LENGTHS = {**LENGTHS, "planned": STEPS}
 _HOLDS = "which a record of sessions holds"
 
@@ -82,11 +86,11 @@ class Sessions:
     sequence: np.ndarray = _array("i8", "task")
     start: np.ndarray = _array("i1", "task")
     length: np.ndarray = _array("i1", "task")
-    goal: np.ndarray = _array("f4", "task", *MESH)
-    state: np.ndarray = _array("f4", "task", "state", *MESH)
+    goal: np.ndarray = _array("f4", "task", *MESH_AXES)
+    state: np.ndarray = _array("f4", "task", "state", *MESH_AXES)
     """True states, centred; the last one is the outcome."""
     centre: np.ndarray = _array("f4", "task", "state", "xy")
-    estimate: np.ndarray = _array("f4", "task", "step", *SEEN)
+    estimate: np.ndarray = _array("f4", "task", "step", *STATE_AXES)
     """The initial state of the search, as the system observes it: an estimate, a true mesh or voxels."""
     candidates: np.ndarray = _array("f4", "task", "step", "candidate", "xy")
     """Candidate grasp points on the estimate."""
@@ -110,9 +114,9 @@ class Sessions:
     """Planning loss of the recorded manipulations, starting from the first estimate."""
     offered: np.ndarray = _array("?", "task")
     """Whether each recorded first grasp point is near a candidate of the first step (see `diagnosis.offered`)."""
-    prediction_mean: np.ndarray = _array("f2", "task", "step", "planned", "net", *SEEN)
-    prediction_std: np.ndarray = _array("f2", "task", "step", "planned", "net", *SURE)
-    refined: np.ndarray = _array("f2", "task", "step", *SURE)
+    prediction_mean: np.ndarray = _array("f2", "task", "step", "planned", "net", *STATE_AXES)
+    prediction_std: np.ndarray = _array("f2", "task", "step", "planned", "net", *STD_AXES)
+    refined: np.ndarray = _array("f2", "task", "step", *STD_AXES)
     """The best net's prediction of the plan's outcome, refined."""
     progress: np.ndarray = _array("f4", "task", "step", "iteration")
     """Lowest loss of all strains up to that iteration."""
@@ -193,7 +197,7 @@ def record(tasks: Tasks, steps: Sequence[Step], sizes: Sizes) -> Sessions:
         fields["estimate"][at], fields["candidates"][at] = plan.state, plan.candidates
         fields["plan"][at], fields["loss"][at], fields["terms"][at] = plan.manipulations, plan.loss, _terms(plan)
         fields["common"][at], fields["relative"][at] = plan.common, plan.relative
-        fields["null"][at], fields["cancelled"][at] = plan.null, plan.useless & ~_short(plan)
+        fields["null"][at], fields["cancelled"][at] = plan.null, plan.useless & ~_first_is_null(plan)
         fields["error_otherwise"][at], fields["expected"][at] = step.error_otherwise, plan.expected
         fields["prediction_mean"][at] = plan.means
         if plan.stds is not None and step.refined is not None:
@@ -202,12 +206,8 @@ def record(tasks: Tasks, steps: Sequence[Step], sizes: Sizes) -> Sessions:
     return Sessions(**fields)
 
 
-def blank(tasks: Tasks, sizes: Sizes) -> Sessions:
-    """Records of sessions that have not started."""
-    return record(tasks, [], sizes)
-
-
-def _short(plan: Plan) -> Bool[np.ndarray, " acting"]:
+def _first_is_null(plan: Plan) -> Bool[np.ndarray, " acting"]:
+    """Whether a plan's first manipulation is itself a null manipulation, apart from the null check."""
     return np.asarray(is_null(plan.manipulations[:, 0]))
 
 
@@ -222,14 +222,13 @@ def _empty(tasks: Tasks, sizes: Sizes) -> dict[str, np.ndarray]:
     lengths = {"task": len(tasks.task), **_LENGTHS}
     lengths |= {name: getattr(sizes, name) for name in ("candidate", "net", "iteration", "strain", "restart")}
     lengths["term"] = sizes.net + 1
-    lengths |= dict(zip(SEEN, sizes.state, strict=True))
-    # Voxels have no standard deviations and no refined meshes: these arrays get dimensions of length 0.
-    lengths |= {name: length * sizes.probabilistic for name, length in zip(SURE, sizes.state, strict=True)}
-    kinds = {"f4": np.nan, "f2": np.nan, "i1": -1, "?": False}
+    lengths |= dict(zip(STATE_AXES, sizes.state, strict=True))
+    lengths |= {name: length * sizes.probabilistic for name, length in zip(STD_AXES, sizes.state, strict=True)}
+    missing = {"f4": np.nan, "f2": np.nan, "i1": -1, "?": False}
     empty: dict[str, np.ndarray] = {
-        name: np.full([lengths[d] for d in field.dimensions], kinds[field.dtype], field.dtype)
+        name: np.full([lengths[d] for d in field.dimensions], missing[field.dtype], field.dtype)
         for name, field in FIELDS.items()
-        if field.dtype in kinds
+        if field.dtype in missing
     }
     empty["split"] = np.array(tasks.split, dtype="U10")
     empty["sequence"] = np.array([task.sequence for task in tasks.task], np.int64)

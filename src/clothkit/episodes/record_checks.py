@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from clothkit.cloth.equivalents import COUNT
+from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.store import SPLITS, STATES, STEPS
 from clothkit.runtime.errors import InputError
 
@@ -79,8 +79,8 @@ def check_values(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
         _refuse(path, name, wrong, "expected finite values up to the session's end, NaN past it")
     for name in ("common", "relative"):
         labels = arrays[name]
-        wrong = np.where(acted, (labels < -1) | (labels >= COUNT), labels != -1)
-        _refuse(path, name, wrong, f"expected labels 0 to {COUNT - 1} up to the session's end, -1 past it")
+        wrong = np.where(acted, (labels < -1) | (labels >= SQUARE.count), labels != -1)
+        _refuse(path, name, wrong, f"expected labels 0 to {SQUARE.count - 1} up to the session's end, -1 past it")
     null, cancelled = arrays["null"], arrays["cancelled"]
     _refuse(path, "null", null & ~acted, "expected none past the session's end")
     _refuse(path, "null", cancelled & ~null, "expected every cancelled manipulation to be one that was not executed")

@@ -23,8 +23,8 @@ Execute = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 """Executes manipulations: meshes [w u v 3], grasp points xy [w 2 2], displacements [w 2], whether one-handed [w] ->
 resulting meshes [w u v 3]. Positions are relative to the table's origin [normalised], not to the cloth's centre."""
 
-TOGETHER = 24
-"""Batch size of refinement."""
+REFINED_TOGETHER = 24
+"""Number of predictions that are refined in one call."""
 
 
 def run_sessions(tasks: Tasks, planner: Planner, execute: Execute, *, sensor: Sensor | None = None) -> Sessions:
@@ -39,25 +39,26 @@ def run_sessions(tasks: Tasks, planner: Planner, execute: Execute, *, sensor: Se
     state, centre = np.asarray(tasks.start, np.float32), np.asarray(tasks.centre, np.float32)
     acting, steps = np.arange(len(lengths)), []
     observation, shift = sensor(state, None)
-    for number in range(int(lengths.max())):
-        kept = lengths[acting] > number
+    for step in range(int(lengths.max())):
+        # Sessions whose manipulations are used up leave the batch; `acting` has the rows of the others.
+        kept = lengths[acting] > step
         acting, memory = acting[kept], take(memory, kept)
         state, centre, observation, shift = take((state, centre, observation, shift), kept)
-        if number:
+        if step:
             observation, shift = _observed(sensor, state, memory, observation, shift)
-        keys = _keys(tasks, acting, number, planner.settings.seed)
+        keys = _keys(tasks, acting, step, planner.settings.seed)
         plan, memory = decide(planner, observation, memory, key=keys)
-        state, centre, otherwise = _executed(
-            plan, state, centre, shift, np.asarray(tasks.goal)[acting], number, planner, execute
+        state, centre, error_otherwise = _executed(
+            plan, state, centre, shift, np.asarray(tasks.goal)[acting], step, planner, execute
         )
-        steps.append(Step(acting, plan, _refined(planner, plan), state, centre, otherwise))
+        steps.append(Step(acting, plan, _refined(planner, plan), state, centre, error_otherwise))
     return record(tasks, steps, sizes_of(planner))
 
 
 def _observed(
     sensor: Sensor, state: Meshes, memory: Memory, before: Observation, shift: np.ndarray
 ) -> tuple[Observation, Float[np.ndarray, "task 2"]]:
-    """Observations of the cloths that were moved; those of the others stand."""
+    """Observations, and their shifts, of the cloths that were moved in the last step; the others keep theirs."""
     moved = np.flatnonzero(~memory.still)
     if not len(moved):
         return before, shift
@@ -94,7 +95,7 @@ def _refined(planner: Planner, plan: Plan) -> Meshes | None:
         return None
     last = (np.arange(len(plan.length)), plan.length - 1, planner.best)
     outcome = ProbabilisticMesh(plan.means[last], plan.stds[last])
-    return in_batches(lambda some: refine(some, some.mean, planner.settings.refine), TOGETHER, outcome)
+    return in_batches(lambda some: refine(some, some.mean, planner.settings.refine), REFINED_TOGETHER, outcome)
 
 
 def _executed(
@@ -103,33 +104,34 @@ def _executed(
     centre: Float[np.ndarray, "task 2"],
     shift: Float[np.ndarray, "task 2"],
     goal: Meshes,
-    number: int,
+    step: int,
     planner: Planner,
     execute: Execute,
 ) -> tuple[Meshes, Float[np.ndarray, "task 2"], Float[np.ndarray, " task"]]:
     """Execute the manipulations that are not null; returns true states and centres after them.
 
-    Geodesic grasp points become Cartesian on the estimate, which is placed at the observed centre (design 6.11).
+    Geodesic grasp points become Cartesian on the estimate, which is placed at the observed centre, the true one moved
+    by `shift` (design 6.11).
     Manipulations that the null check cancelled are executed too, but only for their error to the goal, which is the
     third value (NaN for all others).
     """
     first = plan.manipulations[:, 0]
-    state, centre, otherwise = state.copy(), centre.copy(), np.full(len(state), np.nan, np.float32)
+    state, centre, error_otherwise = state.copy(), centre.copy(), np.full(len(state), np.nan, np.float32)
     cancelled = plan.useless & ~np.asarray(is_null(first))
     tried = np.flatnonzero(~plan.null | cancelled)
     if not len(tried):
-        return state, centre, otherwise
+        return state, centre, error_otherwise
     meshes = state[tried]
     meshes[..., :2] += centre[tried, None, None]
     places = planner.representation.positions(plan.state[tried], first[tried, :4].reshape(-1, 2, 2))
     places = places + shift[tried, None]
     outcomes = execute(meshes, places + centre[tried, None], first[tried, 4:], np.asarray(is_single(first[tried])))
     if not np.isfinite(outcomes).all():
-        raise InputError(f"simulation: a manipulation of step {number} of a session has an outcome that is not finite")
+        raise InputError(f"simulation: a manipulation of step {step} of a session has an outcome that is not finite")
     for task, outcome in zip(tried, outcomes, strict=True):
         after, middle = centred(outcome)
         if cancelled[task]:
-            otherwise[task] = error(after, goal[task], aligned=True)
+            error_otherwise[task] = error(after, goal[task], aligned=True)
         else:
             state[task], centre[task] = after, middle
-    return state, centre, otherwise
+    return state, centre, error_otherwise

@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
-from clothkit.cloth.equivalents import equivalents_of_manipulation, relabel_manipulation_batch
-from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.cloth.mesh import best_label
+from clothkit.cloth.symmetry import equivalents_of_manipulation, relabel_manipulation_batch
+from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.episodes.record import Sessions, Tasks
 from clothkit.models.forward import ForwardModel
 from clothkit.planning.batches import in_batches
@@ -23,7 +23,7 @@ from clothkit.planning.planner import Planner
 from clothkit.planning.representation import Representation
 from clothkit.planning.types import UNKNOWN, Candidates, Meshes, Problem, States
 
-NEAR = 0.05 * CLOTH_SIDE
+NEAR = 0.05 * CLOTH_LENGTH
 """Largest distance from a recorded grasp point to the nearest candidate at which it counts as offered [normalised]."""
 
 

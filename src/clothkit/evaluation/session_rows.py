@@ -8,10 +8,10 @@ import pandas as pd
 from jaxtyping import Array, Float, Int
 
 from clothkit.cloth import voxels
-from clothkit.cloth.equivalents import relabel_batch
-from clothkit.cloth.grid import SIDE
 from clothkit.cloth.layers import reversed_share
 from clothkit.cloth.mesh import best_label, distance_aligned, error
+from clothkit.cloth.symmetry import relabel_batch
+from clothkit.cloth.topology import SQUARE
 from clothkit.episodes.record import Sessions
 
 _error = jax.jit(lambda mesh, truth: error(mesh, truth, aligned=True))
@@ -48,7 +48,7 @@ def rows(sessions: Sessions, system: str) -> pd.DataFrame:
     fired = sessions.cancelled & acted
     # A step that is not executed leaves its state unchanged, so this is its error.
     staying = np.stack([np.asarray(_error(sessions.state[:, i], goal)) for i in range(acted.shape[1])], axis=1)
-    meshes = sessions.estimate.shape[2:] == (SIDE, SIDE, 3)
+    meshes = sessions.estimate.shape[2:] == (*SQUARE.shape, 3)
     unknown = np.full(len(sessions), np.nan, np.float32)
     estimate, start = sessions.estimate[:, 0], sessions.state[:, 0]
     return pd.DataFrame(

@@ -8,7 +8,7 @@ A mesh is rotated or mirrored to bring its vertices as close as possible to thos
 Procrustes). Eight descriptions, one for each equivalent, remain possible. The canonical one has its larger second
 moment along x, and third moments in x and y that are not negative. For a flat cloth all eight are equal. Voxels can be
 rotated by right angles and mirrored only: the input of the voxel EM*D is the canonical one of these eight versions. The
-input of VtM has its larger second moment along x; mirrored versions are covered by the views of `vtm.estimate`.
+input of VtM has its larger second moment along x; mirrored versions are covered by `vtm.Views`.
 """
 
 from collections.abc import Callable
@@ -19,15 +19,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PyTree, Shaped
 
-from clothkit.cloth import grid
-from clothkit.cloth.equivalents import INVERSE, REVERSE_U, REVERSE_V, SWAP, relabel, relabel_manipulation
 from clothkit.cloth.mesh import Mesh, ProbabilisticMesh
+from clothkit.cloth.symmetry import relabel, relabel_manipulation
+from clothkit.cloth.topology import REVERSE_U, REVERSE_V, SQUARE, SWAP
 from clothkit.manipulation.turns import turn, turn_manipulation, turn_mesh
 
 if TYPE_CHECKING:
     from clothkit.models.forward import ForwardModel
 
-GRID = np.asarray(grid.flat())[..., :2]
+GRID = np.asarray(SQUARE.flat())[..., :2]
 """Positions xy of the flat cloth's vertices [normalised], centred."""
 
 FRAME = 5
@@ -108,9 +108,9 @@ def undone(predicted: ProbabilisticMesh, frame: Frame) -> ProbabilisticMesh:
     """A prediction, transformed from the canonical description back to the original one.
 
     The standard deviations of the result are those along the original axes, if coordinates are independent. Predictions
-    may be thinned, provided that the same vertices are kept under all labels, as `grid.thinned` does.
+    may be thinned, provided that the same vertices are kept under all labels, as `topology.thinned` does.
     """
-    k = jnp.asarray(INVERSE)[frame.k][..., None, None, None]
+    k = jnp.asarray(SQUARE.inverses)[frame.k][..., None, None, None]
     mean, std = (relabel(part, k) for part in predicted)
     back = jnp.swapaxes(frame.matrix, -1, -2)
     # The variance of a weighted sum of independent coordinates.
@@ -148,7 +148,7 @@ def voxels_described(voxels: Shaped[Array, "*batch x y z"], frame: Frame) -> Sha
 
 def voxels_undone(voxels: Shaped[Array, "*batch x y z"], frame: Frame) -> Shaped[Array, "*batch x y z"]:
     """The inverse of `voxels_described`."""
-    return relabel(voxels, jnp.asarray(INVERSE)[frame.k][..., None, None, None])
+    return relabel(voxels, jnp.asarray(SQUARE.inverses)[frame.k][..., None, None, None])
 
 
 def cartesian_described(manipulation: Float[Array, "*batch 6"], frame: Frame) -> Float[Array, "*batch 6"]:

@@ -18,7 +18,6 @@ from clothkit.manipulation.geometry import to_cartesian
 from clothkit.manipulation.vector import displacement, grasp_points
 from clothkit.models.convolution import Convolution, TransposedConvolution, axes
 from clothkit.models.layers import dense, run
-from clothkit.models.net import Net
 from clothkit.models.pemd import Manipulator
 from clothkit.models.settings import EMDVoxelConfig, Start
 
@@ -182,29 +181,3 @@ def cross_entropy(
 ) -> Float[Array, "*batch"]:
     """Binary cross-entropy between the truth (bool or 0 / 1) and logits of occupancy, averaged over voxels [nat]."""
     return jnp.mean(jax.nn.softplus(logits) - logits * truth, axis=(-3, -2, -1))
-
-
-def encode(net: Net, voxels: Shaped[Array | ndarray, "*batch 32 32 16"]) -> Float[Array, "*batch latent"]:
-    """`encode` of the net's forward model."""
-    from clothkit.models.forward import forward_model
-
-    return forward_model(net.config).encode(net.params, voxels)
-
-
-def step(
-    net: Net,
-    latent: Float[Array | ndarray, "*batch latent"],
-    trace: Float[Array | ndarray, "*batch latent"],
-    manipulation: Float[Array | ndarray, "*batch 6"],
-) -> tuple[Float[Array, "*batch latent"], Float[Array, "*batch latent"], Float[Array, "*batch 2"]]:
-    """`step` of the net's forward model."""
-    from clothkit.models.forward import forward_model
-
-    return forward_model(net.config).step(net.params, latent, trace, manipulation)
-
-
-def logits(net: Net, latent: Float[Array | ndarray, "*batch latent"]) -> Float[Array, "*batch 32 32 16"]:
-    """`decode` of the net's forward model."""
-    from clothkit.models.forward import forward_model
-
-    return forward_model(net.config).decode(net.params, latent)

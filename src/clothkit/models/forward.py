@@ -45,7 +45,7 @@ class ForwardModel(Protocol):
         ...
 
     def decode(self, params: PyTree, latent: Float[Array | ndarray, "*batch latent"], stride: int = 1) -> Any:
-        """The prediction for a latent: eq. (4); of a mesh only the vertices that `grid.thinned` keeps."""
+        """The prediction for a latent: eq. (4); of a mesh only the vertices that `topology.thinned` keeps."""
         ...
 
 

@@ -1,16 +1,17 @@
 """Building blocks of the nets: dense layers, their initial weights, and the probabilistic output of eq. (6)."""
 
+from math import prod
 from typing import Any
 
 import flax.linen as nn
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
-from clothkit.cloth.grid import SIDE
 from clothkit.cloth.mesh import ProbabilisticMesh
+from clothkit.cloth.topology import SQUARE
 from clothkit.models.settings import Start
 
-OUTPUTS = SIDE * SIDE * 6
+OUTPUTS = prod(SQUARE.shape) * 6
 """Units of a probabilistic output layer: mean and sigma's activation, for three coordinates of every vertex."""
 
 
@@ -37,7 +38,7 @@ def probabilistic_mesh(activation: Float[Array, "*batch outputs"], least_std: fl
     Activations are ordered by u, v and then six channels: three means, and three values a with standard deviation
     exp(a) + `least_std`.
     """
-    units = activation.reshape(*activation.shape[:-1], SIDE, SIDE, 6)
+    units = activation.reshape(*activation.shape[:-1], *SQUARE.shape, 6)
     return ProbabilisticMesh(units[..., :3], jnp.exp(units[..., 3:]) + least_std)
 
 

@@ -7,10 +7,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 from numpy import ndarray
 
-from clothkit.cloth.grid import SIDE, thinned
 from clothkit.cloth.mesh import ProbabilisticMesh
+from clothkit.cloth.topology import SQUARE, thinned
 from clothkit.models.layers import dense, probabilistic_mesh, probabilistic_output, run
-from clothkit.models.net import Net
 from clothkit.models.settings import PEMDConfig, Start
 
 LAYERS = 16
@@ -134,7 +133,7 @@ class PEMDModule(nn.Module):
 
 def initial(config: PEMDConfig, start: Start = Start(), *, key: PRNGKeyArray) -> PyTree:  # noqa: B008
     """Initial weights for training."""
-    return PEMDModule(config, start).init(key, jnp.zeros((SIDE, SIDE, 3)), jnp.zeros(6))["params"]
+    return PEMDModule(config, start).init(key, jnp.zeros((*SQUARE.shape, 3)), jnp.zeros(6))["params"]
 
 
 @dataclass(frozen=True)
@@ -166,7 +165,7 @@ class PEMD:
     ) -> ProbabilisticMesh:
         """The probabilistic mesh [normalised] for a latent: eq. (4).
 
-        With a stride above 1, only the vertices that `grid.thinned` keeps are computed and returned.
+        With a stride above 1, only the vertices that `topology.thinned` keeps are computed and returned.
         """
         latent = jnp.asarray(latent)
         if stride == 1:
@@ -184,35 +183,9 @@ class PEMD:
             layer = decoder[f"layer_{i + 1}"]
             units = jnp.tanh(units @ layer["kernel"] + layer["bias"])
         kernel, bias = (
-            thinned(decoder["mesh"][name].reshape(-1, SIDE, SIDE, 6), stride) for name in ("kernel", "bias")
+            thinned(decoder["mesh"][name].reshape(-1, *SQUARE.shape, 6), stride) for name in ("kernel", "bias")
         )
         side = kernel.shape[1]
         units = units @ kernel.reshape(len(kernel), -1) + bias.reshape(-1)
         units = units.reshape(*latent.shape[:-1], side, side, 6)
         return ProbabilisticMesh(units[..., :3], jnp.exp(units[..., 3:]) + self.config.least_std)
-
-
-def encode(net: Net, mesh: Float[Array | ndarray, "*batch u v 3"]) -> Float[Array, "*batch latent"]:
-    """`encode` of the net's forward model."""
-    from clothkit.models.forward import forward_model
-
-    return forward_model(net.config).encode(net.params, mesh)
-
-
-def step(
-    net: Net,
-    latent: Float[Array | ndarray, "*batch latent"],
-    trace: Float[Array | ndarray, "*batch latent"],
-    manipulation: Float[Array | ndarray, "*batch 6"],
-) -> tuple[Float[Array, "*batch latent"], Float[Array, "*batch latent"], Float[Array, "*batch 2"]]:
-    """`step` of the net's forward model."""
-    from clothkit.models.forward import forward_model
-
-    return forward_model(net.config).step(net.params, latent, trace, manipulation)
-
-
-def decode(net: Net, latent: Float[Array | ndarray, "*batch latent"], stride: int = 1) -> ProbabilisticMesh:
-    """`decode` of the net's forward model."""
-    from clothkit.models.forward import forward_model
-
-    return forward_model(net.config).decode(net.params, latent, stride)

@@ -1,12 +1,16 @@
 """VtM, the voxel-to-mesh net: seven fully connected layers, probabilistic output (section 4.7, design 6.3)."""
 
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
 import flax.linen as nn
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree, Shaped
 from numpy import ndarray
 
-from clothkit.cloth.equivalents import COUNT, SWAP, equivalents, relabel
 from clothkit.cloth.mesh import Mesh, ProbabilisticMesh, distance
+from clothkit.cloth.symmetry import equivalents, relabel
+from clothkit.cloth.topology import SQUARE, SWAP
 from clothkit.cloth.voxels import RESOLUTION, observe
 from clothkit.manipulation.turns import turn_mesh
 from clothkit.models.canonical import axes, lies_along_y
@@ -41,33 +45,71 @@ def seen_by(net: Net, mesh: Float[Array | ndarray, "*batch u v 3"]) -> Bool[Arra
     return observe(mesh, height=net.config.height)
 
 
-def estimate(net: Net, voxels: Shaped[Array | ndarray, "*batch 32 32 16"]) -> ProbabilisticMesh:
-    """Estimate the probabilistic mesh [normalised] from occluded, centred voxels (bool or 0 / 1): eq. (9).
+@runtime_checkable
+class Estimator(Protocol):
+    """VtM as a pure function of a net's weights."""
 
-    With eight views, the net is applied to all versions of the voxels that are rotated by right angles and mirrored.
-    Each output is transformed back and relabelled to be nearest to the first one; the result has the mean and standard
-    deviation of their mixture. This averages out errors that depend on the orientation. For a canonical net the eight
-    views are equal in pairs, so only four are computed.
+    def __call__(self, params: PyTree, voxels: Shaped[Array, "*batch 32 32 16"]) -> ProbabilisticMesh:
+        """The probabilistic mesh [normalised] of centred, occluded voxels (bool or 0 / 1): eq. (9)."""
+        ...
+
+
+@dataclass(frozen=True)
+class SinglePass:
+    """An estimate is the net's output."""
+
+    config: VtMConfig
+
+    def __call__(self, params: PyTree, voxels: Shaped[Array, "*batch 32 32 16"]) -> ProbabilisticMesh:
+        return run(VtM(self.config), params, voxels)
+
+
+@dataclass(frozen=True)
+class Canonicalised:
+    """An `Estimator` that shows another one only voxels that are widest along x."""
+
+    estimator: Estimator
+
+    def __call__(self, params: PyTree, voxels: Shaped[Array, "*batch 32 32 16"]) -> ProbabilisticMesh:
+        swap = lies_along_y(voxels) * SWAP
+        return back(self.estimator(params, relabel(voxels, swap[..., None, None, None])), swap)
+
+
+@dataclass(frozen=True)
+class Views:
+    """An `Estimator` that combines another one's estimates of the voxels, rotated by right angles and mirrored.
+
+    Each estimate is transformed back and relabelled to be nearest to the first one; the result has the mean and
+    standard deviation of their mixture. This averages out errors that depend on the orientation.
     """
-    voxels = jnp.asarray(voxels)
-    count = COUNT if net.config.views > 1 else 1
-    views = [seen_as(net, voxels, k) for k in range(0, count, 2 if net.config.canonical else 1)]
-    if len(views) == 1:
-        return views[0]
-    first = views[0].mean
-    labelled = [(relabelled_like(m, first, m), relabelled_like(s, first, m)) for m, s in views]
-    means, stds = (jnp.stack(parts) for parts in zip(*labelled, strict=True))
-    mean = jnp.mean(means, axis=0)
-    return ProbabilisticMesh(mean, jnp.sqrt(jnp.mean(stds**2 + (means - mean) ** 2, axis=0)))
+
+    estimator: Estimator
+    equivalents: tuple[int, ...]
+    """The transformations of the axes x and y, as those of u and v by equivalent k."""
+
+    def __call__(self, params: PyTree, voxels: Shaped[Array, "*batch 32 32 16"]) -> ProbabilisticMesh:
+        views = [back(self.estimator(params, relabel(voxels, k)), k) for k in self.equivalents]
+        first = views[0].mean
+        labelled = [(relabelled_like(m, first, m), relabelled_like(s, first, m)) for m, s in views]
+        means, stds = (jnp.stack(parts) for parts in zip(*labelled, strict=True))
+        mean = jnp.mean(means, axis=0)
+        return ProbabilisticMesh(mean, jnp.sqrt(jnp.mean(stds**2 + (means - mean) ** 2, axis=0)))
 
 
-def seen_as(net: Net, voxels: Shaped[Array, "*batch x y z"], k: int) -> ProbabilisticMesh:
-    """The net's estimate from voxels whose axes x and y are transformed as by equivalent k, transformed back."""
-    shown = relabel(voxels, k)
-    if not net.config.canonical:
-        return back(run(VtM(net.config), net.params, shown), k)
-    swap = lies_along_y(shown) * SWAP
-    return back(back(run(VtM(net.config), net.params, relabel(shown, swap[..., None, None, None])), swap), k)
+def estimator(config: VtMConfig) -> Estimator:
+    """The estimator that a net with this configuration was trained for."""
+    single = SinglePass(config)
+    shown = Canonicalised(single) if config.canonical else single
+    if config.views == 1:
+        return shown
+    # A canonical net's estimates do not change when x and y are swapped: four of the eight views differ.
+    views = (k for k in range(SQUARE.count) if not (config.canonical and k & SWAP))
+    return Views(shown, tuple(views))
+
+
+def estimate(net: Net, voxels: Shaped[Array | ndarray, "*batch 32 32 16"]) -> ProbabilisticMesh:
+    """The net's estimate, a probabilistic mesh [normalised], from centred, occluded voxels (bool or 0 / 1): eq. (9)."""
+    return estimator(net.config)(net.params, jnp.asarray(voxels))
 
 
 def back(estimated: ProbabilisticMesh, k: int | Int[Array, "*batch"]) -> ProbabilisticMesh:

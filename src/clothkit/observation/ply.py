@@ -40,9 +40,6 @@ class Element(NamedTuple):
     """Names of the properties that are lists, which start with their length."""
 
 
-_NONE = Element("", 0, 0, (), frozenset(), frozenset())
-
-
 def load_ply(path: Path, content: bytes) -> trimesh.Trimesh | trimesh.PointCloud | None:
     """The mesh, or the points, in a PLY file; None if it holds no vertices.
 

@@ -41,11 +41,11 @@ def begin(planner: Planner, goals: States, lengths: Int[np.ndarray, " task"]) ->
         relative=np.full(count, 0 if planner.labelled else UNKNOWN, np.int32),
         rest=np.full((count, STEPS, 6), np.nan, np.float32),
         expected=blank,
-        traces=no_traces(planner, count),
+        traces=initial_traces(planner, count),
     )
 
 
-def no_traces(planner: Planner, count: int) -> Traces:
+def initial_traces(planner: Planner, count: int) -> Traces:
     """The initial memory traces t_0 for each net: zeros `[count, labels, latent]`."""
     state = jnp.zeros(planner.representation.shape)
     widths = [jax.eval_shape(planner.model.encode, net, state).shape[-1] for net in planner.nets]
@@ -62,15 +62,15 @@ def decide(
     Tasks whose cloth lies as it lay keep their state, whatever is observed. `search` replaces the planner's own.
     """
     state, candidates = perceive(planner, observation, memory)
-    plans, places = [], []
+    plans, rows_of_plans = [], []
     for length in range(1, STEPS + 1):
         rows = np.flatnonzero(memory.left == length)
         if len(rows):
             problems = pose(planner, state[rows], candidates[rows], take(memory, rows), length)
             found = _searched(search or planner.search, problems, key[rows], length, planner.settings.batch)
             plans.append(conclude(planner, problems, found, candidates[rows]))
-            places.append(rows)
-    order = np.argsort(np.concatenate(places), kind="stable")
+            rows_of_plans.append(rows)
+    order = np.argsort(np.concatenate(rows_of_plans), kind="stable")
     plan = take(jax.tree.map(lambda *parts: np.concatenate(parts), *plans), order)
     return plan, remember(planner, memory, plan, executed=~plan.null)
 
@@ -80,13 +80,12 @@ def perceive(
 ) -> tuple[States, Float[np.ndarray, "task candidate 2"]]:
     """The states and their candidate grasp points, NaN where there are fewer.
 
-    Estimates get the labels of the expected states, where something was executed before.
+    Cloths that nothing was executed on since the last decision keep their state. Estimates of the others get the labels
+    of the expected states, except before the first decision, when nothing is expected.
     """
     state, candidates = memory.state.copy(), memory.candidates.copy()
-    for rows, expected in (
-        (np.flatnonzero(~memory.planned), None),
-        (np.flatnonzero(memory.planned & ~memory.still), memory.expected),
-    ):
+    first, moved = np.flatnonzero(~memory.planned), np.flatnonzero(memory.planned & ~memory.still)
+    for rows, expected in ((first, None), (moved, memory.expected)):
         if not len(rows):
             continue
         state[rows] = planner.perception(take(observation, rows), None if expected is None else expected[rows])
@@ -122,6 +121,7 @@ def pose(
 
 
 def _searched(search: Search, problems: Problem, keys: Keys, length: int, batch: int) -> Found:
+    """What the search finds for each problem, in batches, with the time of each batch counted under the length."""
     count = len(problems.state)
     # The last batch is padded with copies, which are not counted as tasks.
     counts = iter([min(batch, count - first) for first in range(0, count, batch)])
@@ -158,7 +158,7 @@ def conclude(
     goal = representation.relabel(np.asarray(problems.goal), np.asarray(found.relative))
     expected = representation.distance(np.mean([mean[:, -1] for mean in means], axis=0), goal)
     useless = expected > representation.distance(state, goal)
-    short = np.asarray(is_null(plan[:, 0]))
+    first_is_null = np.asarray(is_null(plan[:, 0]))
     optimiser = settings.search.optimiser
     losses = np.asarray(found.losses)
     return Plan(
@@ -177,7 +177,7 @@ def conclude(
         differences=None if apart is None else _padded(apart, STEPS),
         expected=expected,
         useless=useless,
-        null=useless | short,
+        null=useless | first_is_null,
         progress=_padded(np.minimum.accumulate(losses.min(-1), axis=1), optimiser.shape(STEPS)[0]),
         restarts=best_of_restarts(losses, np.asarray(found.restarts), optimiser.starts(STEPS)),
     )
@@ -194,11 +194,12 @@ def best_of_restarts(
 ) -> Float[np.ndarray, "task strain restart"]:
     """The lowest loss of each strain between consecutive restarts.
 
-    Periods after number `most` are merged into it. NaN where a period does not exist or has no finite loss.
+    Periods after the first `most` are merged into the last of these. NaN where a period does not exist or has no finite
+    loss.
     """
-    run = np.minimum(np.cumsum(restarts, axis=1) - restarts, most - 1)
-    found = [np.where(run == number, losses, np.inf).min(1) for number in range(most)]
-    best = np.stack(found, axis=-1).astype(np.float32)
+    period = np.minimum(np.cumsum(restarts, axis=1) - restarts, most - 1)
+    lowest = [np.where(period == number, losses, np.inf).min(1) for number in range(most)]
+    best = np.stack(lowest, axis=-1).astype(np.float32)
     return np.where(np.isinf(best), np.nan, best).astype(np.float32)
 
 

@@ -7,12 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
-from clothkit.cloth import equivalents as symmetry
-from clothkit.cloth import grid
-from clothkit.cloth.equivalents import COUNT, relabel_batch
-from clothkit.cloth.grid import SIDE
+from clothkit.cloth import symmetry, topology
 from clothkit.cloth.mesh import ProbabilisticMesh, distance_aligned, nll, whiten, whiten_probabilistic
 from clothkit.cloth.silhouette import silhouette
+from clothkit.cloth.symmetry import relabel_batch
+from clothkit.cloth.topology import SQUARE
 from clothkit.manipulation.candidates import CandidateConfig, candidates
 from clothkit.manipulation.geometry import to_cartesian, to_geodesic
 from clothkit.planning.initial import EXTENT, RASTER
@@ -27,8 +26,8 @@ CORNERS = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]], np.float32)
 class MeshRepresentation:
     """Meshes [u v 3], normalised and centred, in any of their labellings; grasp points are geodesic."""
 
-    shape: tuple[int, ...] = (SIDE, SIDE, 3)
-    labels: int = COUNT
+    shape: tuple[int, ...] = (*SQUARE.shape, 3)
+    labels: int = SQUARE.count
     probabilistic: bool = True
 
     def equivalents(self, state: Float[Array, "u v 3"]) -> Float[Array, "8 u v 3"]:
@@ -46,7 +45,7 @@ class MeshRepresentation:
         return whiten(goals)
 
     def thinned(self, goals: Float[Array, "*goals u v 3"], stride: int) -> Float[Array, "*goals thin thin 3"]:
-        return grid.thinned(goals, stride)
+        return topology.thinned(goals, stride)
 
     def accuracy(self, target: Float[Array, "*batch u v 3"], outcome: ProbabilisticMesh) -> Float[Array, "*batch"]:
         """The NLL of eq. (13). Targets are whitened already, since they do not change during a search."""

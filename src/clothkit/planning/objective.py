@@ -13,15 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
-from clothkit.cloth.equivalents import COUNT, INVERSE, compose
+from clothkit.cloth.topology import SQUARE
 from clothkit.models.ensemble import pairs
 from clothkit.models.forward import ForwardModel, rollout
 from clothkit.planning.representation import Representation
 from clothkit.planning.types import UNKNOWN, Problem, Scalar
 from clothkit.planning.uncertainty import Spread, uncertainty_of_steps
-
-COMPOSED = np.array([[compose(j, k) for k in range(COUNT)] for j in range(COUNT)], np.int32)
-"""[j, k]: the index of the relabelling by j followed by that by k."""
 
 
 class Weights(NamedTuple):
@@ -227,9 +224,9 @@ def evaluate(
         for net, outcome in enumerate(outlook.outcomes)
     ]
     nearest = jnp.argmin(jax.lax.stop_gradient(sum(of_each)), axis=1)
-    found = jnp.asarray(COMPOSED)[nearest, jnp.asarray(INVERSE)[common]]
+    found = jnp.asarray(SQUARE.composed)[nearest, jnp.asarray(SQUARE.inverses)[common]]
     relative = jnp.where(relative == UNKNOWN, found, relative)
-    goal = goals[jnp.asarray(COMPOSED)[relative, common]]
+    goal = goals[jnp.asarray(SQUARE.composed)[relative, common]]
     accuracies = [
         objective.accuracy.of_net(representation.accuracy(goal, outcome), net, outlook.last)
         for net, outcome in enumerate(outlook.outcomes)

@@ -7,8 +7,8 @@ import jax
 import numpy as np
 from jaxtyping import Shaped
 
-from clothkit.cloth.equivalents import relabel
 from clothkit.cloth.mesh import best_label
+from clothkit.cloth.symmetry import relabel
 from clothkit.cloth.voxels import HEIGHT
 from clothkit.estimation.estimate import estimate, estimate_unrefined
 from clothkit.estimation.refine import RefineConfig

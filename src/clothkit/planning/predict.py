@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
-from clothkit.cloth.equivalents import INVERSE, equivalents_of_manipulation, relabel_manipulation
+from clothkit.cloth.symmetry import equivalents_of_manipulation, relabel_manipulation
+from clothkit.cloth.topology import SQUARE
 from clothkit.models.forward import ForwardModel, rollout
 from clothkit.planning.objective import mean_difference
 from clothkit.planning.representation import Representation
@@ -44,7 +45,7 @@ def predict(
         latents = model.encode(net, representation.equivalents(state))
         found = rollout(model, net, latents[common], relabel_manipulation(plan, common), traces[common])
         states = model.decode(net, found.latents)
-        states = representation.relabel_prediction(states, jnp.asarray(INVERSE)[common])
+        states = representation.relabel_prediction(states, jnp.asarray(SQUARE.inverses)[common])
         manipulations = equivalents_of_manipulation(plan[0])[: representation.labels]
         _, left, _ = model.step(net, latents, traces, manipulations)
         return Prediction(states, found.shifts, left)

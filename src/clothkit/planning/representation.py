@@ -102,7 +102,7 @@ class Representation(Protocol):
         ...
 
     def of_meshes(self, meshes: Meshes) -> States:
-        """Meshes in this representation, as goals are given."""
+        """Meshes converted to this representation; goals are meshes at first."""
         ...
 
     def recorded(self, states: Float[np.ndarray, "task state u v 3"], plan: Float[np.ndarray, "task n 6"]) -> Recorded:

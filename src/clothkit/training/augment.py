@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray, Shaped
 
-from clothkit.cloth import equivalents
-from clothkit.cloth.equivalents import relabel_batch, relabel_manipulation_batch
+from clothkit.cloth.symmetry import relabel_batch, relabel_manipulation_batch
+from clothkit.cloth.topology import SQUARE
 from clothkit.manipulation.turns import planar, turn, turn_manipulation, turn_mesh
 from clothkit.manipulation.vector import swap_grasps
 from clothkit.models.canonical import Canonicalised, Description
@@ -88,7 +88,7 @@ def augment(examples: Examples, *, noise: float, key: PRNGKeyArray) -> Examples:
     turn_key, label_key, swap_key, noise_key = jax.random.split(key, 4)
     batch, n = examples.manipulations.shape[:2]
     examples = turned(examples, random_turns(batch, key=turn_key))
-    examples = relabelled(examples, jax.random.randint(label_key, (batch,), 0, equivalents.COUNT))
+    examples = relabelled(examples, jax.random.randint(label_key, (batch,), 0, SQUARE.count))
     swap = jax.random.bernoulli(swap_key, shape=(batch, n, 1))
     manipulations = jnp.where(swap, swap_grasps(examples.manipulations), examples.manipulations)
     mesh = examples.state + noise * jax.random.normal(noise_key, examples.state.shape) if noise else examples.state

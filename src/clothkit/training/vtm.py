@@ -16,8 +16,9 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree, Shaped
 
 from clothkit.cloth import mesh as meshes
 from clothkit.cloth import voxels
-from clothkit.cloth.equivalents import SWAP, equivalents, relabel_batch
 from clothkit.cloth.mesh import ProbabilisticMesh
+from clothkit.cloth.symmetry import equivalents, relabel_batch
+from clothkit.cloth.topology import SWAP
 from clothkit.dataset.store import STEPS, Dataset
 from clothkit.manipulation.turns import turn_mesh
 from clothkit.models.canonical import lies_along_y

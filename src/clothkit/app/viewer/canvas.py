@@ -10,7 +10,7 @@ from trimesh.visual.material import PBRMaterial
 
 from clothkit.app.viewer.colours import rgb
 from clothkit.app.viewer.scene import Caption, Cloth, Dots, Path, Scene
-from clothkit.cloth.grid import triangles
+from clothkit.cloth.topology import triangles
 
 _TABLE = (236, 234, 230)
 _FIELD = np.deg2rad(32)  # vertical field of view [rad]
@@ -109,7 +109,7 @@ class Canvas:
 def two_sided(cloth: Cloth) -> bytes:
     """Return the cloth as GLB with each face twice, once per side: visible from that side only, in its colours."""
     mesh = finer(cloth.mesh, degree=3)
-    faces, vertices = triangles(len(mesh)), mesh.reshape(-1, 3)
+    faces, vertices = triangles(mesh.shape[:2]), mesh.reshape(-1, 3)
     scene = trimesh.Scene()
     for name, wound, side in (("front", faces, cloth.front), ("back", faces[:, ::-1], cloth.back)):
         painted = finer(side, degree=1)

@@ -5,7 +5,7 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 from jaxtyping import Float
 
-from clothkit.cloth.grid import CLOTH_SIDE
+from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.report.draw import BACK, FRONT, relief_colours
 
 Colour = tuple[float, float, float] | Float[np.ndarray, "3"]
@@ -71,7 +71,7 @@ def legend(scale: Scale) -> str:
     bar = f'<div style="height:10px;border-radius:3px;background:{ramp}"></div>'
     ends = (
         '<div style="display:flex;justify-content:space-between"><span>0</span>'
-        f"<span>{scale.highest / CLOTH_SIDE:g} cloth lengths</span></div>"
+        f"<span>{scale.highest / CLOTH_LENGTH:g} cloth lengths</span></div>"
     )
     grey = _swatch(UNKNOWN, "not known") if scale.mode != "height" else ""
     return _LEGEND.format(body=bar + ends + grey, says=_SAYS[scale.mode])

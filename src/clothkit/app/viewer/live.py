@@ -17,8 +17,8 @@ from clothkit.app.inputs import Input, Settings
 from clothkit.app.planner import epistemic_uncertainty, estimate_mesh, goal_of, load_vtm, mesh_of, observation_of
 from clothkit.app.viewer.search_progress import OnProgress, Progress, search_in_batches
 from clothkit.app.viewer.session import Mesh, Session, ShownPlan, StateEstimate, Step, error_of, matched
-from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.cloth.silhouette import centred
+from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.estimation.estimate import estimate_probabilistic
 from clothkit.manipulation.vector import is_null, is_single
 from clothkit.observation.observe import observe
@@ -181,5 +181,5 @@ def _simulated(live: Live, manipulation: Float[np.ndarray, "6"]) -> tuple[Mesh, 
 
 def _observe(truth: Mesh, centre: Float[np.ndarray, "2"], settings: Settings) -> Input:
     """Observe the simulated cloth as a camera would."""
-    state = MeshState(truth, centre, settings.app.side / CLOTH_SIDE)
+    state = MeshState(truth, centre, settings.app.side / CLOTH_LENGTH)
     return Input("simulation", state, observe(state, cloth_side=settings.app.side, settings=settings.app.cloud))

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from clothkit.app.viewer.session import Session, ShownPlan, StateEstimate, Step, is_mesh, matched
-from clothkit.cloth.equivalents import relabel
 from clothkit.cloth.mesh import distance_aligned
+from clothkit.cloth.symmetry import relabel
 from clothkit.dataset import tables
 from clothkit.episodes import record
 from clothkit.evaluation import tidy

@@ -9,7 +9,7 @@ from clothkit.app.describe import heights
 from clothkit.app.viewer import colours
 from clothkit.app.viewer.colours import Colour, Mode, Scale
 from clothkit.app.viewer.session import Mesh, Session, State, disagreement, error_of, is_mesh, places
-from clothkit.cloth.grid import CLOTH_SIDE
+from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.cloth.voxels import HEIGHT, RESOLUTION
 from clothkit.manipulation.geometry import arc, release_points, to_cartesian
 from clothkit.manipulation.vector import displacement, grasp_points, is_null, is_single
@@ -128,7 +128,7 @@ def scale_of(session: Session, mode: Mode) -> Scale:
     every = [shown for at in range(len(session.states)) for shown in to_show(session, at)]
     found = [v for shown in every if (v := values(shown, mode)) is not None]
     highest = max((float(np.quantile(v, 0.995)) for v in found), default=0.0)
-    return Scale(mode, colours.round_up(highest / CLOTH_SIDE) * CLOTH_SIDE)
+    return Scale(mode, colours.round_up(highest / CLOTH_LENGTH) * CLOTH_LENGTH)
 
 
 def values(shown: Shown, mode: Mode) -> Float[np.ndarray, "u v"] | None:

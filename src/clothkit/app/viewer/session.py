@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Float, Shaped
 
 from clothkit.app.plan_file import UNLIKELY
-from clothkit.cloth.equivalents import relabel, relabel_manipulation
-from clothkit.cloth.grid import CLOTH_SIDE, SIDE
 from clothkit.cloth.mesh import error
+from clothkit.cloth.symmetry import relabel, relabel_manipulation
+from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE
 from clothkit.evaluation.errors import labels_of_truth
 from clothkit.manipulation.geometry import to_cartesian
 from clothkit.models.ensemble import pairs
@@ -84,7 +84,7 @@ class Session(NamedTuple):
 
 def is_mesh(state: np.ndarray) -> bool:
     """Whether a state is a mesh, and not voxels."""
-    return state.shape == (SIDE, SIDE, 3)
+    return state.shape == (*SQUARE.shape, 3)
 
 
 def matched(step: Step, truth: Mesh) -> Step:
@@ -152,7 +152,7 @@ def _facts_of(plan: ShownPlan | None) -> list[str]:
         lines.append(f"- epistemic uncertainty u = {plan.uncertainty:.3g}")
     apart = disagreement(plan)
     if apart is not None:
-        by = ", ".join(f"{after.mean():.3f}" for after in apart / CLOTH_SIDE)
+        by = ", ".join(f"{after.mean():.3f}" for after in apart / CLOTH_LENGTH)
         lines.append(f"- the nets differ by {by} after each manipulation")
     lines.append(f"- loss {plan.loss:.3g}")
     if not plan.improves:
