@@ -59,7 +59,7 @@ class Mutant(NamedTuple):
     """A module with one change."""
 
     module: str
-    """<package>/<module>"""
+    """<package>/<module>; a package within another one is <package>/<package>."""
     line: int
     operator: str
     code: str
@@ -150,7 +150,7 @@ def sample(package: str, modules: Iterable[str], operators: list[str], each: int
 
 def mirrors(module: str, beside: dict[str, list[str]]) -> list[str]:
     """Return the paths of a module's tests: the mirror test, if there is one, and those in `beside`."""
-    package, name = module.split("/")
+    package, name = module.rsplit("/", 1)
     own = f"tests/{package}/test_{name}.py"
     return [*([own] if (ROOT / own).exists() else []), *beside.get(module, [])]
 
@@ -206,8 +206,9 @@ def change(original: str, mutant: Mutant) -> Iterator[str]:
 def main() -> None:
     table = settings()
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    modules = {f"{package}/{name}": (name,) for package, names in table["modules"].items() for name in names}
-    parser.add_argument("packages", nargs="*", metavar="PACKAGE", choices=[[], *table["modules"], *modules])
+    parts = {package: (package, names) for package, names in table["modules"].items()}
+    parts |= {f"{package}/{name}": (package, [name]) for package, names in table["modules"].items() for name in names}
+    parser.add_argument("packages", nargs="*", metavar="PACKAGE", choices=[[], *parts])
     parser.add_argument("--each", type=int, default=table["each"])
     parser.add_argument("--seed", type=int, default=table["seed"])
     parser.add_argument("--limit", type=float, default=table["limit"])
@@ -230,11 +231,11 @@ def main() -> None:
             source = ROOT / name
             (shutil.copytree if source.is_dir() else shutil.copy)(source, copy / name)
         sound: set[tuple[str, ...]] = set()
-        for package in options.packages or table["modules"]:
-            names = modules.get(package) or table["modules"][package]
-            chosen = sample(package.split("/")[0], names, operators, options.each, options.seed)
+        for part in options.packages or table["modules"]:
+            package, names = parts[part]
+            mutants = sample(package, names, operators, options.each, options.seed)
             killed, late = 0, 0
-            for mutant in chosen:
+            for mutant in mutants:
                 original, tests = source_of(mutant.module), mirrors(mutant.module, table["beside"])
                 print(f"{mutant.module}.py:{mutant.line} {mutant.operator}", *change(original, mutant), sep="\n")
                 if options.list:
@@ -251,7 +252,8 @@ def main() -> None:
                 killed, late = killed + outcome.killed, late + outcome.late
                 word = "killed by the time limit" if outcome.late else "killed" if outcome.killed else "SURVIVED"
                 print(f"    {word} in {outcome.seconds:.0f} s", flush=True)
-            shares.append(f"{package}: {killed} of {len(chosen)} killed ({killed / len(chosen):.0%}), {late} by time")
+            share = f"{killed} of {len(mutants)} killed ({killed / len(mutants):.0%})"
+            shares.append(f"{part}: {share}, {late} by time")
     if not options.list:
         print(*shares, sep="\n")
 

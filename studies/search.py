@@ -14,7 +14,7 @@ all sequences are planned in one call, they are NaN. Needs the nets, the normali
 (`dvc repro normalise`).
 
 Options with defaults: `--strains N ..` (16 32 64 128 256 512), `--iterations F ..` (0.5 2, factors of the iterations in
-params.yaml), `--every N ..` (1 4), `--near SHARE ..` (0 0.8). `--draw` only draws the existing rows.
+params.yaml), `--stride N ..` (1 4), `--near SHARE ..` (0 0.8). `--draw` only draws the existing rows.
 """
 
 import argparse

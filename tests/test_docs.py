@@ -17,6 +17,7 @@ import pytest
 from click.testing import CliRunner
 
 from clothkit.app.cli import COMMANDS, cli
+from clothkit.planning.optimisers import OPTIMISERS
 from clothkit.planning.systems import SYSTEMS
 from clothkit.simulation.material import FABRICS
 from clothkit.simulation.records import SCHEMAS
@@ -42,7 +43,7 @@ def here(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterato
         (tmp_path / name).symlink_to(root / name)
     (tmp_path / "reports").symlink_to(ROOT / "reports")
     monkeypatch.chdir(tmp_path)
-    registries: list[dict[str, Any]] = [FABRICS, SYSTEMS]
+    registries: list[dict[str, Any]] = [FABRICS, OPTIMISERS, SYSTEMS]
     kept = [registry.copy() for registry in registries]
     yield tmp_path
     for registry, before in zip(registries, kept, strict=True):

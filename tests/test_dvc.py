@@ -64,7 +64,7 @@ class Repository:
         "alpha=0.123",
         "app.side=0.123",
         "scales.smoke.evaluate_camera.estimated=123",
-        "scales.laptop.plan.search.strains=123",
+        "scales.laptop.plan.search.optimiser.strains=123",
         "scales.overnight.train_vtm.rare=0.123",
         "scales.overnight.evaluate_camera.estimated=123",
         "scales.paper.train_vtm.training.stop_below=0.123",

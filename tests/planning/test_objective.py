@@ -186,3 +186,13 @@ def test_a_term_from_outside_is_added_with_its_weight() -> None:
     np.testing.assert_allclose(more.terms["effort"], [0.5], rtol=1e-6)
     np.testing.assert_allclose(more.loss, plain.loss + 1.5, rtol=1e-5)
     assert isinstance(usual.terms["uncertainty"], Uncertainty)
+
+
+def test_a_planner_adds_its_further_terms_to_those_of_the_paper() -> None:
+    effort = Effort(3.0)
+    planner = dataclasses.replace(toy.planner("main"), terms={"effort": effort})
+    assert list(planner.objective(1).terms) == ["uncertainty", "effort"]
+    assert planner.objective(1).terms["effort"] is effort
+    certain = dataclasses.replace(planner, weights=toy.WEIGHTS._replace(alpha=0.0))
+    assert certain.objective(1).terms == {"effort": effort}
+    assert list(toy.planner("main").objective(1).terms) == ["uncertainty"]
