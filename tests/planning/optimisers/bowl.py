@@ -79,7 +79,10 @@ def space(length: int, *, valid: Callable[[Plans], Array] | None = None) -> Spac
     def all_valid(plans: Plans) -> Array:
         return jnp.ones(len(plans.plan), bool)
 
-    return Space(length, CANDIDATES, PRESENT, sample, valid or all_valid)
+    def variants(plans: Plans) -> Plans:
+        return Plans(jnp.repeat(plans.plan, 8, axis=0), {"common": jnp.tile(jnp.arange(8), len(plans.plan))})
+
+    return Space(length, CANDIDATES, PRESENT, sample, valid or all_valid, variants)
 
 
 def index_of(grasp: np.ndarray) -> int:

@@ -1,5 +1,7 @@
 """The gradient search against section 5.1, as loops over strains and components, on the same random plans."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -144,22 +146,45 @@ def test_screened_strains_start_where_the_loss_is_least() -> None:
 
 
 def test_halving_keeps_the_better_strains() -> None:
-    settings = GradientConfig(strains=16, base_iterations=10, iterations_per_step=10, halvings=2, patience=100)
-    assert settings.rounds(LENGTH) == [(16, 10), (8, 10), (4, 10)]
-    assert settings.evaluations(LENGTH) == 10 * (16 + 8 + 4)
-    got, whole = run(settings), run(GradientConfig(strains=16, base_iterations=30, iterations_per_step=0, patience=100))
-    np.testing.assert_array_equal(got.losses[:10], whole.losses[:10])
-    assert got.best.loss.shape == (4,)
-    kept = whole.losses[:10].min(0).argsort()[:8]
-    # The strains that are left go on as if nothing had happened, in order of their losses.
-    np.testing.assert_allclose(got.losses[10:20, :8], whole.losses[10:20][:, kept], rtol=1e-5)
-    assert np.isinf(got.losses[10:20, 8:]).all()
-    kept = kept[whole.losses[:20][:, kept].min(0).argsort()[:4]]
-    np.testing.assert_allclose(got.losses[20:, :4], whole.losses[20:][:, kept], rtol=1e-5)
-    np.testing.assert_allclose(got.best.loss, whole.losses[:, kept].min(0), rtol=1e-5)
-    assert not got.restarts[:, 8:][10:].any()
+    settings = GradientConfig(strains=16, screen=2, base_iterations=8, iterations_per_step=4, halvings=2, patience=100)
+    assert settings.rounds(LENGTH) == [(16, 4), (8, 8), (4, 16)]
+    assert settings.evaluations(LENGTH) == 16 * 2 + 3 * 4 * 8 + 16 * 4 + 8 * 8 + 4 * 16
+    assert settings.shape(LENGTH) == (3 * 16, 4)
+    got = run(settings)
+    whole = run(GradientConfig(strains=16, screen=2, base_iterations=28, iterations_per_step=0, patience=100)).losses
+    # Groups of four strains take turns; those that are left go on as if nothing had happened, in order of their losses.
+    np.testing.assert_array_equal(got.losses[:16].reshape(4, 16), whole[:4])
+    kept = whole[:4].min(0).argsort()[:8]
+    np.testing.assert_allclose(got.losses[16:32].reshape(8, 8), whole[4:12][:, kept], rtol=1e-5)
+    kept = kept[whole[:12][:, kept].min(0).argsort()[:4]]
+    np.testing.assert_allclose(got.losses[32:], whole[12:][:, kept], rtol=1e-5)
+    np.testing.assert_allclose(got.best.loss, np.sort(whole[:, kept].min(0)), rtol=1e-5)
+
+
+def test_after_each_round_the_best_strains_are_in_the_labels_that_suit_them_best() -> None:
+    """Plans are best in the label 5."""
+
+    def labelled(plans: Plans, **asked: Any) -> Evaluation:
+        return Evaluation(smooth(plans).loss + 0.3 * jnp.abs(plans.labels["common"] - 5), plans.labels)
+
+    settings = GradientConfig(strains=8, screen=2, base_iterations=8, iterations_per_step=0, halvings=1, patience=100)
+    space = bowl.space(LENGTH)
+    got = jax.jit(lambda key: descend(labelled, space, settings, key=key))(jax.random.key(0))
+    fixed = space._replace(variants=lambda plans: plans)
+    same = jax.jit(lambda key: descend(labelled, fixed, settings, key=key))(jax.random.key(0))
+    np.testing.assert_array_equal(got.losses[:8], same.losses[:8])
+    assert (got.best.plans.labels["common"] == 5).all()
+    left = np.asarray(same.best.plans.labels["common"])
+    assert (left != 5).any()
+    # The same strains are left; they differ by what their labels cost.
+    apart = np.asarray(same.losses[8:]) - np.asarray(got.losses[8:])
+    kept = np.abs(apart - apart[0]).max(0) < 1e-4
+    assert kept.any()
+    assert np.isclose(apart[0][kept][:, None], 0.3 * np.arange(8), atol=1e-4).any(1).all()
 
 
 def test_strains_that_cannot_be_halved() -> None:
-    with pytest.raises(pydantic.ValidationError, match="multiple of 8"):
-        GradientConfig(strains=12, halvings=3)
+    for name in ("strains", "base_iterations", "iterations_per_step"):
+        whole = {"strains": 16, "base_iterations": 8, "iterations_per_step": 8}
+        with pytest.raises(pydantic.ValidationError, match=f"{name} must be a multiple of 8"):
+            GradientConfig(**{**whole, name: 12}, halvings=3)

@@ -59,7 +59,7 @@ class GradientConfig:
         parts = 2**self.halvings
         for name in ("strains", "base_iterations", "iterations_per_step"):
             if getattr(self, name) % parts:
-                raise ValueError(f"{name} must be a multiple of {parts}, because strains are halved {self.halvings} times")
+                raise ValueError(f"{name} must be a multiple of {parts}, to halve the strains {self.halvings} times")
 
     @property
     def finalists(self) -> int:
@@ -145,7 +145,7 @@ def descend(
         moved = _State(strains, best, restart)
         return jax.tree.map(lambda all, some: all.at[rows].set(some), state, moved), (loss, restart)
 
-    def pursue(state: _State, turns: tuple[Array, PRNGKeyArray]) -> tuple[_State, tuple[Array, Array]]:
+    def pursue(state: _State, turns: tuple[Array, Array]) -> tuple[_State, tuple[Array, Array]]:
         state, record = jax.lax.scan(iterate, state, turns)
         return (_sorted(evaluate, space, settings, state) if settings.halvings else state), record
 
