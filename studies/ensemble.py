@@ -199,22 +199,28 @@ def summary(table: pd.DataFrame, training: Mapping[str, Mapping[int, float]]) ->
         failure=(table["loss_recorded"] < table["loss"]).astype(float),
         uncertainty=table["uncertainty"].where(table["nets"] > 1),
     )
-    found: list[dict[str, Any]] = []
+    found: list[dict[Any, Any]] = []
     for number, measure in product(sorted(table["nets"].unique()), MEASURES):
         own = table[(table["nets"] == number) & table[measure].notna()]
         against = table[table["nets"].isin([PAPER, number])]
         paired = compare(against, measure, str(number), str(PAPER)).set_index("column") if number != PAPER else None
         for part in totals(own, measure):
             low, high = interval(part.total, part.tasks)
-            row = {"nets": number, "measure": measure, "column": part.column, "sequences": len(part.total)}
+            row: dict[Any, Any] = {
+                "nets": number,
+                "measure": measure,
+                "column": part.column,
+                "sequences": len(part.total),
+            }
             row |= {"mean": part.mean, "low": low, "high": high}
             if paired is not None and part.column in paired.index:
                 pair = paired.loc[part.column]
                 row |= {"difference": pair["difference"], "p": pair["p"]}
                 row |= {"difference_low": pair["low"], "difference_high": pair["high"]}
             found.append(row)
-    for (number, length), seconds in table.groupby(["nets", "length"])["seconds"].mean().items():
-        found.append({"nets": number, "measure": "seconds", "column": f"{length}/all", "mean": seconds})
+    for row in table.groupby(["nets", "length"])["seconds"].mean().reset_index().to_dict("records"):
+        column = f"{row['length']}/all"
+        found.append({"nets": row["nets"], "measure": "seconds", "column": column, "mean": row["seconds"]})
     for measure, minutes in training.items():
         found += [{"nets": n, "measure": measure, "column": "all", "mean": value} for n, value in minutes.items()]
     columns = ["nets", "measure", "column", "sequences", "mean", "low", "high"]
@@ -232,7 +238,7 @@ def training_minutes(numbers: Iterable[int], params: Params, folder: Path) -> di
     found: dict[str, dict[int, float]] = {}
     ensembles = {number: places(number, params.ensemble.members) for number in numbers}
     for measure, column in COSTS.items():
-        seconds = {}
+        seconds: dict[int, Any] = {}
         for member, net in {member: net for nets in ensembles.values() for member, net in nets.items()}.items():
             cost, stage = _cost_beside(net), f"train_pemd@{member}"
             if cost.exists():
@@ -276,9 +282,9 @@ def main() -> None:
     stored = pd.read_csv(path)["nets"].tolist() if path.exists() else []
     current = {}
     for number in sorted({*asked.counts, *stored}):
-        nets = places(number, members)
-        if all(member in members or is_trained(net, of_training(params, member)) for member, net in nets.items()):
-            current[number] = fingerprint([MESHES, DATA / "nets/vtm", *nets.values()], *settings, tuple(nets))
+        folders = places(number, members)
+        if all(member in members or is_trained(net, of_training(params, member)) for member, net in folders.items()):
+            current[number] = fingerprint([MESHES, DATA / "nets/vtm", *folders.values()], *settings, tuple(folders))
     columns = [*KEYS, "seconds", *MEASURES]
     kept = [part for fresh in current.values() if len(part := read(path, columns, fresh))]
     table = pd.concat(kept, ignore_index=True) if kept else pd.DataFrame(columns=[*columns, COLUMN])

@@ -1,7 +1,6 @@
 """The study of the number of nets: which nets it takes, when it trains them, and what it makes of the rows."""
 
 import json
-from collections.abc import Iterator
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -31,11 +30,10 @@ WEIGHTS = initial(NET, key=jax.random.key(0))
 HISTORY = pd.DataFrame({"iteration": [1], "score": [0.1]})
 
 
-@pytest.fixture(scope="module")
-def study() -> Iterator[ModuleType]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(tiny.ROOT / "studies")
-        yield import_module("ensemble")
+@pytest.fixture
+def study(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(tiny.ROOT / "studies")
+    return import_module("ensemble")
 
 
 @pytest.fixture(scope="module")
