@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 from clothkit.cloth.mesh import ProbabilisticMesh
-from clothkit.dataset.store import Dataset
+from clothkit.dataset.store import SPLITS, Dataset
 from clothkit.dataset.tasks import TASKS
 from clothkit.evaluation.prediction import Starts
 from clothkit.models import store
@@ -24,6 +24,7 @@ from clothkit.models.settings import PEMDConfig
 from clothkit.params import Params, load_params
 from clothkit.training.loop import CHECKPOINT, Trained
 from tests import tiny, toy_dataset
+from tests.planning import toy
 
 NET = PEMDConfig(latent=3, encoder=(4,), manipulation=3, decoder=(4,))
 WEIGHTS = initial(NET, key=jax.random.key(0))
@@ -171,3 +172,64 @@ def test_summary(study: ModuleType) -> None:
     assert indexed.loc[(2, "seconds", "3/all"), "mean"] == pytest.approx(6)
     assert indexed.loc[(3, "training_minutes", "all"), "mean"] == 30
     assert (errors["sequences"] == 12).all()
+
+
+def test_only_what_is_missing_is_computed(study: ModuleType, params: Params, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The whole study, with sessions, references and predictions that take no time."""
+    Path("params.yaml").write_text((tiny.ROOT / "params.yaml").read_text())
+    Path("data/nets/vtm").write_text("vtm")
+    dataset = toy_dataset.dataset(3)
+    dataset = replace(dataset, split=np.full(3, SPLITS.index("validation"), np.int8))
+    calls: list[tuple[tuple[int, ...], int, list[int]]] = []
+
+    def planned(dataset: Dataset, sequences: list[int], planner: Any, params: Params) -> pd.DataFrame:
+        calls.append((planner.members, planner.best, sequences))
+        keys = {"sequence": np.repeat(sequences, 6)}
+        keys |= dict(zip(("start", "length"), np.tile(np.array(TASKS).T, len(sequences)), strict=True))
+        assert len(planner.normalisation.low) == len(planner.nets)
+        measured = dict.fromkeys(("error", "uncertainty", "loss", "loss_recorded", "seconds"), 0.5)
+        return pd.DataFrame({"split": "validation", "system": "main", **keys, **measured})
+
+    def train(member: int, params: Params, validation: Dataset) -> None:
+        found, current = folder(study.OWN, "pemd", member), study.of_training(params, member)
+        if not study.is_trained(found, current):
+            store.save(found, Net(NET, WEIGHTS), HISTORY, {"validation_score": 0.3, study.COLUMN: current})
+
+    def predict(net: Net, mesh: np.ndarray, manipulations: np.ndarray, batch: int) -> tuple[ProbabilisticMesh, None]:
+        return ProbabilisticMesh(mesh[None], mesh[None]), None
+
+    def run(*arguments: str) -> list[tuple[tuple[int, ...], int, list[int]]]:
+        calls.clear()
+        monkeypatch.setattr("sys.argv", ["ensemble.py", *arguments])
+        study.main()
+        return list(calls)
+
+    monkeypatch.setattr(study, "planned", planned)
+    monkeypatch.setattr(study, "train", train)
+    monkeypatch.setattr(study.prediction, "predict", predict)
+    monkeypatch.setattr(study.store, "load", lambda path: dataset)
+    monkeypatch.setattr(study, "starts", lambda *_: Starts(np.arange(3), {"main": dataset.vertices}))
+    monkeypatch.setattr(study, "assemble", lambda *_: toy.planner("main"))
+    monkeypatch.setattr(study, "normalise", lambda model, representation, nets, *_: toy.normalisation(len(nets)))
+    rows, summary = (Path("reports/laptop/studies") / name for name in ("ensemble.csv", "ensemble_summary.csv"))
+    assert run("2", "--counts", "3", "--train-only") == []
+    assert not rows.exists()
+    # The single net is member 1, the better one of params.yaml's two.
+    assert run("2", "--counts", "1", "3") == [((1,), 0, [0, 1]), ((0, 1, 2), 1, [0, 1])]
+    first = rows.read_text()
+    assert run("2", "--counts", "1", "3") == []
+    assert rows.read_text() == first
+    assert run("3", "--counts", "3") == [((0, 1, 2), 1, [2])]
+    found = pd.read_csv(rows)
+    assert found.groupby("nets").size().to_dict() == {1: 12, 3: 18}
+    moved = dataset.vertices[:, 1:] - dataset.vertices[:, :-1]
+    one_step = found[(found["nets"] == 3) & (found["length"] == 1)]
+    assert (one_step["prediction_error"] <= np.linalg.norm(moved, axis=-1).mean((-2, -1)).max() / 1.4).all()
+    # With other training data the third net is another one: rows of ensembles with it are out of date, no others.
+    Path("data/augmented.zarr").write_text("other")
+    assert run("3", "--counts", "3") == [((0, 1, 2), 1, [0, 1, 2])]
+    assert pd.read_csv(rows).groupby("nets").size().to_dict() == {1: 12, 3: 18}
+    picture = summary.with_name("ensemble.png")
+    picture.unlink()
+    assert run("--draw") == []
+    assert picture.exists()
