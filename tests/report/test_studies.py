@@ -103,3 +103,26 @@ def test_weights_and_search(tmp_path: Path, drawn: list[Figure]) -> None:
     # In strains x (base + per step) of one manipulation: 64 x 60 with other iterations, 64 x 30 with other vertices.
     assert [line.get_xdata().tolist() for line in failures.lines[:5]] == [[480, 1920], [3840], [1920], [], [1920]]
     assert [line.get_ydata().tolist() for line in drawn[1].axes[3].lines[:2]] == [[3, 3], [3, 4]]
+
+
+def test_ensembles(tmp_path: Path, drawn: list[Figure]) -> None:
+    measures = ("error", "prediction_error", "failure", "seconds")
+    rows = [
+        {"nets": nets, "measure": measure, "column": f"{length}/{start}", "mean": length / nets + place}
+        for place, measure in enumerate(measures)
+        for nets in (5, 1, 2)
+        for length in (1, 2, 3)
+        for start in ("all", "0")
+    ]
+    table = pd.DataFrame(rows).assign(low=lambda found: found["mean"] - 0.1, high=lambda found: found["mean"] + 0.2)
+    minutes = pd.DataFrame({"nets": [1, 2, 5], "measure": "training_minutes", "column": "all", "mean": [9.0, 18, 45]})
+    studies.ensemble(pd.concat([table, minutes]), tmp_path / "ensemble.png")
+    axes = {axis.get_ylabel().split(" [")[0]: axis for axis in drawn[0].axes}
+    seconds = axes["search per plan"]
+    assert [line.get_xdata().tolist() for line in seconds.lines[:3]] == [[1, 2, 5]] * 3
+    np.testing.assert_allclose(seconds.lines[1].get_ydata(), [3 + 2, 3 + 1, 3 + 2 / 5])
+    # The band of one manipulation, at one net and at five.
+    band = axes["planning error"].collections[0].get_paths()[0].vertices
+    assert {tuple(np.round(corner, 6)) for corner in band} >= {(1, 0.9), (1, 1.2), (5, 0.1), (5, 0.4)}
+    assert axes["training"].lines[3].get_ydata().tolist() == [9, 18, 45]
+    assert all(not len(line.get_xdata()) for line in axes["u of the first plan"].lines)

@@ -1,4 +1,4 @@
-"""Figures of the studies: validation error by training time, planning error by weights and by search settings."""
+"""Figures of the studies: validation error by training time, planning error by weights, search and number of nets."""
 
 from collections.abc import Mapping
 from itertools import product
@@ -186,3 +186,38 @@ def _differing(means: pd.DataFrame, usual: Mapping[str, Any], columns: list[str]
     """The searches whose settings are the usual ones in all columns but `columns`."""
     others = [means[name] == value for name, value in usual.items() if name not in columns]
     return means[np.all(others, axis=0)]
+
+
+ENSEMBLES = {
+    "error": "planning error [cloth length]",
+    "prediction_error": "prediction error [cloth length]",
+    "failure": "share of search failures",
+    "uncertainty": "u of the first plan",
+    "seconds": "search per plan [s]",
+    "training_minutes": "training [CPU minutes]",
+}
+"""Measures of the study of ensembles that are drawn, and their labels."""
+
+
+def ensemble(table: pd.DataFrame, path: Path) -> None:
+    """Writes charts of errors, search failures, uncertainty and costs against the number of nets of an ensemble.
+
+    There is a line per plan length, or a single one for a measure without lengths, with 95 % intervals where there are
+    any. Columns of `table`: nets, measure (of ENSEMBLES), column (length/all, or all), mean, low, high.
+    """
+    figure, axes = panels.chart(len(ENSEMBLES), width=3.0, height=2.5, columns=3)
+    for axis, (measure, title) in zip(axes, ENSEMBLES.items(), strict=True):
+        own = table[table["measure"] == measure].sort_values("nets")
+        for column, colour in (*((f"{length}/all", COLOURS[length - 1]) for length in (1, 2, 3)), ("all", panels.INK)):
+            line = own[own["column"] == column]
+            axis.plot(line["nets"], line["mean"], "o-", color=colour, linewidth=1.2, markersize=3.5)
+            axis.fill_between(line["nets"], line["low"], line["high"], color=colour, alpha=0.13, linewidth=0)
+        axis.set_xticks(np.sort(table["nets"].unique()))
+        axis.set_xlabel("nets", fontsize=8)
+        axis.set_ylabel(title, fontsize=8)
+        if measure != "uncertainty":
+            axis.set_ylim(bottom=0)
+    handles = [Line2D([], [], marker="o", markersize=3.5, color=colour) for colour in COLOURS]
+    names = [f"{length} manipulation{'s' if length > 1 else ''}" for length in (1, 2, 3)]
+    figure.legend(handles, names, fontsize=8, frameon=False, loc="outside upper center", ncols=len(names))
+    panels.save(figure, path)
