@@ -4,6 +4,8 @@ Grasp points are in the net's input coordinates: geodesic, or Cartesian for the 
 on the table [normalised], which geometric computations need.
 """
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -32,6 +34,7 @@ RASTER, EXTENT = 64, 1.1
 Covered = Bool[Array, "x y"] | Bool[np.ndarray, "x y"]
 
 
+@partial(jax.jit, static_argnames="shape")
 def random_manipulations(shape: tuple[int, ...], *, key: PRNGKeyArray) -> Float[Array, "*shape 6"]:
     """Random manipulations without the restrictions of data generation (design 6.9).
 
