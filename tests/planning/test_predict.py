@@ -8,8 +8,8 @@ import numpy as np
 from clothkit.cloth.mesh import whiten_probabilistic
 from clothkit.cloth.symmetry import relabel_manipulation
 from clothkit.cloth.topology import SQUARE
-from clothkit.planning.mesh_representation import MESH
 from clothkit.planning import predict as prediction
+from clothkit.planning.mesh_representation import MESH
 from clothkit.planning.predict import differences, predict
 from tests.planning import toy
 
