@@ -114,11 +114,11 @@ def measure(name: str, settings: Any, rounds: int, steps: int) -> dict:
     for n in sorted(set(lengths)):
         seconds, counted = products_alone(shapes_of(params, settings.training.batch, n), rounds)
         alone, flops = alone + seconds * lengths.count(n) / steps, flops + counted * lengths.count(n) / steps
-    run = runner(problem, rule, settings.training, key)
+    run = runner(problem, rule, settings.training)
     carried = [jax.tree.map(jnp.array, params), rule.init(params)]
 
     def step() -> Any:
-        carried[0], carried[1], losses = run(carried[0], carried[1], data, 0, 1.0, steps)
+        carried[0], carried[1], losses = run(carried[0], carried[1], data, key, 0, 1.0, steps)
         return losses
 
     @jax.jit

@@ -29,6 +29,25 @@ def test_plans_without_restrictions() -> None:
     np.testing.assert_allclose(drawn.max(0), [1, 1, 1, 1, 1.4, 1.4], atol=1e-2)
 
 
+def test_a_share_of_grasp_points_is_on_the_edge_and_half_of_it_at_corners() -> None:
+    drawn = np.asarray(random_manipulations((20000,), edge=0.6, key=jax.random.key(0)))
+    hand = np.abs(drawn[:, :2])
+    # Uniform points lie nowhere exactly on the edge.
+    np.testing.assert_allclose((hand == 1).any(1).mean(), 0.6, atol=0.01)
+    np.testing.assert_allclose((hand == 1).all(1).mean(), 0.3, atol=0.01)
+    # All four sides alike, and all of a side.
+    sides = [(drawn[:, axis] == sign) & (hand[:, 1 - axis] < 1) for axis in (0, 1) for sign in (-1, 1)]
+    np.testing.assert_allclose([side.mean() for side in sides], 0.3 / 4, atol=0.01)
+    along = np.concatenate([drawn[side, 1 - axis] for side, axis in zip(sides, (0, 0, 1, 1), strict=True)])
+    np.testing.assert_allclose(np.quantile(along, [0.25, 0.5, 0.75]), [-0.5, 0, 0.5], atol=0.05)
+    single = (drawn[:, :2] == drawn[:, 2:4]).all(1)
+    assert 0.3 < single[(hand < 1).all(1)].mean() < 0.37
+    # What is not moved is as without.
+    plain = np.asarray(random_manipulations((20000,), key=jax.random.key(0)))
+    np.testing.assert_array_equal(drawn[(hand < 1).all(1), :2], plain[(hand < 1).all(1), :2])
+    np.testing.assert_array_equal(drawn[:, 4:], plain[:, 4:])
+
+
 def test_first_grasps_are_candidates_on_one_side_of_m() -> None:
     plans = np.asarray(random_plans(4000, 3, CANDIDATES, FLAT, key=jax.random.key(1)))
     first = plans[:, 0]

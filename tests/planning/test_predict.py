@@ -8,6 +8,7 @@ import numpy as np
 from clothkit.cloth.mesh import whiten_probabilistic
 from clothkit.cloth.symmetry import relabel_manipulation
 from clothkit.cloth.topology import SQUARE
+from clothkit.planning import predict as prediction
 from clothkit.planning.mesh_representation import MESH
 from clothkit.planning.predict import differences, predict
 from tests.planning import toy
@@ -43,6 +44,18 @@ def test_expectations_are_those_of_the_plan_after_what_is_remembered() -> None:
         # Only the first manipulation will be executed, in whichever equivalent the next plan is found.
         grasped = [[float(relabel_manipulation(plan[0], k)[0]) for k in range(SQUARE.count)] for plan in plans]
         np.testing.assert_allclose(expected.traces[..., 0], count + grasped, atol=1e-5)
+
+
+def test_one_program_serves_all_nets_and_lengths() -> None:
+    """A shorter plan's predictions are the first of a longer one's, bit for bit."""
+    inputs = (NOTING, MESH, toy.NETS, toy.bent()[None], (np.ones((1, SQUARE.count, 3072), np.float32),) * 2)
+    prediction._predict.clear_cache()
+    longer, shorter = (predict(*inputs, PLAN[None, :length], np.array([3])) for length in (2, 1))
+    assert prediction._predict._cache_size() == 1
+    for whole, part in zip(longer, shorter, strict=True):
+        assert part.states.mean.shape == (1, 1, 32, 32, 3)
+        np.testing.assert_array_equal(part.states.mean, whole.states.mean[:, :1])
+        np.testing.assert_array_equal(part.shifts, whole.shifts[:, :1])
 
 
 def test_differences_are_means_over_all_pairs_of_nets() -> None:

@@ -133,7 +133,7 @@ def test_a_cache_that_can_not_be_written_is_replaced_with_a_notice(
     given = jax.config.values["jax_compilation_cache_dir"]
     try:
         jax.config.update("jax_compilation_cache_dir", str(blocked))
-        ensure_jax_cache()
+        ensure_jax_cache(tmp_path / "default")
         assert Path(jax.config.values["jax_compilation_cache_dir"]).is_dir()
         assert "JAX's compiled programs" in capsys.readouterr().err
     finally:

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import click
-import jax
 import numpy as np
 from jaxtyping import Bool
 
@@ -30,8 +29,6 @@ from clothkit.runtime.errors import InputError, system_error
 from clothkit.simulation.settings import SimulationConfig
 
 PARAMS = Path("params.yaml")
-COMPILED_BYTES = 2**30
-"""Size limit of the cache of compiled programs on disk."""
 _WEIGHTS = Weights(alpha=0.01, beta=5.0, gamma=1.25)
 
 Kind = Literal["mesh", "voxels", "points"]
@@ -68,11 +65,8 @@ def load_settings() -> Settings:
 
 def keep_compiled_programs() -> None:
     """Let JAX cache compiled programs on disk for the next call: compiling a search takes longer than running it."""
-    if jax.config.values.get("jax_compilation_cache_dir") is None:
-        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-        jax.config.update("jax_compilation_cache_dir", str(home / "clothkit/compiled"))
-        jax.config.update("jax_compilation_cache_max_size", COMPILED_BYTES)
-    ensure_jax_cache()
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    ensure_jax_cache(home / "clothkit/compiled")
 
 
 class ObservationOptions(NamedTuple):

@@ -1,6 +1,7 @@
 """Sensors: from the true cloths of a world to what an agent observes of them."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -8,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from clothkit.cloth.voxels import observe
+from clothkit.planning.batches import BATCH, in_batches
 from clothkit.planning.perception import Perception
 from clothkit.planning.types import Meshes, Observation, States
 
@@ -31,7 +33,7 @@ def exact_sensor(perception: Perception) -> Sensor:
         if perception.height is None:
             observation = Observation(meshes=truth)
         else:
-            observation = Observation(voxels=np.asarray(_observe(truth, height=perception.height)))
+            observation = Observation(voxels=in_batches(partial(_observe, height=perception.height), BATCH, truth))
         return Sensed(observation, np.zeros((len(truth), 2), np.float32))
 
     return sense

@@ -1,6 +1,7 @@
 """Sessions: an agent and a world in turn, until each task's manipulations are used up (section 5.1, design 6.11)."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
@@ -25,6 +26,8 @@ resulting meshes [w u v 3]. Positions are relative to the table's origin [normal
 
 REFINED_TOGETHER = 24
 """Number of predictions that are refined in one call."""
+
+_error_aligned = jax.jit(partial(error, aligned=True))
 
 
 def run_sessions(tasks: Tasks, planner: Planner, execute: Execute, *, sensor: Sensor | None = None) -> Sessions:
@@ -131,7 +134,7 @@ def _executed(
     for task, outcome in zip(tried, outcomes, strict=True):
         after, middle = centred(outcome)
         if cancelled[task]:
-            error_otherwise[task] = error(after, goal[task], aligned=True)
+            error_otherwise[task] = _error_aligned(after, goal[task])
         else:
             state[task], centre[task] = after, middle
     return state, centre, error_otherwise

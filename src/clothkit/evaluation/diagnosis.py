@@ -20,6 +20,7 @@ from clothkit.models.forward import ForwardModel
 from clothkit.planning.batches import in_batches
 from clothkit.planning.objective import Objective, evaluate, fix
 from clothkit.planning.planner import Planner
+from clothkit.planning.predict import padded
 from clothkit.planning.representation import Representation
 from clothkit.planning.types import UNKNOWN, Candidates, Meshes, Problem, States
 
@@ -40,21 +41,19 @@ def diagnosed(sessions: Sessions, tasks: Tasks, planner: Planner) -> Sessions:
     goals = representation.of_meshes(sessions.goal)
     labels = _labels(representation, sessions.estimate[:, 0], sessions.state[:, 0])
     loss, offered = sessions.loss_recorded.copy(), sessions.offered.copy()
+    longest = int(sessions.length.max())
+    relative = np.int32(0 if planner.labelled else UNKNOWN)
+    value = partial(losses, planner.model, representation, planner.nets, planner.objective(longest), relative)
     for length in np.unique(sessions.length).tolist():
         chosen = np.flatnonzero(sessions.length == length)
         recorded = [tasks.recorded[task] for task in chosen]
         states, manipulations = (np.stack(parts) for parts in zip(*recorded, strict=True))
         plan = np.asarray(_relabelled(representation.recorded(states, manipulations).plan, labels[chosen]))
         estimate = sessions.estimate[chosen, 0]
-        value = partial(
-            losses,
-            planner.model,
-            representation,
-            0 if planner.labelled else UNKNOWN,
-            planner.nets,
-            planner.objective(length),
+        whole = padded(plan, longest)
+        loss[chosen] = in_batches(
+            partial(value, np.int32(length)), planner.settings.batch, estimate, goals[chosen], whole
         )
-        loss[chosen] = in_batches(value, planner.settings.batch, estimate, goals[chosen], plan)
         wanted = representation.positions(estimate, plan[:, 0, :4].reshape(-1, 2, 2))
         offered[chosen] = [
             is_offered(wanted[i], _places(representation, estimate[i], sessions.candidates[task, 0]))
@@ -85,18 +84,19 @@ def is_offered(wanted: Float[np.ndarray, "2 2"], offers: Float[np.ndarray, "c 2"
     return np.asarray((distance.min(axis=1) <= NEAR).all())
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2))
+@partial(jax.jit, static_argnames=("model", "representation"))
 def losses(
     model: ForwardModel,
     representation: Representation,
-    relative: int,
     nets: tuple[Any, ...],
     objective: Objective,
+    relative: Int[Array | np.ndarray, ""] | np.int32,
+    steps: Int[Array | np.ndarray, ""] | np.int32,
     states: Shaped[Array, "task *state"],
     goals: Shaped[Array, "task *state"],
     plans: Float[Array, "task n 6"],
 ) -> Float[Array, " task"]:
-    """The objective's value for one given plan per task, `[task]`.
+    """The objective's value for the first `steps` manipulations of one plan per task, `[task]`.
 
     It is the minimum over the common equivalents and, where `relative` is UNKNOWN, over the goal's relabellings.
     """
@@ -106,7 +106,7 @@ def losses(
         blank = [jax.eval_shape(model.encode, net, state) for net in nets]
         traces = tuple(jnp.zeros((count, *latent.shape)) for latent in blank)
         none = Candidates(jnp.zeros((1, 2)), jnp.int32(0))
-        problem = Problem(state, goal, none, traces, jnp.int32(relative), jnp.asarray(False), plan)
+        problem = Problem(state, goal, none, traces, jnp.asarray(relative), jnp.asarray(False), plan)
         relabelled = jax.vmap(equivalents_of_manipulation, out_axes=1)(plan)[:count]
         found = evaluate(
             objective,
@@ -117,6 +117,7 @@ def losses(
             relabelled,
             jnp.arange(count),
             jnp.full(count, relative),
+            steps=jnp.asarray(steps),
         )
         return jnp.min(found.loss)
 

@@ -1,6 +1,7 @@
 """Manipulations as 6-vectors: u1 v1 u2 v2 (geodesic), dx dy (normalised, Cartesian) (section 4.2.2)."""
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 from numpy import ndarray
 
@@ -22,15 +23,20 @@ def displacement(manipulation: Manipulations) -> Array | ndarray:
     return manipulation[..., 4:6]
 
 
-def is_null(manipulation: Manipulations) -> Bool[Array, "*batch"]:
-    """Whether the displacement is shorter than `SHORTEST`, so that the manipulation is null (4.4, restriction 3)."""
-    return jnp.sum(jnp.asarray(displacement(manipulation)) ** 2, axis=-1) < SHORTEST**2
+def is_null(manipulation: Manipulations) -> Bool[Array, "*batch"] | Bool[ndarray, "*batch"]:
+    """Whether the displacement is shorter than `SHORTEST`, so that the manipulation is null (4.4, restriction 3).
+
+    Arrays are NumPy or JAX, as the argument is.
+    """
+    xp = jnp if isinstance(manipulation, Array) else np
+    return xp.asarray(xp.sum(displacement(manipulation) ** 2, axis=-1) < SHORTEST**2)
 
 
-def is_single(manipulation: Manipulations) -> Bool[Array, "*batch"]:
-    """Whether the manipulation is one-handed: its two grasp points are equal."""
+def is_single(manipulation: Manipulations) -> Bool[Array, "*batch"] | Bool[ndarray, "*batch"]:
+    """Whether the manipulation is one-handed: its two grasp points are equal. NumPy or JAX, as the argument is."""
+    xp = jnp if isinstance(manipulation, Array) else np
     first, second = grasp_points(manipulation)
-    return jnp.all(jnp.asarray(first) == second, axis=-1)
+    return xp.asarray(xp.all(first == second, axis=-1))
 
 
 def swap_grasps(manipulation: Manipulations) -> Float[Array, "*batch 6"]:

@@ -1,9 +1,11 @@
 """Building blocks of the nets: dense layers, their initial weights, and the probabilistic output of eq. (6)."""
 
+from functools import partial
 from math import prod
 from typing import Any
 
 import flax.linen as nn
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
@@ -42,6 +44,10 @@ def probabilistic_mesh(activation: Float[Array, "*batch outputs"], least_std: fl
     return ProbabilisticMesh(units[..., :3], jnp.exp(units[..., 3:]) + least_std)
 
 
+@partial(jax.jit, static_argnames=("module", "method"))
 def run(module: nn.Module, params: PyTree, *inputs: Any, method: str | None = None) -> Any:
-    """Apply a module, or one of its methods, with these weights to the inputs."""
+    """Apply a module, or one of its methods, with these weights to the inputs.
+
+    Jitted, so that larger programs that use it many times with inputs of one shape trace it once.
+    """
     return module.apply({"params": params}, *inputs, method=method)

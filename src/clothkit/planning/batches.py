@@ -6,6 +6,9 @@ from typing import Any
 import jax
 import numpy as np
 
+BATCH = 24
+"""Batch size of cheap functions of any number of states, which would else be compiled for every number there is."""
+
 
 def in_batches(function: Callable[..., Any], size: int, *trees: Any) -> Any:
     """Apply `function` to batches of `size` examples; return the concatenated outputs as a pytree of NumPy arrays.

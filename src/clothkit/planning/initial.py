@@ -4,6 +4,8 @@ Grasp points are in the net's input coordinates: geodesic, or Cartesian for the 
 on the table [normalised], which geometric computations need.
 """
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -32,17 +34,31 @@ RASTER, EXTENT = 64, 1.1
 Covered = Bool[Array, "x y"] | Bool[np.ndarray, "x y"]
 
 
-def random_manipulations(shape: tuple[int, ...], *, key: PRNGKeyArray) -> Float[Array, "*shape 6"]:
+@partial(jax.jit, static_argnames=("shape", "edge"))
+def random_manipulations(shape: tuple[int, ...], *, edge: float = 0.0, key: PRNGKeyArray) -> Float[Array, "*shape 6"]:
     """Random manipulations without the restrictions of data generation (design 6.9).
 
-    A one-handed manipulation repeats its grasp point.
+    A one-handed manipulation repeats its grasp point. A share `edge` of the geodesic grasp points is moved to the
+    cloth's edge, and half of these to its corners.
     """
     key_grasps, key_displacement, key_hands = jax.random.split(key, 3)
     grasps = jax.random.uniform(key_grasps, (*shape, 4), minval=-1, maxval=1)
+    if edge:
+        grasps = _moved_to_edge(grasps, edge, key=jax.random.fold_in(key_grasps, 1))
     displacement = jax.random.uniform(key_displacement, (*shape, 2), minval=-REACH, maxval=REACH)
     single = jax.random.uniform(key_hands, shape) < SINGLE_SHARE
     second = jnp.where(single[..., None], grasps[..., :2], grasps[..., 2:])
     return jnp.concatenate([grasps[..., :2], second, displacement], axis=-1)
+
+
+def _moved_to_edge(grasps: Float[Array, "*shape 4"], share: float, *, key: PRNGKeyArray) -> Float[Array, "*shape 4"]:
+    points = grasps.reshape(*grasps.shape[:-1], 2, 2)
+    key_kind, key_axis = jax.random.split(key)
+    kind = jax.random.uniform(key_kind, points.shape[:-1])
+    along_u = jax.random.bernoulli(key_axis, shape=points.shape[:-1])
+    corner, on_edge = jnp.sign(points), jnp.stack([along_u, ~along_u], axis=-1)
+    moved = jnp.where(on_edge | (kind < share / 2)[..., None], corner, points)
+    return jnp.where((kind < share)[..., None], moved, points).reshape(grasps.shape)
 
 
 def random_plans(
@@ -52,16 +68,18 @@ def random_plans(
     xy: Float[Array, "candidates 2"],
     *,
     covered: Covered | None = None,
+    edge: float = 0.0,
     key: PRNGKeyArray,
 ) -> Float[Array, "strains n 6"]:
     """Random plans whose first grasp points are drawn from the candidates, whose positions are `xy` [normalised].
 
     The two hands of a first manipulation lie on the same side of the line m, unless all 16 draws failed. If the mask
-    `covered` is given, q of the first manipulation lies on the cloth.
+    `covered` is given, q of the first manipulation lies on the cloth. `edge` is the share of later grasp points on the
+    cloth's edge.
     """
     key_first, key_later = jax.random.split(key)
     first = _first_manipulations(strains, candidates, xy, covered, key=key_first)
-    later = random_manipulations((strains, steps - 1), key=key_later)
+    later = random_manipulations((strains, steps - 1), edge=edge, key=key_later)
     return jnp.concatenate([first[:, None], later], axis=1)
 
 

@@ -14,6 +14,7 @@ from clothkit.cloth.symmetry import relabel_batch
 from clothkit.cloth.topology import SQUARE
 from clothkit.manipulation.candidates import CandidateConfig, candidates
 from clothkit.manipulation.geometry import to_cartesian, to_geodesic
+from clothkit.planning.batches import BATCH, in_batches
 from clothkit.planning.initial import EXTENT, RASTER
 from clothkit.planning.representation import Recorded
 from clothkit.planning.types import Meshes, States
@@ -73,10 +74,10 @@ class MeshRepresentation:
         return jnp.mean(squared, axis=(-3, -2, -1)) / 2
 
     def relabel(self, states: States, k: Int[np.ndarray, " task"]) -> States:
-        return np.asarray(_relabel_batch(states, k))
+        return in_batches(_relabel_batch, BATCH, states, k)
 
     def positions(self, states: States, grasps: Float[np.ndarray, "task 2 2"]) -> Float[np.ndarray, "task 2 2"]:
-        return np.asarray(_to_cartesian(np.repeat(states[:, None], 2, axis=1), grasps))[..., :2]
+        return in_batches(_to_cartesian, BATCH, np.repeat(states[:, None], 2, axis=1), grasps)[..., :2]
 
     def mean(self, prediction: ProbabilisticMesh) -> Float[np.ndarray, "*batch u v 3"]:
         return np.asarray(prediction.mean)
@@ -85,7 +86,7 @@ class MeshRepresentation:
         return np.asarray(prediction.std)
 
     def distance(self, states: States, goals: States) -> Float[np.ndarray, " task"]:
-        return np.asarray(_distance_aligned(states, goals))
+        return in_batches(_distance_aligned, BATCH, states, goals)
 
     def of_meshes(self, meshes: Meshes) -> States:
         return meshes

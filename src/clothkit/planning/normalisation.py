@@ -8,13 +8,14 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Int
 
 from clothkit.dataset.store import STEPS, Dataset
 from clothkit.models.forward import ForwardModel, rollout
 from clothkit.planning.batches import in_batches
 from clothkit.planning.initial import random_manipulations
 from clothkit.planning.objective import Range, Reference, mean_difference
+from clothkit.planning.predict import padded
 from clothkit.planning.representation import Representation
 from clothkit.planning.settings import NormaliseConfig
 from clothkit.planning.uncertainty import Spread
@@ -114,9 +115,10 @@ def normalise(
     """
     key = jax.random.key(settings.seed)
     low, high, mu, sigma = [], [], [], []
+    # The number of tasks of one manipulation: those of more are fewer.
+    together, score = min(TOGETHER, int(validation.length.sum())), partial(_scores, model, representation, nets)
     for length in range(1, int(validation.length.max()) + 1):
         tasks = representation.recorded(*_stretches(validation, length))
-        together, score = min(TOGETHER, len(tasks.start)), partial(_scores, model, representation, nets)
         of_nets, apart = in_batches(score, together, tasks.start, tasks.goal, tasks.plan)
         low.append([float(np.median(scores)) for scores in of_nets])
         if apart is not None:
@@ -139,24 +141,37 @@ def _stretches(dataset: Dataset, length: int) -> tuple[np.ndarray, np.ndarray]:
     return dataset.vertices[d[:, None], states], dataset.manipulation[d[:, None], states[:, :-1]]
 
 
-@partial(jax.jit, static_argnames=("model", "representation"))
 def _scores(
     model: ForwardModel,
     representation: Representation,
     nets: tuple[Any, ...],
-    start: Array,
-    goal: Array,
-    plan: Array,
+    start: Array | np.ndarray,
+    goal: Array | np.ndarray,
+    plan: Array | np.ndarray,
 ) -> tuple[tuple[Array, ...], Array | None]:
     """The accuracy term of each net's predicted outcome, without span, and the difference of the outcomes."""
-    outcomes = [_outcomes(model, net, start, plan) for net in nets]
-    wanted = representation.target(goal)
-    scores = tuple(representation.accuracy(wanted, outcome) for outcome in outcomes)
-    return scores, mean_difference(representation, outcomes)
+    steps, plan = np.int32(plan.shape[1]), padded(plan, STEPS)
+    scores, outcomes = zip(*(_score(model, representation, net, start, goal, plan, steps) for net in nets), strict=True)
+    return scores, _mean_difference(representation, outcomes)
 
 
-def _outcomes(model: ForwardModel, net: Any, start: Array, plan: Array) -> Any:
-    return model.decode(net, rollout(model, net, model.encode(net, start), plan).latents[-1])
+@partial(jax.jit, static_argnames=("model", "representation"))
+def _score(
+    model: ForwardModel,
+    representation: Representation,
+    net: Any,
+    start: Array | np.ndarray,
+    goal: Array | np.ndarray,
+    plan: Array | np.ndarray,
+    steps: Int[Array | np.ndarray, ""] | np.int32,
+) -> tuple[Array, Any]:
+    """One net's score and its predicted outcome after so many manipulations, by a program that serves all nets."""
+    latents = rollout(model, net, model.encode(net, start), plan).latents
+    outcome = model.decode(net, latents[steps - 1])
+    return representation.accuracy(representation.target(goal), outcome), outcome
+
+
+_mean_difference = jax.jit(mean_difference, static_argnames="representation")
 
 
 def save(path: Path, normalisation: Normalisation, attributes: dict[str, Any]) -> None:

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float, Int, Shaped
 
 from clothkit.cloth.symmetry import equivalents_of_manipulation, relabel_manipulation
 from clothkit.cloth.topology import SQUARE
+from clothkit.dataset.store import STEPS
 from clothkit.models.forward import ForwardModel, rollout
 from clothkit.planning.objective import mean_difference
 from clothkit.planning.representation import Representation
@@ -20,13 +21,12 @@ class Prediction(NamedTuple):
 
     states: Any
     """Predictions [n ..] of the state after each manipulation."""
-    shifts: Float[Array, "n 2"]
+    shifts: Float[Array | np.ndarray, "n 2"]
     """The shift of the cloth's centre by each manipulation [normalised]."""
-    traces: Float[Array, "labels latent"]
+    traces: Float[Array | np.ndarray, "labels latent"]
     """The memory trace after the first manipulation, for each common equivalent."""
 
 
-@partial(jax.jit, static_argnames=("model", "representation"))
 def predict(
     model: ForwardModel,
     representation: Representation,
@@ -40,8 +40,36 @@ def predict(
 
     The states are predicted in the common equivalent in which the search found the plan, and then relabelled back.
     """
+    length = plan.shape[1]
+    found = []
+    for net, trace in zip(nets, traces, strict=True):
+        states, shifts, left = _predict(model, representation, net, state, trace, padded(plan, STEPS), common)
+        states, shifts = jax.tree.map(lambda part: np.asarray(part)[:, :length], (states, shifts))
+        found.append(Prediction(states, shifts, left))
+    return tuple(found)
 
-    def one(net: Any, state: Array, traces: Array, plan: Array, common: Array) -> Prediction:
+
+def padded(plan: Float[Array | np.ndarray, "tasks n 6"], length: int) -> Float[np.ndarray, "tasks padded 6"]:
+    """Plans with zeros appended, so that a program serves plans of any length. No state depends on later manipulations.
+
+    Raises ValueError for longer plans.
+    """
+    return np.pad(np.asarray(plan), ((0, 0), (0, length - plan.shape[1]), (0, 0)))
+
+
+@partial(jax.jit, static_argnames=("model", "representation"))
+def _predict(
+    model: ForwardModel,
+    representation: Representation,
+    net: Any,
+    state: Shaped[Array | np.ndarray, "tasks *state"],
+    traces: Float[Array | np.ndarray, "tasks labels latent"],
+    plan: Float[Array | np.ndarray, "tasks n 6"],
+    common: Int[Array | np.ndarray, " tasks"],
+) -> Prediction:
+    """One net's predictions, by a program that serves all nets and systems."""
+
+    def one(state: Array, traces: Array, plan: Array, common: Array) -> Prediction:
         latents = model.encode(net, representation.equivalents(state))
         found = rollout(model, net, latents[common], relabel_manipulation(plan, common), traces[common])
         states = model.decode(net, found.latents)
@@ -50,11 +78,7 @@ def predict(
         _, left, _ = model.step(net, latents, traces, manipulations)
         return Prediction(states, found.shifts, left)
 
-    state, plan, common = jnp.asarray(state), jnp.asarray(plan), jnp.asarray(common)
-    return tuple(
-        jax.vmap(partial(one, net))(state, jnp.asarray(trace), plan, common)
-        for net, trace in zip(nets, traces, strict=True)
-    )
+    return jax.vmap(one)(*(jnp.asarray(part) for part in (state, traces, plan, common)))
 
 
 @partial(jax.jit, static_argnames="representation")

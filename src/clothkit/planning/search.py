@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
-from annotated_types import Gt, Predicate
+from annotated_types import Ge, Gt, Le, Predicate
 from jaxtyping import Array, Bool, PRNGKeyArray, Shaped
 
 from clothkit.cloth.symmetry import relabel_manipulation_batch
@@ -37,6 +37,9 @@ class SearchConfig:
     """Stride along u and v of the vertices that the optimiser's losses compare; the final choice of a plan uses all."""
     fold: bool = False
     """Whether first manipulations must have q on the cloth, as in the training data (section 4.4), or be null."""
+    edge: Annotated[float, Ge(0), Le(1)] = 0.0
+    """Share of later grasp points of random plans that lie on the cloth's edge, half of them at its corners. A camera
+    sees a cloth's outline, where hands grasp, and most of an outline is edge. For meshes: voxels have no edge."""
 
 
 @partial(jax.jit, static_argnames=("model", "representation", "settings", "length"))
@@ -76,7 +79,7 @@ def search(
             )
             return Evaluation(found.loss, (common, found.relative), found.terms)
 
-        space = space_of(representation, problem, length, fold=settings.fold)
+        space = space_of(representation, problem, length, fold=settings.fold, edge=settings.edge)
         initial = carried_plans(representation, problem)
         found = optimise(evaluate, space, settings.optimiser, initial=initial, key=key)
         common, relative = found.labels
@@ -85,12 +88,13 @@ def search(
     return jax.vmap(one)(problems, keys)
 
 
-def space_of(representation: Representation, problem: Problem, length: int, *, fold: bool) -> Space:
+def space_of(representation: Representation, problem: Problem, length: int, *, fold: bool, edge: float = 0.0) -> Space:
     """The plans among which to search for one problem, in the labels of its state.
 
     A plan's labels are the index of the common equivalent in which it is evaluated, and that of the goal's relabelling
     (design 6.10). Random plans get random common equivalents in the first search of a session, and in turn in later
-    ones. With `fold`, first manipulations must satisfy the fold restriction of the training data.
+    ones. With `fold`, first manipulations must satisfy the fold restriction of the training data. `edge` is the share
+    of later grasp points of random plans on the cloth's edge.
     """
     xy = representation.points(problem.state, jnp.asarray(problem.candidates.grasps))
 
@@ -100,7 +104,7 @@ def space_of(representation: Representation, problem: Problem, length: int, *, f
         drawn = jax.random.randint(key_common, (rows,), 0, representation.labels)
         common = jnp.where(problem.later, jnp.arange(rows) // draws % representation.labels, drawn)
         covered = problem.covered if fold else None
-        plan = random_plans(rows, length, problem.candidates, xy, covered=covered, key=key_plan)
+        plan = random_plans(rows, length, problem.candidates, xy, covered=covered, edge=edge, key=key_plan)
         return Plans(plan, (common, jnp.full(rows, problem.relative)))
 
     def valid(plans: Plans) -> Bool[Array, " plans"]:

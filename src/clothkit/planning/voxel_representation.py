@@ -12,6 +12,7 @@ from clothkit.cloth.silhouette import pixel_centres
 from clothkit.manipulation.candidates import CandidateConfig, voxel_candidates
 from clothkit.models import emd_voxel
 from clothkit.models.emd_voxel import cross_entropy
+from clothkit.planning.batches import BATCH, in_batches
 from clothkit.planning.initial import EXTENT, RASTER
 from clothkit.planning.representation import Recorded
 from clothkit.planning.types import Meshes, States
@@ -76,11 +77,11 @@ class VoxelRepresentation:
         return np.abs(states.astype(np.float32) - goals).mean((-3, -2, -1))
 
     def of_meshes(self, meshes: Meshes) -> States:
-        return np.asarray(_observe(meshes))
+        return in_batches(_observe, BATCH, meshes)
 
     def recorded(self, states: Float[np.ndarray, "task state u v 3"], plan: Float[np.ndarray, "task n 6"]) -> Recorded:
-        seen = [np.asarray(voxels.observe(states[:, i])) for i in (0, -1)]
-        return Recorded(seen[0], np.asarray(emd_voxel.cartesian(states[:, :-1], plan)), seen[1])
+        start, goal = (self.of_meshes(states[:, i]) for i in (0, -1))
+        return Recorded(start, in_batches(_cartesian, BATCH, states[:, :-1], plan), goal)
 
     def candidates(
         self, state: Shaped[np.ndarray, "x y z"], settings: CandidateConfig
@@ -96,4 +97,4 @@ class VoxelRepresentation:
 
 VOXEL = VoxelRepresentation()
 
-_observe = jax.jit(voxels.observe)
+_observe, _cartesian = jax.jit(voxels.observe), jax.jit(emd_voxel.cartesian)

@@ -1,4 +1,4 @@
-"""Replace a cache folder of compiled programs that can't be written by a temporary folder, with a notice."""
+"""Folders in which compiled programs are kept for later runs; one that can't be written is replaced, with a notice."""
 
 import atexit
 import contextlib
@@ -8,6 +8,12 @@ import tempfile
 from pathlib import Path
 
 import jax
+
+COMPILED_BYTES = 2**30
+"""Size limit of a cache of compiled programs."""
+
+LEAST_SECONDS = 0.1
+"""Programs that compile faster are not kept. JAX's own limit of a second leaves out most of what a stage compiles."""
 
 
 def writable(folder: Path, programs: str) -> Path | None:
@@ -31,12 +37,17 @@ def writable(folder: Path, programs: str) -> Path | None:
     return instead
 
 
-def ensure_jax_cache() -> None:
-    """Let JAX use its configured cache folder if that can be written, else a temporary one, else none.
+def ensure_jax_cache(default: Path) -> None:
+    """Let JAX keep compiled programs in its configured folder, which is `default` if none is configured.
 
-    URLs are not checked.
+    A folder that can't be written is replaced by a temporary one, or by none. URLs are not checked.
     """
     folder = jax.config.values.get("jax_compilation_cache_dir")
+    if folder is None:
+        folder = str(default)
+        jax.config.update("jax_compilation_cache_dir", folder)
+        jax.config.update("jax_compilation_cache_max_size", COMPILED_BYTES)
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", LEAST_SECONDS)
     if folder and "://" not in folder:
         chosen = writable(Path(folder), "JAX's compiled programs")
         jax.config.update("jax_compilation_cache_dir", None if chosen is None else str(chosen))

@@ -14,8 +14,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import jax
-
 import clothkit
 from clothkit.params import Params, load_params
 from clothkit.runtime.cache import ensure_jax_cache
@@ -26,9 +24,6 @@ WORK = Path(".work")
 PUBLISHING = WORK / "publishing.lock"
 PLACES = (Path("data"), Path("reports"))
 """Folders under which stages publish their outputs."""
-
-COMPILED_BYTES = 2**30
-"""Size limit of the cache of compiled programs, from which a resumed stage and its variants need not compile again."""
 
 
 class Stage:
@@ -130,10 +125,7 @@ def stage(name: str, variant: str | None = None) -> Iterator[Stage]:
                 f"{clothkit.__file__}: expected the clothkit of the current directory, {expected}; "
                 "run the stage with dvc repro, or from a checkout with PYTHONPATH=src"
             )
-        if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-            jax.config.update("jax_compilation_cache_dir", str(WORK / "compiled"))
-            jax.config.update("jax_compilation_cache_max_size", COMPILED_BYTES)
-        ensure_jax_cache()
+        ensure_jax_cache(WORK / "compiled")
         run = Stage(name, variant)
         yield run
         run.close(started)

@@ -73,7 +73,8 @@ def train(problem: Problem, data: PyTree, training: TrainingConfig, *, work: Pat
     params, state, best = on_all(jax.tree.map(jnp.array, arrays))
     del arrays
     data = on_all(data)
-    run = runner(problem, rule, training, jax.random.fold_in(key, 1))
+    run = runner(problem, rule, training)
+    key = jax.random.fold_in(key, 1)
     with tqdm(total=training.iterations, initial=progress.iteration, unit="it", smoothing=0.05) as bar:
         while not _finished(progress, training):
             due = min(
@@ -83,7 +84,7 @@ def train(problem: Problem, data: PyTree, training: TrainingConfig, *, work: Pat
             losses = []
             while progress.iteration < due:
                 count = min(training.steps_per_call, due - progress.iteration)
-                params, state, mean = run(params, state, data, progress.iteration, 0.5**progress.halvings, count)
+                params, state, mean = run(params, state, data, key, progress.iteration, 0.5**progress.halvings, count)
                 losses.append((count, {name: float(value) for name, value in mean.items()}))
                 progress.iteration += count
                 bar.update(count)
@@ -98,12 +99,15 @@ def _finished(progress: Progress, training: TrainingConfig) -> bool:
     return stopped or progress.iteration >= training.iterations
 
 
-def runner(
-    problem: Problem, rule: optax.GradientTransformation, training: TrainingConfig, key: PRNGKeyArray
-) -> Callable[..., Any]:
-    """A jitted function that runs `count` iterations: weights, state, .. -> weights, state, mean losses."""
+def runner(problem: Problem, rule: optax.GradientTransformation, training: TrainingConfig) -> Callable[..., Any]:
+    """A jitted function that runs `count` iterations: weights, state, .. -> weights, state, mean losses.
 
-    def iterate(data: PyTree, factor: Any, carry: tuple[PyTree, PyTree], iteration: Any) -> tuple[Any, Any]:
+    The key is an argument, so that members of an ensemble, which differ in their keys alone, share a compiled program.
+    """
+
+    def iterate(
+        data: PyTree, key: PRNGKeyArray, factor: Any, carry: tuple[PyTree, PyTree], iteration: Any
+    ) -> tuple[Any, Any]:
         params, state = carry
         # The key depends on the iteration's number only, so that a resumed run draws the same batches.
         gradient, losses = problem.gradient(params, data, jax.random.fold_in(key, iteration))
@@ -111,9 +115,11 @@ def runner(
         params = jax.tree.map(lambda weight, update: weight + factor * update, params, updates)
         return (params, state), losses
 
-    @partial(jax.jit, static_argnums=5, donate_argnums=(0, 1))
-    def run(params: PyTree, state: PyTree, data: PyTree, first: Any, factor: Any, count: int) -> tuple[Any, Any, Any]:
-        body = partial(iterate, data, factor)
+    @partial(jax.jit, static_argnames="count", donate_argnums=(0, 1))
+    def run(
+        params: PyTree, state: PyTree, data: PyTree, key: PRNGKeyArray, first: Any, factor: Any, count: int
+    ) -> tuple[Any, Any, Any]:
+        body = partial(iterate, data, key, factor)
         with jax.default_matmul_precision(training.precision):
             (params, state), losses = jax.lax.scan(body, (params, state), first + jnp.arange(count))
         return params, state, jax.tree.map(jnp.mean, losses)

@@ -35,6 +35,9 @@ Count = Annotated[int, Gt(0)]
 NEAR = 0.15
 """Standard deviation of the noise added to the best plan when a strain restarts near it [geodesic, or normalised]."""
 
+POLISHING_RATE = 0.01
+"""Step size with which the iterations of `GradientConfig.polish` begin [geodesic, or normalised]."""
+
 
 @config
 class GradientConfig:
@@ -53,6 +56,10 @@ class GradientConfig:
     """How often only the better half of the strains is kept: successive halving (Jamieson and Talwalkar, AISTATS 2016).
     Every round evaluates as many plans, so that its iterations double when its strains are halved; the iterations above
     are those of the last round. After each round, the best strains go on in the labels that suit them best."""
+    polish: Annotated[int, Ge(0)] = 0
+    """Iterations with exact evaluations that end the search, for a few of the best plans, in smaller steps."""
+    polished: Count = 4
+    """How many plans these are, at most."""
     irprop: IRpropConfig = IRpropConfig()
 
     def __post_init__(self) -> None:
@@ -62,9 +69,14 @@ class GradientConfig:
                 raise ValueError(f"{name} must be a multiple of {parts}, to halve the strains {self.halvings} times")
 
     @property
-    def finalists(self) -> int:
+    def together(self) -> int:
         """The strains that are left in the last round. As many are moved at a time in all rounds."""
         return self.strains >> self.halvings
+
+    @property
+    def finalists(self) -> int:
+        """The strains that are left at the end."""
+        return min(self.polished, self.together) if self.polish else self.together
 
     def iterations(self, length: int) -> int:
         """Number of iterations of the last round in a search for plans of this length."""
@@ -78,15 +90,17 @@ class GradientConfig:
     def evaluations(self, length: int) -> int:
         """Number of plans of this length that a search evaluates.
 
-        Those for screening, and those of finalists in all labels of a square cloth after each round, need no gradients.
+        Those for screening, and those of the best strains in all labels of a square cloth after each round, need no
+        gradients.
         """
         screened = self.strains * self.screen if self.screen > 1 else 0
-        labelled = (self.halvings + 1) * self.finalists * SQUARE.count if self.halvings else 0
-        return screened + labelled + sum(strains * iterations for strains, iterations in self.rounds(length))
+        labelled = (self.halvings + 1) * self.together * SQUARE.count if self.halvings else 0
+        moved = sum(strains * iterations for strains, iterations in self.rounds(length))
+        return screened + labelled + moved + self.finalists * self.polish
 
     def shape(self, length: int) -> tuple[int, int]:
         """Iterations of all rounds, each of as many strains as the last round has, and that number."""
-        return (self.halvings + 1) * self.iterations(length), self.finalists
+        return (self.halvings + 1) * self.iterations(length), self.together
 
     def starts(self, length: int) -> int:
         """How often a strain can start: it goes on for at least `patience` iterations."""
@@ -119,7 +133,7 @@ def descend(
     A strain whose plan is not valid restarts at once. The rows of the best plans are strains. Groups of strains take
     turns, each as large as the last round's, so that one compiled iteration serves all rounds.
     """
-    size, rounds = settings.finalists, settings.rounds(space.length)
+    size, rounds = settings.together, settings.rounds(space.length)
 
     def iterate(state: _State, turn: tuple[Array, PRNGKeyArray]) -> tuple[_State, tuple[Array, Array]]:
         first, key = turn
@@ -130,14 +144,9 @@ def descend(
             drawn = _some_near(state.best, drawn, settings.near, key=key_near)
         group = take(rows, state)
         strains = select(group.restart, _started(drawn, settings.irprop), group.strains)
-
-        def total(plan: Float[Array, "strains n 6"]) -> tuple[Array, tuple]:
-            evaluation = evaluate(Plans(plan, strains.plans.labels))
-            return jnp.sum(evaluation.loss), (evaluation.loss, evaluation.labels)
-
-        gradient, (loss, labels) = jax.grad(total, has_aux=True)(strains.plans.plan)
-        loss = masked(loss, space.valid(strains.plans))
-        best = select(loss < group.best.loss, Best(strains.plans, labels, loss), group.best)
+        tried, gradient = _tried(evaluate, space, strains.plans)
+        loss = tried.loss
+        best = select(loss < group.best.loss, tried, group.best)
         stale = jnp.where(loss < strains.lowest, 0, strains.stale + 1)
         restart = jnp.isinf(loss) | (stale >= settings.patience)
         strains = _moved(strains, gradient, settings.irprop)
@@ -156,7 +165,39 @@ def descend(
     keys = jax.random.split(key_search, len(rounds) * last).reshape(len(rounds), last)
     state, record = jax.lax.scan(pursue, state, (first, keys))
     losses, restarts = (values.reshape(-1, size) for values in record)
-    return Outcome(take(jnp.arange(size), state.best), losses, restarts)
+    best = take(jnp.arange(size), state.best)
+    return Outcome(_polished(evaluate, space, settings, best) if settings.polish else best, losses, restarts)
+
+
+def _tried(
+    evaluate: Evaluate, space: Space, plans: Plans, *, exact: bool = False
+) -> tuple[Best, Float[Array, "strains n 6"]]:
+    """The plans with their losses, infinite for those that are not valid, and the gradients of the losses."""
+
+    def total(plan: Float[Array, "strains n 6"]) -> tuple[Array, tuple]:
+        evaluation = evaluate(Plans(plan, plans.labels), exact=exact)
+        return jnp.sum(evaluation.loss), (evaluation.loss, evaluation.labels)
+
+    gradient, (loss, labels) = jax.grad(total, has_aux=True)(plans.plan)
+    return Best(plans, labels, masked(loss, space.valid(plans))), gradient
+
+
+def _polished(evaluate: Evaluate, space: Space, settings: GradientConfig, best: Best) -> Best:
+    """The best plans, each after some iterations with exact evaluations in the labels that were found for it."""
+    best = take(jnp.argsort(best.loss)[: settings.finalists], best)
+    found = jnp.isfinite(best.loss)
+    strains = _started(Plans(best.plans.plan, best.labels), settings.irprop)
+    strains = strains._replace(rate=jnp.full_like(strains.rate, POLISHING_RATE))
+
+    def iterate(state: tuple[_Strains, Best], _: None) -> tuple[tuple[_Strains, Best], None]:
+        strains, best = state
+        tried, gradient = _tried(evaluate, space, strains.plans, exact=True)
+        best = select(tried.loss < best.loss, tried, best)
+        return (_moved(strains, gradient, settings.irprop), best), None
+
+    start = Best(strains.plans, best.labels, jnp.full(len(found), jnp.inf))
+    (_, polished), _ = jax.lax.scan(iterate, (strains, start), length=settings.polish)
+    return polished._replace(loss=jnp.where(found, polished.loss, jnp.inf))
 
 
 def _first_state(
@@ -180,7 +221,7 @@ def _sorted(evaluate: Evaluate, space: Space, settings: GradientConfig, state: _
     As many as there are in the last round are tried in all labels, and go on in those of the lowest loss.
     """
     strains, best, restart = take(jnp.argsort(state.best.loss), state)
-    leading = jnp.arange(settings.finalists)
+    leading = jnp.arange(settings.together)
     variants = space.variants(take(leading, best.plans))
     found = evaluate(variants)
     loss = masked(found.loss, space.valid(variants)).reshape(len(leading), -1)
