@@ -22,8 +22,7 @@ from clothkit.training.emd_voxel import (
     augment,
     cross_entropy,
     direction,
-    loss_position,
-    loss_shape,
+    losses,
     problem,
     task_differences,
     voxelised,
@@ -210,23 +209,18 @@ def test_losses_sum_over_steps_and_average_over_the_batch():
     p = np.clip(np.asarray(jnp.moveaxis(jax.nn.sigmoid(made), 0, 1), np.float64), 1e-12, 1 - 1e-7)
     likelihood = np.where(batch.outcomes, np.log(p), np.log(1 - p))
     expected = -likelihood.mean((2, 3, 4)).sum(1).mean()
-    assert float(jax.jit(loss_shape, static_argnums=0)(EMDVoxel(DENSE), net.params, batch)) == pytest.approx(
-        expected, rel=1e-3
-    )
+    loss_s, loss_p = jax.jit(losses, static_argnums=0)(EMDVoxel(DENSE), net.params, batch)
+    assert float(loss_s) == pytest.approx(expected, rel=1e-3)
     misses = np.asarray(jnp.moveaxis(steps.shifts, 0, 1) - batch.shifts)
-    assert float(jax.jit(loss_position, static_argnums=0)(EMDVoxel(DENSE), net.params, batch)) == pytest.approx(
-        np.mean(misses**2), rel=1e-5
-    )
+    assert float(loss_p) == pytest.approx(np.mean(misses**2), rel=1e-5)
 
 
 def test_paper_recipe_gives_the_decoder_loss_s_alone():
     batch, params = voxel_examples(1), initial(DENSE, key=jax.random.key(0))
     settings = TrainEMDVoxelConfig(net=DENSE, training=TrainingConfig(recipe="paper"))
-    found, losses = jax.jit(direction, static_argnums=(0, 1))(EMDVoxel(DENSE), settings, params, batch)
-    assert set(losses) == {"loss_s", "loss_p"}
-    shape, position = (
-        jax.grad(lambda p, f=f: f(EMDVoxel(DENSE), p, batch))(params) for f in (loss_shape, loss_position)
-    )
+    found, by_name = jax.jit(direction, static_argnums=(0, 1))(EMDVoxel(DENSE), settings, params, batch)
+    assert set(by_name) == {"loss_s", "loss_p"}
+    shape, position = (jax.grad(lambda p, i=i: losses(EMDVoxel(DENSE), p, batch)[i])(params) for i in range(2))
     jax.tree.map(lambda d, g: np.testing.assert_array_equal(d, np.sign(g)), found["D"], shape["D"])
     expected = np.sign(np.sign(shape["M"]["layer_1"]["kernel"]) + np.sign(position["M"]["layer_1"]["kernel"]))
     np.testing.assert_array_equal(found["M"]["layer_1"]["kernel"], expected)

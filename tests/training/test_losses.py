@@ -16,7 +16,7 @@ from clothkit.models.layers import probabilistic_mesh
 from clothkit.models.pemd import PEMD, initial
 from clothkit.models.settings import PEMDConfig
 from clothkit.training import pemd as pemd_training
-from clothkit.training.pemd import direction, draw, loss_position, loss_shape
+from clothkit.training.pemd import direction, draw, losses
 from clothkit.training.recipe import sign_sum
 from clothkit.training.settings import TrainingConfig, TrainPEMDConfig
 from clothkit.training.vtm import loss_vtm
@@ -53,9 +53,10 @@ def test_loss_s_sums_likelihoods_over_steps_and_loss_p_is_a_mean_square(dataset)
     steps = [
         -norm.logpdf(examples.outcomes[:, i], predicted.mean[i], predicted.std[i]).mean((1, 2, 3)) for i in range(2)
     ]
-    np.testing.assert_allclose(loss_shape(PEMD(NET), params, examples), np.mean(steps[0] + steps[1]), rtol=1e-5)
+    loss_s, loss_p = losses(PEMD(NET), params, examples)
+    np.testing.assert_allclose(loss_s, np.mean(steps[0] + steps[1]), rtol=1e-5)
     misses = [np.asarray(found.shifts[i]) - np.asarray(examples.shifts[:, i]) for i in range(2)]
-    np.testing.assert_allclose(loss_position(PEMD(NET), params, examples), np.mean(np.square(misses)), rtol=1e-5)
+    np.testing.assert_allclose(loss_p, np.mean(np.square(misses)), rtol=1e-5)
 
 
 def test_sign_sum_by_hand():
@@ -66,8 +67,8 @@ def test_sign_sum_by_hand():
 def test_paper_direction_is_the_sign_sum_of_finite_differences(dataset):
     examples, params = batch(dataset, 2), initial(NET, key=jax.random.key(0))
     settings = TrainPEMDConfig(net=NET, training=TrainingConfig(recipe="paper"))
-    found, losses = direction(PEMD(NET), settings, params, examples)
-    assert set(losses) == {"loss_s", "loss_p"}
+    found, by_name = direction(PEMD(NET), settings, params, examples)
+    assert set(by_name) == {"loss_s", "loss_p"}
     rng = np.random.default_rng(0)
     with jax.enable_x64(True):
         precise = jax.tree.map(lambda x: jnp.asarray(np.asarray(x), jnp.float64), (params, examples))
@@ -75,27 +76,38 @@ def test_paper_direction_is_the_sign_sum_of_finite_differences(dataset):
             kernel = np.asarray(precise[0][module][layer]["kernel"])
             for _ in range(3):
                 at = tuple(int(rng.integers(size)) for size in kernel.shape)
-                slopes = [_slope(loss, precise, module, layer, at) for loss in (loss_shape, loss_position)]
+                slopes = _slopes(precise, module, layer, at)
                 expected = np.sign(np.sign(slopes[0]) + np.sign(slopes[1]))
                 assert float(found[module][layer]["kernel"][at]) == expected
 
 
-def _slope(loss, precise, module, layer, at):
+def _slopes(precise, module, layer, at):
+    """The differences of loss_s and loss_p between two values of one weight."""
     params, examples = precise
     values = []
     for step in (1e-5, -1e-5):
         weights = {**params[module], layer: {**params[module][layer]}}
         weights[layer]["kernel"] = params[module][layer]["kernel"].at[at].add(step)
-        values.append(float(loss(PEMD(NET), {**params, module: weights}, examples)))
+        values.append(np.array(losses(PEMD(NET), {**params, module: weights}, examples)))
     # A weight that a loss does not reach leaves it exactly as it is.
     return values[0] - values[1]
+
+
+def test_fast_direction_is_the_gradient_of_the_weighted_sum(dataset):
+    examples, params = batch(dataset, 2), initial(NET, key=jax.random.key(0))
+    settings = TrainPEMDConfig(net=NET, training=TrainingConfig(recipe="fast"), shift_weight=3.0)
+    found, _ = direction(PEMD(NET), settings, params, examples)
+    shape, position = (
+        jax.grad(lambda p, i=i: losses(PEMD(NET), p, examples, hold=settings.hold)[i])(params) for i in range(2)
+    )
+    jax.tree.map(lambda d, s, p: np.testing.assert_allclose(d, s + 3 * p, rtol=1e-4, atol=1e-5), found, shape, position)
 
 
 def test_decoder_gets_loss_s_only(dataset):
     examples, params = batch(dataset, 1), initial(NET, key=jax.random.key(0))
     settings = TrainPEMDConfig(net=NET, training=TrainingConfig(recipe="paper"))
     found, _ = direction(PEMD(NET), settings, params, examples)
-    shape = jax.grad(lambda p: loss_shape(PEMD(NET), p, examples))(params)
+    shape = jax.grad(lambda p: losses(PEMD(NET), p, examples)[0])(params)
     jax.tree.map(lambda d, g: np.testing.assert_array_equal(d, np.sign(g)), found["D"], shape["D"])
 
 

@@ -51,10 +51,14 @@ def augment(examples: Examples, *, noise: float, noise_z: float, key: PRNGKeyArr
     return voxelised(examples._replace(manipulations=manipulations), noise=noise, noise_z=noise_z, key=noise_key)
 
 
-def loss_shape(model: ForwardModel, params: PyTree, examples: Examples) -> Float[Array, ""]:
-    """loss_s, eq. (8) with binary cross-entropy instead of NLL, summed over the steps and averaged over the batch."""
-    logits, _ = predict(model, params, examples.state, examples.manipulations, unroll=True)
-    return jnp.mean(jnp.sum(cross_entropy(logits, jnp.moveaxis(examples.outcomes, 1, 0)), axis=0))
+def losses(model: ForwardModel, params: PyTree, examples: Examples) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """loss_s and loss_p, from one prediction.
+
+    loss_s is eq. (8) with binary cross-entropy instead of NLL, summed over the steps and averaged over the batch.
+    """
+    logits, found = predict(model, params, examples.state, examples.manipulations, unroll=True)
+    loss_s = jnp.mean(jnp.sum(cross_entropy(logits, jnp.moveaxis(examples.outcomes, 1, 0)), axis=0))
+    return loss_s, loss_position(found, examples)
 
 
 def direction(
@@ -63,8 +67,7 @@ def direction(
     """The gradient (or sign sum) that the optimiser takes, and the two losses by name: see `recipe.direction`."""
     model, examples = as_shown(model, examples)
     return recipe.direction(
-        lambda params: loss_shape(model, params, examples),
-        lambda params: loss_position(model, params, examples),
+        lambda params: losses(model, params, examples),
         params,
         recipe=settings.training.recipe,
         shift_weight=settings.shift_weight,

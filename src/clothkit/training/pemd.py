@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 from clothkit.cloth import mesh as meshes
 from clothkit.dataset.store import STEPS, Dataset
 from clothkit.dataset.tasks import TASKS
-from clothkit.models.forward import ForwardModel, forward_model, predict, rollout
+from clothkit.models.forward import ForwardModel, Rollout, forward_model, predict
 from clothkit.models.pemd import initial
 from clothkit.training import recipe
 from clothkit.training.augment import Examples, as_shown, augment
@@ -72,17 +72,22 @@ def random_length(data: Sequences, *, key: PRNGKeyArray) -> Int[Array, ""]:
     return jax.random.randint(key, (), 1, longest + 1)
 
 
-def loss_shape(model: ForwardModel, params: PyTree, examples: Examples, *, hold: float = 0.0) -> Float[Array, ""]:
-    """loss_s, eq. (8): `held_nll` with that `hold`, summed over the steps and averaged over the batch."""
-    predicted, _ = predict(model, params, examples.state, examples.manipulations, unroll=True)
-    return jnp.mean(jnp.sum(held_nll(jnp.moveaxis(examples.outcomes, 1, 0), predicted, hold), axis=0))
+def losses(
+    model: ForwardModel, params: PyTree, examples: Examples, *, hold: float = 0.0
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """loss_s and loss_p of section 4.6, from one prediction.
+
+    loss_s, eq. (8), is `held_nll` with that `hold`, summed over the steps and averaged over the batch. loss_p is the
+    mean squared error of the centre shifts [normalised squared].
+    """
+    predicted, found = predict(model, params, examples.state, examples.manipulations, unroll=True)
+    loss_s = jnp.mean(jnp.sum(held_nll(jnp.moveaxis(examples.outcomes, 1, 0), predicted, hold), axis=0))
+    return loss_s, loss_position(found, examples)
 
 
-def loss_position(model: ForwardModel, params: PyTree, examples: Examples) -> Float[Array, ""]:
+def loss_position(found: Rollout, examples: Examples) -> Float[Array, ""]:
     """loss_p: mean squared error of the centre shifts [normalised squared] (section 4.6)."""
-    latent = model.encode(params, examples.state)
-    shifts = rollout(model, params, latent, examples.manipulations, unroll=True).shifts
-    return jnp.mean((shifts - jnp.moveaxis(examples.shifts, 1, 0)) ** 2)
+    return jnp.mean((found.shifts - jnp.moveaxis(examples.shifts, 1, 0)) ** 2)
 
 
 def direction(
@@ -92,8 +97,7 @@ def direction(
     model, examples = as_shown(model, examples)
     hold = settings.hold if settings.training.recipe == "fast" else 0.0
     return recipe.direction(
-        lambda params: loss_shape(model, params, examples, hold=hold),
-        lambda params: loss_position(model, params, examples),
+        lambda params: losses(model, params, examples, hold=hold),
         params,
         recipe=settings.training.recipe,
         shift_weight=settings.shift_weight,

@@ -21,8 +21,7 @@ def sign_sum(shape: PyTree, position: PyTree) -> PyTree:
 
 
 def direction(
-    loss_shape: Callable[[PyTree], Float[Array, ""]],
-    loss_position: Callable[[PyTree], Float[Array, ""]],
+    losses: Callable[[PyTree], tuple[Float[Array, ""], Float[Array, ""]]],
     params: PyTree,
     *,
     recipe: str,
@@ -30,19 +29,19 @@ def direction(
 ) -> tuple[PyTree, dict[str, Float[Array, ""]]]:
     """The input of the optimiser for a forward model's two losses, and the losses by name.
 
-    `loss_shape` and `loss_position` are functions of the weights. For the recipe `paper` the result is the sign sum of
-    their separate gradients; for `fast` it is the gradient of loss_s + shift_weight loss_p, from one backward pass.
+    `losses` gives loss_s and loss_p for the weights. For the recipe `paper` the result is the sign sum of their
+    separate gradients; for `fast` it is the gradient of loss_s + shift_weight loss_p, from one backward pass.
     """
 
     def both(params: PyTree) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
-        losses = {"loss_s": loss_shape(params), "loss_p": loss_position(params)}
-        return losses["loss_s"] + shift_weight * losses["loss_p"], losses
+        loss_s, loss_p = losses(params)
+        return loss_s + shift_weight * loss_p, {"loss_s": loss_s, "loss_p": loss_p}
 
     if recipe == "fast":
-        gradient, losses = jax.grad(both, has_aux=True)(params)
-        return gradient, losses
-    loss_s, shape = jax.value_and_grad(loss_shape)(params)
-    loss_p, position = jax.value_and_grad(loss_position)(params)
+        return jax.grad(both, has_aux=True)(params)
+    (loss_s, shape), (loss_p, position) = (
+        jax.value_and_grad(lambda params, i=i: losses(params)[i])(params) for i in range(2)
+    )
     return sign_sum(shape, position), {"loss_s": loss_s, "loss_p": loss_p}
 
 

@@ -4,7 +4,7 @@ Each strain has a plan of its own. A strain that has not improved for some itera
 best plan of each strain over all of its starts is kept.
 """
 
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -135,15 +135,12 @@ def descend(
     """
     size, rounds = settings.together, settings.rounds(space.length)
 
-    def iterate(state: _State, turn: tuple[Array, PRNGKeyArray]) -> tuple[_State, tuple[Array, Array]]:
-        first, key = turn
+    def iterate(state: _State, turn: tuple[Array, _Draws]) -> tuple[_State, tuple[Array, Array]]:
+        first, draws = turn
         rows = first + jnp.arange(size)
-        key_fresh, key_near = jax.random.split(key)
-        drawn = space.sample(size, key=key_fresh)
-        if settings.near:
-            drawn = _some_near(state.best, drawn, settings.near, key=key_near)
         group = take(rows, state)
-        strains = select(group.restart, _started(drawn, settings.irprop), group.strains)
+        restarted = _started(_some_near(state.best, draws), settings.irprop)
+        strains = select(group.restart, restarted, group.strains)
         tried, gradient = _tried(evaluate, space, strains.plans)
         loss = tried.loss
         best = select(loss < group.best.loss, tried, group.best)
@@ -154,7 +151,7 @@ def descend(
         moved = _State(strains, best, restart)
         return jax.tree.map(lambda all, some: all.at[rows].set(some), state, moved), (loss, restart)
 
-    def pursue(state: _State, turns: tuple[Array, Array]) -> tuple[_State, tuple[Array, Array]]:
+    def pursue(state: _State, turns: tuple[Array, Any]) -> tuple[_State, tuple[Array, Array]]:
         state, record = jax.lax.scan(iterate, state, turns)
         return (_sorted(evaluate, space, settings, state) if settings.halvings else state), record
 
@@ -162,8 +159,10 @@ def descend(
     state = _first_state(evaluate, space, settings, initial, key=key_first)
     last = settings.iterations(space.length)
     first = jnp.array([np.arange(last) % (strains // size) * size for strains, _ in rounds])
-    keys = jax.random.split(key_search, len(rounds) * last).reshape(len(rounds), last)
-    state, record = jax.lax.scan(pursue, state, (first, keys))
+    # All at once, because a program takes longer to compile if every iteration draws random numbers.
+    draws = _draws(space, len(rounds) * last * size, settings.near, key=key_search)
+    draws = jax.tree.map(lambda leaf: leaf.reshape(len(rounds), last, size, *leaf.shape[1:]), draws)
+    state, record = jax.lax.scan(pursue, state, (first, draws))
     losses, restarts = (values.reshape(-1, size) for values in record)
     best = take(jnp.arange(size), state.best)
     return Outcome(_polished(evaluate, space, settings, best) if settings.polish else best, losses, restarts)
@@ -234,24 +233,43 @@ def _sorted(evaluate: Evaluate, space: Space, settings: GradientConfig, state: _
     return _State(select(elsewhere, _started(best.plans, settings.irprop), strains), best, jnp.isinf(best.loss))
 
 
-def _some_near(best: Best, drawn: Plans, share: float, *, key: PRNGKeyArray) -> Plans:
-    """The plans `drawn`, of which a share is replaced by plans near the best one so far.
+class _Draws(NamedTuple):
+    """Random numbers for restarts; every field has a row per restart."""
 
-    Such a plan is the best one with noise added to all components but the first grasp points. With a probability of
-    one half, its first grasp points are those that were drawn.
+    plans: Plans
+    """Random plans."""
+    near: Bool[Array, " restarts"]
+    """Whether to restart near the best plan so far, instead of at the random plan."""
+    noise: Float[Array, "restarts n 6"]
+    """What is added to the best plan."""
+    swap: Bool[Array, " restarts"]
+    """Whether the random plan's first grasp points take the place of the best plan's."""
+
+
+def _draws(space: Space, count: int, share: float, *, key: PRNGKeyArray) -> _Draws:
+    key_plans, key_near, key_noise, key_swap = jax.random.split(key, 4)
+    plans = space.sample(count, key=key_plans)
+    return _Draws(
+        plans,
+        jax.random.bernoulli(key_near, share, (count,)),
+        NEAR * jax.random.normal(key_noise, plans.plan.shape),
+        jax.random.bernoulli(key_swap, 0.5, (count,)),
+    )
+
+
+def _some_near(best: Best, draws: _Draws) -> Plans:
+    """The random plans, some of which are replaced by plans near the best one so far.
+
+    Such a plan is the best one with noise added to all components but the first grasp points.
     """
-    key_share, key_grasps, key_noise = jax.random.split(key, 3)
-    count = len(drawn.plan)
     winner = jnp.argmin(best.loss)
-    plan = best.plans.plan[winner]
-    noise = NEAR * jax.random.normal(key_noise, drawn.plan.shape)
-    both = jnp.where(is_single(plan)[..., None], noise[..., :2], noise[..., 2:4])
-    noise = jnp.concatenate([noise[..., :2], both, noise[..., 4:]], axis=-1).at[:, 0, :4].set(0)
+    plan, drawn = best.plans.plan[winner], draws.plans.plan
+    both = jnp.where(is_single(plan)[..., None], draws.noise[..., :2], draws.noise[..., 2:4])
+    noise = jnp.concatenate([draws.noise[..., :2], both, draws.noise[..., 4:]], axis=-1).at[:, 0, :4].set(0)
     moved = clip_grasps(plan + noise)
-    swap = jax.random.bernoulli(key_grasps, 0.5, (count, 1))
-    moved = moved.at[:, 0, :4].set(jnp.where(swap, drawn.plan[:, 0, :4], moved[:, 0, :4]))
-    near = jax.random.bernoulli(key_share, share, (count,)) & jnp.isfinite(best.loss[winner])
-    return drawn._replace(plan=jnp.where(near[:, None, None], moved, drawn.plan))
+    moved = moved.at[:, 0, :4].set(jnp.where(draws.swap[:, None], drawn[:, 0, :4], moved[:, 0, :4]))
+    near = draws.near & jnp.isfinite(best.loss[winner])
+    return draws.plans._replace(plan=jnp.where(near[:, None, None], moved, drawn))
 
 
 def _started(plans: Plans, settings: IRpropConfig) -> _Strains:
