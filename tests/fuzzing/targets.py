@@ -126,7 +126,10 @@ def _decided(planner: Planner, observation: Observation, memory: Memory, *, seed
     """A plan that nobody searched for, from the state that the planner perceives."""
     state, plan = agent.perceive(planner, observation, memory)[0][0], np.stack([BOTH, ONE])[: int(memory.left[0])]
     found = predict_plan(planner, state, plan, common=0, traces=take(memory.traces, 0))
-    return found._replace(loss=0.0), memory
+    outcome, distance = found.means[:, -1].mean(0), planner.representation.distance
+    expected, no_action = (float(distance(end[None], memory.goal)[0]) for end in (outcome, state))
+    useless = expected > no_action
+    return found._replace(loss=0.0, expected=expected, expected_no_action=no_action, useless=useless), memory
 
 
 def _executed(
