@@ -45,7 +45,7 @@ def run_sessions(tasks: Tasks, planner: Planner, execute: Execute, *, sensor: Se
         state, centre, observation, shift = take((state, centre, observation, shift), kept)
         if number:
             observation, shift = _observed(sensor, state, memory, observation, shift)
-        keys = _keys(tasks, acting, number, planner.settings.seed)
+        keys = search_keys(tasks, acting, number, planner.settings.seed)
         plan, memory = decide(planner, observation, memory, key=keys)
         state, centre, otherwise = _executed(
             plan, state, centre, shift, np.asarray(tasks.goal)[acting], number, planner, execute
@@ -71,7 +71,7 @@ def _observed(
     return jax.tree.map(merged, (before, shift), tuple(found))
 
 
-def _keys(tasks: Tasks, acting: Int[np.ndarray, " acting"], step: int, seed: int) -> Keys:
+def search_keys(tasks: Tasks, acting: Int[np.ndarray, " acting"], step: int, seed: int) -> Keys:
     """A random key for each search. It depends on the seed, the task and the step only, not on the batch."""
     numbers = np.array([tasks.task[row][:3] for row in acting], np.uint32)
     return _folded(np.uint32(seed), *numbers.T, np.uint32(step))

@@ -4,6 +4,7 @@ This uses true states and recorded manipulations, which no planner has.
 """
 
 import dataclasses
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -15,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int, Shaped
 from clothkit.cloth.equivalents import equivalents_of_manipulation, relabel_manipulation_batch
 from clothkit.cloth.grid import CLOTH_SIDE
 from clothkit.cloth.mesh import best_label
-from clothkit.episodes.record import Sessions, Tasks
+from clothkit.episodes.record import Sessions, Stretch, Tasks
 from clothkit.models.forward import ForwardModel
 from clothkit.planning.batches import in_batches
 from clothkit.planning.objective import Objective, evaluate, fix
@@ -38,23 +39,13 @@ def diagnosed(sessions: Sessions, tasks: Tasks, planner: Planner) -> Sessions:
         return sessions
     representation = planner.representation
     goals = representation.of_meshes(sessions.goal)
-    labels = _labels(representation, sessions.estimate[:, 0], sessions.state[:, 0])
+    labels = labels_of_estimates(representation, sessions.estimate[:, 0], sessions.state[:, 0])
     loss, offered = sessions.loss_recorded.copy(), sessions.offered.copy()
     for length in np.unique(sessions.length).tolist():
         chosen = np.flatnonzero(sessions.length == length)
-        recorded = [tasks.recorded[task] for task in chosen]
-        states, manipulations = (np.stack(parts) for parts in zip(*recorded, strict=True))
-        plan = np.asarray(_relabelled(representation.recorded(states, manipulations).plan, labels[chosen]))
+        plan = recorded_plans(representation, [tasks.recorded[task] for task in chosen], labels[chosen])
         estimate = sessions.estimate[chosen, 0]
-        value = partial(
-            losses,
-            planner.model,
-            representation,
-            0 if planner.labelled else UNKNOWN,
-            planner.nets,
-            planner.objective(length),
-        )
-        loss[chosen] = in_batches(value, planner.settings.batch, estimate, goals[chosen], plan)
+        loss[chosen] = planning_losses(planner, estimate, goals[chosen], plan)
         wanted = representation.positions(estimate, plan[:, 0, :4].reshape(-1, 2, 2))
         offered[chosen] = [
             is_offered(wanted[i], _places(representation, estimate[i], sessions.candidates[task, 0]))
@@ -63,11 +54,29 @@ def diagnosed(sessions: Sessions, tasks: Tasks, planner: Planner) -> Sessions:
     return dataclasses.replace(sessions, loss_recorded=loss, offered=offered)
 
 
-def _labels(representation: Representation, estimates: States, truth: Meshes) -> Int[np.ndarray, " task"]:
-    """Relabellings k that bring true states to the labels of the estimates."""
+def labels_of_estimates(representation: Representation, estimates: States, truth: Meshes) -> Int[np.ndarray, " task"]:
+    """The relabellings k that bring true states to the labels of their estimates."""
     if representation.labels == 1:
         return np.zeros(len(estimates), np.int64)
     return np.asarray(_best_label(estimates, truth))
+
+
+def recorded_plans(
+    representation: Representation, recorded: Sequence[Stretch], labels: Int[np.ndarray, " task"]
+) -> Float[np.ndarray, "task n 6"]:
+    """The recorded manipulations of tasks of one length, relabelled to match the first estimates."""
+    states, manipulations = (np.stack(parts) for parts in zip(*recorded, strict=True))
+    return np.asarray(_relabelled(representation.recorded(states, manipulations).plan, labels))
+
+
+def planning_losses(
+    planner: Planner, states: States, goals: States, plans: Float[np.ndarray, "task n 6"]
+) -> Float[np.ndarray, " task"]:
+    """A planner's objective for one plan per task, in the labelling that fits it best (`losses`)."""
+    relative = 0 if planner.labelled else UNKNOWN
+    objective = planner.objective(plans.shape[1])
+    value = partial(losses, planner.model, planner.representation, relative, planner.nets, objective)
+    return in_batches(value, planner.settings.batch, states, goals, plans)
 
 
 def _places(
