@@ -35,7 +35,7 @@ import dataclasses
 import time
 from collections.abc import Callable
 from functools import partial
-from itertools import product
+from itertools import chain, product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -154,7 +154,8 @@ def hybrid(wanted: float, length: int, *, first: float, strains: float, usual: G
     each = last.evaluations(length) / last.iterations(length)
     last = dataclasses.replace(last, base_iterations=max(3, round((1 - first) * rest / each)))
     sizes = population((rest - last.evaluations(length)) / 5, last.strains)
-    return HybridConfig((CEMConfig(**sizes, iterations=5, elites=max(1, round(0.2 * sizes["plans"]))), last))
+    start = CEMConfig(**sizes, iterations=5, elites=max(1, round(0.2 * sizes["plans"])))
+    return HybridConfig(phases=(start, last))
 
 
 def descent(wanted: float, length: int, *, usual: GradientConfig) -> GradientConfig:
@@ -374,7 +375,7 @@ def sized(
 ) -> pd.DataFrame:
     """Return the table with the sizes of all contestants, and write it after each that is new."""
     for contestant, each in product(contestants(usual), posed):
-        known = table.set_index(SIZES)
+        known = table.set_index(SIZES).sort_index()
         if (contestant.name, contestant.budget, each.length) in known.index:
             continue
         start = None
@@ -395,29 +396,28 @@ def summary(table: pd.DataFrame, sizes: pd.DataFrame) -> pd.DataFrame:
     The reference's own differences, and all that rests on errors that are missing, are NaN.
     """
     measures = {"error": "error", "search_failure": "search_failures"}
+    columns = {title: [f"{title}{ending}" for ending in ENDINGS] for title in measures.values()}
     reference = table[table["contestant"] == REFERENCE].assign(system=REFERENCE)
     found = []
     for (name, budget), own in table.groupby(["contestant", "budget"], sort=False):
-        means = own.groupby("length")[["loss", "expected", "error_no_action"]].mean()
-        means.insert(0, "tasks", own.groupby("length").size())
+        rows = own.groupby("length")[["loss", "expected", "error_no_action"]].mean()
+        rows.insert(0, "tasks", own.groupby("length").size())
+        rows = rows.reindex(columns=["tasks", *chain(*columns.values()), *rows.columns[1:]])
+        pairs = pd.concat([reference, own.assign(system=name)])
         for column, title in measures.items():
-            rated = own.dropna(subset=column)
-            for part in totals(rated, column):
-                length, starts = part.column.split("/")
-                if starts == "all":
+            for part in totals(own.dropna(subset=column), column):
+                if part.column.endswith("/all"):
                     values = (part.mean, *interval(part.total, part.tasks))
-                    means.loc[int(length), [title, f"{title}_low", f"{title}_high"]] = values
-            pairs = pd.concat([reference, own.assign(system=name)]) if name != REFERENCE else own[:0].assign(system="")
-            for row in compare(pairs, column, str(name), REFERENCE).itertuples():
-                length, starts = str(row.column).split("/")
-                if starts == "all":
-                    columns = [f"{title}_{part}" for part in ("difference", "difference_low", "difference_high", "p")]
-                    means.loc[int(length), columns] = (row.difference, row.low, row.high, row.p)
-        found.append(means.reset_index().assign(contestant=name, budget=budget))
-    both = pd.concat(found, ignore_index=True)
-    wanted = [f"{title}{part}" for title in measures.values() for part in ENDINGS]
-    both = both.reindex(columns=[*SIZES, "tasks", *wanted, "loss", "expected", "error_no_action"])
-    return both.merge(sizes.drop(columns=["settings", COLUMN]), on=SIZES, how="left")
+                    rows.loc[int(part.column[0]), columns[title][:3]] = values
+            for row in () if name == REFERENCE else compare(pairs, column, str(name), REFERENCE).itertuples():
+                if str(row.column).endswith("/all"):
+                    values = (row.difference, row.low, row.high, row.p)
+                    rows.loc[int(str(row.column)[0]), columns[title][3:]] = values
+        rows = rows.reset_index()
+        rows.insert(0, "contestant", name)
+        rows.insert(1, "budget", budget)
+        found.append(rows)
+    return pd.concat(found, ignore_index=True).merge(sizes.drop(columns=["settings", COLUMN]), on=SIZES, how="left")
 
 
 ENDINGS = ("", "_low", "_high", "_difference", "_difference_low", "_difference_high", "_p")
@@ -504,7 +504,7 @@ def main() -> None:
     posed = pose(planner, dataset, sequences)
     current = fingerprint([], base, TUNED, FINALISTS, CHUNK)
     sizes = sized(read(sizes_path, SIZES, current), planner, usual, posed, current, sizes_path)
-    texts = sizes.set_index(SIZES)["settings"]
+    texts = sizes.set_index(SIZES).sort_index()["settings"]
     work = Path(".work/studies/optimisers")
     work.mkdir(parents=True, exist_ok=True)
     marks, tables = {}, {}

@@ -1,5 +1,6 @@
 """Plans that are executed without a look in between, in the toy world."""
 
+import dataclasses
 from typing import Any
 
 import jax.numpy as jnp
@@ -14,8 +15,8 @@ from tests.episodes.test_sessions import MANIPULATIONS
 from tests.planning import toy
 
 CENTRE = np.array([0.3, -0.2], np.float32)
-LATER = np.array([0.5, 0.2, -0.6, 0.1, 0.6, -0.5], np.float32)
-"""A manipulation whose hands do not lie on corners."""
+LATER = np.array([17 / 31, 7 / 31, -19 / 31, 3 / 31, 0.6, -0.5], np.float32)
+"""A manipulation whose hands lie on vertices that are no corners."""
 
 
 def plan_of(manipulations: list[np.ndarray], right: int) -> tuple[Plan, list[np.ndarray]]:
@@ -41,7 +42,7 @@ def plan_of(manipulations: list[np.ndarray], right: int) -> tuple[Plan, list[np.
 @pytest.mark.parametrize("best", [0, 1])
 def test_a_plan_whose_predictions_come_true_ends_where_it_says(best: int) -> None:
     planner = toy.planner("b1")
-    planner = type(planner)(**{**vars(planner), "best": best})
+    planner = dataclasses.replace(planner, best=best)
     manipulations = [MANIPULATIONS[0], LATER, MANIPULATIONS[2]]
     plan, states = plan_of(manipulations, right=best)
     positions = grasp_positions(planner, plan, np.array([centred(states[0])[1]]))
@@ -78,6 +79,6 @@ def test_null_manipulations_and_steps_after_the_end_are_not_executed() -> None:
     outcome = execute_plans(start, np.zeros((2, 2), np.float32), plans, np.repeat(positions, 2, axis=0), execute)
     np.testing.assert_array_equal(calls, [MANIPULATIONS[None, 0, 4:]])
     # Outcomes are centred on the table, not in height.
-    np.testing.assert_allclose(outcome - start, [np.broadcast_to([0, 0, z], (32, 32, 3)) for z in (0.1, 0)], atol=1e-5)
+    np.testing.assert_allclose(outcome - start, [np.broadcast_to([0, 0, z], (32, 32, 3)) for z in (0.1, 0)], atol=1e-3)
     with pytest.raises(InputError, match="manipulation 1 of a plan"):
         execute_plans(start[:1], CENTRE[None], plans[:1], positions, lambda meshes, *_: meshes * np.nan)

@@ -215,7 +215,7 @@ def optimisers(table: pd.DataFrame, path: Path) -> None:
     titles = {"error": "error of the outcome\n[cloth length]", "search_failures": "search failures [%]"}
     offsets = np.linspace(-0.34, 0.34, len(OPTIMISERS))
     for axis, (budget, (column, title)) in zip(axes, product(BUDGETS, titles.items()), strict=True):
-        rows = table[table["budget"].isin([budget, "both"])].set_index(["contestant", "length"])
+        rows = table[table["budget"].isin([budget, "both"])].set_index(["contestant", "length"]).sort_index()
         scale = 100.0 if column == "search_failures" else 1.0
         for (name, (label, colour, marker)), offset in zip(OPTIMISERS.items(), offsets, strict=True):
             if name not in rows.index:
@@ -235,6 +235,6 @@ def optimisers(table: pd.DataFrame, path: Path) -> None:
         axis.set_ylabel(title, fontsize=8)
         axis.set_title(f"{BUDGETS[budget]} as the reference", fontsize=8.5, color=panels.INK)
         axis.set_xlabel("manipulations of the plan", fontsize=8)
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, fontsize=8, frameon=False, loc="outside upper center", ncols=4)
+    entries = {label: bars for axis in axes for bars, label in zip(*axis.get_legend_handles_labels(), strict=True)}
+    figure.legend(entries.values(), entries, fontsize=8, frameon=False, loc="outside upper center", ncols=4)
     panels.save(figure, path)
