@@ -8,8 +8,13 @@ import pandas as pd
 import pytest
 
 from clothkit.dataset.tasks import TASKS
+from clothkit.episodes.sessions import run_sessions
+from clothkit.evaluation.diagnosis import diagnosed
+from clothkit.evaluation.session_rows import rows as session_rows
 from clothkit.planning.optimisers import evaluations
 from clothkit.planning.optimisers.gradient import GradientConfig
+from tests.episodes.test_sessions import dataset
+from tests.planning import toy
 
 USUAL = GradientConfig(strains=64, base_iterations=10, iterations_per_step=10, screen=8, near=0.5)
 """The reference at `laptop`: 512 + 640 + 640 n evaluations and 64 exact ones, 640 + 640 n with gradients."""
@@ -21,6 +26,36 @@ def study(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     import optimisers
 
     return optimisers
+
+
+def test_contestants_in_the_toy_world(study: ModuleType) -> None:
+    """All contestants get the problems and the keys of sessions' first searches, whichever sequences are asked for."""
+    data, small = dataset(2), GradientConfig(strains=16, base_iterations=6, iterations_per_step=4, screen=4)
+    planner = study.with_optimiser(toy.planner("b1"), small)
+    posed = study.pose(planner, data, [0, 1])
+    assert [(each.length, len(each.tasks.task)) for each in posed] == [(1, 6), (2, 4), (3, 2)]
+    one = posed[0]
+    row = study.size(study.Contestant("shooting", "evaluations", study.shooting), planner, small, one, None)
+    assert row["evaluations"] == row["forward"] == 16 * 4 + 16 * 10 + 16
+    assert row["seconds"] > 0
+    plans = study.plans_of(planner, {1: small}, [one], "gradient, both")
+    table = study.rows_of(plans, [one], toy.execute)
+    assert table[["sequence", "start", "length"]].to_numpy().tolist() == [list(task) for task in one.tasks.task]
+    assert table["error"].mean() < 0.5 * table["error_no_action"].mean()
+    np.testing.assert_array_equal(table["search_failure"], table["loss"] > table["loss_recorded"])
+    sessions = run_sessions(one.tasks, planner, toy.execute)
+    np.testing.assert_array_equal(sessions.loss[:, 0], table["loss"])
+    np.testing.assert_array_equal(diagnosed(sessions, one.tasks, planner).loss_recorded, table["loss_recorded"])
+    # Sessions cancel what their null check finds useless.
+    acted = ~sessions.cancelled[:, 0]
+    of_sessions = session_rows(sessions, "b1")["error"].to_numpy()
+    np.testing.assert_allclose(table["error"][acted], of_sessions[acted], atol=1e-6)
+    assert acted.any()
+    (other,) = study.only([one], {1})
+    again = study.rows_of(study.plans_of(planner, {1: small}, [other], "gradient, both"), [other], None)
+    columns = ["sequence", "start", "loss", "loss_recorded", "expected", "error_no_action"]
+    np.testing.assert_allclose(again[columns], table.loc[table["sequence"] == 1, columns], rtol=1e-5)
+    assert again["error"].isna().all()
 
 
 @pytest.mark.parametrize("length", [1, 2, 3])
