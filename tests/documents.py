@@ -66,11 +66,24 @@ def commands(code: str) -> list[list[str]]:
     return [words for words in (shlex.split(line, comments=True) for line in lines) if words]
 
 
+def variants(definition: Mapping[str, Any]) -> list[str]:
+    """What stands behind the `@` of each variant of a stage: the items of `foreach`, or of the param that it names."""
+    items = definition.get("foreach", ())
+    if isinstance(items, str):
+        reference = re.fullmatch(r"\$\{([\w.]+)\}", items)
+        if reference is None:
+            raise ValueError(f"foreach: expected the name of a param, found {items!r}")
+        items = YAML(typ="safe").load(ROOT / "params.yaml")
+        for key in reference[1].split("."):
+            items = items[key]
+    return [str(item) for item in items]
+
+
 def stage_names() -> list[str]:
     """Every stage as `dvc repro` takes it."""
     names = []
     for name, definition in PIPELINE.items():
-        names += [f"{name}@{variant}" for variant in definition["foreach"]] if "foreach" in definition else [name]
+        names += [f"{name}@{variant}" for variant in variants(definition)] if "foreach" in definition else [name]
     return names
 
 

@@ -21,7 +21,7 @@ from clothkit.planning.optimisers import OPTIMISERS
 from clothkit.planning.systems import SYSTEMS
 from clothkit.simulation.material import FABRICS
 from clothkit.simulation.records import SCHEMAS
-from tests.documents import PIPELINE, Block, blocks, check, check_settings, commands, indented
+from tests.documents import PIPELINE, Block, blocks, check, check_settings, commands, indented, variants
 from tests.tiny import ROOT, write_data, write_params
 
 PAGES = sorted((ROOT / "docs").glob("*.md"))
@@ -161,7 +161,7 @@ def test_nothing_is_forgotten() -> None:
         assert f"`clothkit {name}`" in texts["your-own-cloth"]
     for name, definition in PIPELINE.items():
         assert f"`{name}" in texts["index"], name
-        for variant in definition.get("foreach", ()):
+        for variant in variants(definition):
             assert f"@{variant}`" in texts["index"], f"{name}@{variant}"
     columns = {column for schema in SCHEMAS.values() for column in schema.names}
     assert not {column for column in columns if f"`{column}`" not in texts["data-formats"]}

@@ -270,8 +270,8 @@ def test_every_member_is_trained_for_what_needs_the_ensemble(tmp_path: Path, mem
     apply_overrides(tmp_path / "params.yaml", [f"ensemble.members={members}"])
     with Repo(str(repository.folder)) as repo:
         graph = repo.index.graph
-        named = {stage.addressing: stage for stage in graph}
-        before = {name: {s.addressing for s in networkx.descendants(graph, stage)} for name, stage in named.items()}
+        named = {stage.name: stage for stage in graph}
+        before = {name: {stage.name for stage in networkx.descendants(graph, named[name])} for name in named}
     mesh, voxel = ({f"train_{kind}@{member}" for member in members} for kind in ("pemd", "emd_voxel"))
     assert {name for name in named if name.startswith(("train_pemd", "train_emd_voxel"))} == mesh | voxel
     every = mesh | voxel | {"train_vtm"}

@@ -192,7 +192,7 @@ def test_bad_input_is_told_in_one_sentence(
 
 BAD_PLANS: list[tuple[str, object, str]] = [
     ("format", "something", "format"),
-    ("version", 2, "version"),
+    ("version", 3, "version: input should be 2"),
     ("frame", "robot", "frame"),
     ("side_m", 0, "side_m"),
     ("steps", [], "steps"),

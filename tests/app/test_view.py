@@ -294,11 +294,11 @@ def test_a_search_in_lots_tells_how_far_it_is_and_can_be_stopped() -> None:
 
     told: list[Progress] = []
     found = search(lambda progress: not told.append(progress))
-    strains = toy.SEARCH.strains
+    strains = toy.GRADIENT.strains
     assert [progress.done for progress in told] == [*range(0, strains, STRAINS_PER_BATCH), strains]
     assert found.best is not None
     assert (np.diff(found.lowest) <= 0).all()
-    assert len(found.lowest) == strains // STRAINS_PER_BATCH * toy.SEARCH.iterations(1)
+    assert len(found.lowest) == strains // STRAINS_PER_BATCH * toy.GRADIENT.iterations(1)
     losses = [float(progress.best.loss[0]) for progress in told if progress.best]
     assert losses == sorted(losses, reverse=True)
     reached, before = error_of(found.best.means[0, 0, 0], goal), error_of(start, goal)

@@ -13,7 +13,7 @@ from clothkit.models import emd_voxel
 from clothkit.models.ensemble import Ensemble
 from clothkit.models.net import Net
 from clothkit.models.settings import EMDVoxelConfig
-from tests.models.conftest import crumpled
+from tests.crumpled import crumpled
 from tests.models.predicted import predicted_by
 
 CONFIG = EMDVoxelConfig(latent=4, manipulation=6, dense=True, encoder=(6,), decoder=(6,))

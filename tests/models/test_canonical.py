@@ -24,7 +24,7 @@ from clothkit.models.settings import EMDVoxelConfig, PEMDConfig, Start, VtMConfi
 from clothkit.training.augment import as_shown, augment
 from clothkit.training.emd_voxel import task_differences
 from clothkit.training.pemd import draw, sequences, task_errors
-from tests.models.conftest import crumpled
+from tests.crumpled import crumpled
 from tests.models.predicted import predicted_by
 from tests.models.test_nets import nearly_flat
 

@@ -29,8 +29,8 @@ from clothkit.training.emd_voxel import (
 )
 from clothkit.training.pemd import draw, sequences
 from clothkit.training.settings import TrainEMDVoxelConfig, TrainingConfig
+from tests.crumpled import crumpled
 from tests.models import predicted
-from tests.models.conftest import crumpled
 
 TINY = EMDVoxelConfig(latent=3, manipulation=5, width=0.04, encoder=(7, 6), decoder=(4, 8))
 DENSE = replace(TINY, dense=True)

@@ -14,7 +14,7 @@ from clothkit.models.emd_voxel import EMDVoxel
 from clothkit.models.forward import ForwardModel, forward_model, predict, rollout
 from clothkit.models.pemd import PEMD
 from clothkit.models.settings import EMDVoxelConfig, PEMDConfig
-from tests.models.conftest import crumpled
+from tests.crumpled import crumpled
 
 DATA = crumpled(4, 3)
 PLAN = np.random.default_rng(1).uniform(-1, 1, (4, 3, 6)).astype(np.float32)

@@ -1,5 +1,11 @@
-"""The dataset of the models' tests, to train on."""
+"""What training is tested on."""
 
-from tests.models.conftest import dataset
+import pytest
 
-__all__ = ["dataset"]
+from clothkit.dataset.store import Dataset
+from tests.crumpled import crumpled
+
+
+@pytest.fixture(scope="session")
+def dataset() -> Dataset:
+    return crumpled(6, 0)

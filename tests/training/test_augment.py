@@ -9,7 +9,7 @@ from clothkit.manipulation.geometry import release_points, to_cartesian
 from clothkit.manipulation.turns import planar
 from clothkit.training.augment import Examples, augment, relabelled, turned
 from clothkit.training.pemd import draw, sequences
-from tests.models.conftest import crumpled
+from tests.crumpled import crumpled
 
 SEQUENCES = sequences(crumpled(6, 0))
 

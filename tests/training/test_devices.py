@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from clothkit.training.pemd import problem, sequences
-from tests.models.conftest import crumpled
+from tests.crumpled import crumpled
 from tests.training.test_loop import PEMD
 
 TWO = "--xla_force_host_platform_device_count=2"

@@ -7,14 +7,17 @@ grid, or over columns of voxels, can be relabelled, too.
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Shaped
-from numpy import ndarray
+from numpy import integer, ndarray
 
 from clothkit.cloth.topology import REVERSE_U, REVERSE_V, SQUARE, SWAP, Topology
+
+Index = int | integer | Int[Array | ndarray, "..."]
+"""The index k of an equivalent, or several to be broadcast: a number, an element of `Topology.inverses`, an array."""
 
 
 def relabel(
     mesh: Shaped[Array | ndarray, "*batch u v c"],
-    k: int | Int[Array | ndarray, "..."],
+    k: Index,
     topology: Topology = SQUARE,
 ) -> Shaped[Array, "*batch u v c"]:
     """The mesh, or any array over its vertices, in the labels of equivalent k; k may be a traced array."""
@@ -28,7 +31,7 @@ def relabel(
 
 def relabel_manipulation(
     manipulation: Float[Array | ndarray, "*batch 6"],
-    k: int | Int[Array | ndarray, "..."],
+    k: Index,
     topology: Topology = SQUARE,
 ) -> Float[Array, "*batch 6"]:
     """The manipulation in the labels of equivalent k: its grasp points change, its displacement does not."""
@@ -84,7 +87,7 @@ def relabel_manipulation_batch(
     return relabel_manipulation(manipulation, k.reshape(k.shape + (1,) * (manipulation.ndim - 2)), topology)
 
 
-def _symmetry(k: int | Int[Array | ndarray, "..."], topology: Topology) -> Int[Array, "..."]:
+def _symmetry(k: Index, topology: Topology) -> Int[Array, "..."]:
     """The bits of symmetry k."""
     k = jnp.asarray(k)
     in_order = topology.symmetries == tuple(range(topology.count))

@@ -45,7 +45,7 @@ class MeshRepresentation:
     def target(self, goals: Float[Array, "*goals u v 3"]) -> Float[Array, "*goals u v 3"]:
         return whiten(goals)
 
-    def thinned(self, goals: Float[Array, "*goals u v 3"], stride: int) -> Float[Array, "*goals thin thin 3"]:
+    def thinned(self, goals: Float[Array, "*goals u v 3"], stride: int) -> Float[Array, "*goals thin_u thin_v 3"]:
         return topology.thinned(goals, stride)
 
     def accuracy(self, target: Float[Array, "*batch u v 3"], outcome: ProbabilisticMesh) -> Float[Array, "*batch"]:

@@ -88,7 +88,7 @@ class VoxelRepresentation:
     ) -> Float[np.ndarray, "candidates 2"]:
         return voxel_candidates(state > 0, settings)
 
-    def covered(self, state: Shaped[np.ndarray, "x y z"]) -> Bool[np.ndarray, "x y"]:
+    def covered(self, state: Shaped[np.ndarray, "x y z"]) -> Bool[np.ndarray, "raster raster"]:
         columns = np.asarray((state > 0).any(-1))
         column = np.floor((pixel_centres(RASTER, EXTENT) + 1) / 2 * len(columns)).astype(int)
         inside = (column >= 0) & (column < len(columns))

@@ -48,6 +48,12 @@ class FirstConfig:
     def evaluations(self, length: int) -> int:
         return self.plans
 
+    def shape(self, length: int) -> tuple[int, int]:
+        return 1, self.plans
+
+    def starts(self, length: int) -> int:
+        return 1
+
 
 def first(
     evaluate: Evaluate, space: Space, settings: FirstConfig, *, initial: Initial | None = None, key: Array

@@ -1,13 +1,13 @@
-"""A dataset of crumpled cloths that is small enough to train on in a test."""
+"""Datasets of crumpled cloths that are small enough to train on in a test."""
 
 import numpy as np
-import pytest
 
 from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.store import Dataset
 
 
-def crumpled(count, seed):
+def crumpled(count: int, seed: int) -> Dataset:
+    """Sequences of three manipulations; every state is the one before with random waves added."""
     rng = np.random.default_rng(seed)
     uv = np.linspace(0, 1, SQUARE.shape[0], dtype=np.float32)
     u, v = np.meshgrid(uv, uv, indexing="ij")
@@ -26,8 +26,3 @@ def crumpled(count, seed):
         split=np.zeros(count, np.int8),
         evaluated=np.zeros(count, bool),
     )
-
-
-@pytest.fixture(scope="session")
-def dataset():
-    return crumpled(6, 0)
