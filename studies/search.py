@@ -64,7 +64,11 @@ def searches(usual: SearchConfig, asked: argparse.Namespace) -> list[SearchConfi
     """Return the searches to compare, the one of params.yaml first."""
     found = [usual, *(changed(usual, strains=count) for count in asked.strains)]
     for factor in asked.iterations:
-        base, more = (round(factor * value_of(usual, name)) for name in ("base_iterations", "iterations_per_step"))
+        # Strains are halved only if the iterations of the last round are a multiple of this.
+        whole = 2**usual.optimiser.halvings
+        base, more = (
+            round(factor * value_of(usual, name) / whole) * whole for name in ("base_iterations", "iterations_per_step")
+        )
         found.append(changed(usual, base_iterations=base, iterations_per_step=more))
     found += [changed(usual, stride=stride) for stride in asked.stride]
     found += [changed(usual, near=share) for share in asked.near]

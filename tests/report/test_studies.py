@@ -126,3 +126,41 @@ def test_ensembles(tmp_path: Path, drawn: list[Figure]) -> None:
     assert {tuple(np.round(corner, 6)) for corner in band} >= {(1, 0.9), (1, 1.2), (5, 0.1), (5, 0.4)}
     assert axes["training"].lines[3].get_ydata().tolist() == [9, 18, 45]
     assert all(not len(line.get_xdata()) for line in axes["u of the first plan"].lines)
+
+
+def test_optimisers_by_budget(tmp_path: Path, drawn: list[Figure]) -> None:
+    rows = [
+        {
+            "contestant": name,
+            "budget": budget,
+            "length": length,
+            "error": error * length,
+            "error_low": error * length - 0.01,
+            "error_high": error * length + 0.02,
+            "search_failures": share,
+            "search_failures_low": np.nan,
+            "search_failures_high": np.nan,
+        }
+        for name, budget, error, share in [
+            ("gradient", "both", 0.1, 0.2),
+            ("cem", "evaluations", 0.2, 0.4),
+            ("cem", "seconds", 0.05, 0.1),
+            ("mppi", "seconds", 0.3, 0.6),
+        ]
+        for length in (1, 2, 3)
+    ]
+    studies.optimisers(pd.DataFrame(rows), tmp_path / "optimisers.png")
+    by_label = [
+        {bars.get_label(): bars.lines[0].get_ydata().tolist() for bars in axis.containers} for axis in drawn[0].axes
+    ]
+    reference = "gradient (reference)"
+    assert [set(names) for names in by_label] == 2 * [{reference, "CEM"}] + 2 * [{reference, "CEM", "MPPI"}]
+    assert by_label[0][reference] == by_label[2][reference] == pytest.approx([0.1, 0.2, 0.3])
+    assert by_label[0]["CEM"] == pytest.approx([0.2, 0.4, 0.6])
+    assert by_label[2]["CEM"] == pytest.approx([0.05, 0.1, 0.15])
+    assert by_label[3]["MPPI"] == pytest.approx([60] * 3)
+    (bars,) = drawn[0].axes[0].containers[0].lines[2]
+    np.testing.assert_allclose(bars.get_segments()[1][:, 1], [0.19, 0.22])
+    assert not drawn[0].axes[0].texts
+    studies.optimisers(pd.DataFrame(rows).assign(error=np.nan), tmp_path / "optimisers.png")
+    assert [text.get_text() for text in drawn[1].axes[0].texts] == ["not executed"]

@@ -49,7 +49,7 @@ def run_sessions(tasks: Tasks, planner: Planner, execute: Execute, *, sensor: Se
         state, centre, observation, shift = take((state, centre, observation, shift), kept)
         if step:
             observation, shift = _observed(sensor, state, memory, observation, shift)
-        keys = _keys(tasks, acting, step, planner.settings.seed)
+        keys = search_keys(tasks, acting, step, planner.settings.seed)
         plan, memory = decide(planner, observation, memory, key=keys)
         state, centre, error_otherwise = _executed(
             plan, state, centre, shift, np.asarray(tasks.goal)[acting], step, planner, execute
@@ -75,7 +75,7 @@ def _observed(
     return jax.tree.map(merged, (before, shift), tuple(found))
 
 
-def _keys(tasks: Tasks, acting: Int[np.ndarray, " acting"], step: int, seed: int) -> Keys:
+def search_keys(tasks: Tasks, acting: Int[np.ndarray, " acting"], step: int, seed: int) -> Keys:
     """A random key for each search. It depends on the seed, the task and the step only, not on the batch."""
     numbers = np.array([tasks.task[row][:3] for row in acting], np.uint32)
     return _folded(np.uint32(seed), *numbers.T, np.uint32(step))

@@ -4,6 +4,7 @@ This uses true states and recorded manipulations, which no planner has.
 """
 
 import dataclasses
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -15,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int, Shaped
 from clothkit.cloth.mesh import best_label
 from clothkit.cloth.symmetry import equivalents_of_manipulation, relabel_manipulation_batch
 from clothkit.cloth.topology import CLOTH_LENGTH
-from clothkit.episodes.record import Sessions, Tasks
+from clothkit.episodes.record import Sessions, Stretch, Tasks
 from clothkit.models.forward import ForwardModel
 from clothkit.planning.batches import in_batches
 from clothkit.planning.objective import Objective, evaluate, fix
@@ -39,21 +40,13 @@ def diagnosed(sessions: Sessions, tasks: Tasks, planner: Planner) -> Sessions:
         return sessions
     representation = planner.representation
     goals = representation.of_meshes(sessions.goal)
-    labels = _labels(representation, sessions.estimate[:, 0], sessions.state[:, 0])
+    labels = labels_of_estimates(representation, sessions.estimate[:, 0], sessions.state[:, 0])
     loss, offered = sessions.loss_recorded.copy(), sessions.offered.copy()
-    longest = int(sessions.length.max())
-    relative = np.int32(0 if planner.labelled else UNKNOWN)
-    value = partial(losses, planner.model, representation, planner.nets, planner.objective(longest), relative)
     for length in np.unique(sessions.length).tolist():
         chosen = np.flatnonzero(sessions.length == length)
-        recorded = [tasks.recorded[task] for task in chosen]
-        states, manipulations = (np.stack(parts) for parts in zip(*recorded, strict=True))
-        plan = np.asarray(_relabelled(representation.recorded(states, manipulations).plan, labels[chosen]))
+        plan = recorded_plans(representation, [tasks.recorded[task] for task in chosen], labels[chosen])
         estimate = sessions.estimate[chosen, 0]
-        whole = padded(plan, longest)
-        loss[chosen] = in_batches(
-            partial(value, np.int32(length)), planner.settings.batch, estimate, goals[chosen], whole
-        )
+        loss[chosen] = planning_losses(planner, estimate, goals[chosen], plan)
         wanted = representation.positions(estimate, plan[:, 0, :4].reshape(-1, 2, 2))
         offered[chosen] = [
             is_offered(wanted[i], _places(representation, estimate[i], sessions.candidates[task, 0]))
@@ -62,11 +55,36 @@ def diagnosed(sessions: Sessions, tasks: Tasks, planner: Planner) -> Sessions:
     return dataclasses.replace(sessions, loss_recorded=loss, offered=offered)
 
 
-def _labels(representation: Representation, estimates: States, truth: Meshes) -> Int[np.ndarray, " task"]:
-    """Relabellings k that bring true states to the labels of the estimates."""
+def labels_of_estimates(representation: Representation, estimates: States, truth: Meshes) -> Int[np.ndarray, " task"]:
+    """The relabellings k that bring true states to the labels of their estimates."""
     if representation.labels == 1:
         return np.zeros(len(estimates), np.int64)
     return np.asarray(_best_label(estimates, truth))
+
+
+def recorded_plans(
+    representation: Representation, recorded: Sequence[Stretch], labels: Int[np.ndarray, " task"]
+) -> Float[np.ndarray, "task n 6"]:
+    """The recorded manipulations of tasks of one length, relabelled to match the first estimates."""
+    states, manipulations = (np.stack(parts) for parts in zip(*recorded, strict=True))
+    return np.asarray(_relabelled(representation.recorded(states, manipulations).plan, labels))
+
+
+def planning_losses(
+    planner: Planner, states: States, goals: States, plans: Float[np.ndarray, "task n 6"]
+) -> Float[np.ndarray, " task"]:
+    """A planner's objective for one plan per task, in the labelling that fits it best (`losses`)."""
+    longest, relative = planner.normalisation.longest, np.int32(0 if planner.labelled else UNKNOWN)
+    value = partial(
+        losses,
+        planner.model,
+        planner.representation,
+        planner.nets,
+        planner.objective(longest),
+        relative,
+        np.int32(plans.shape[1]),
+    )
+    return in_batches(value, planner.settings.batch, states, goals, padded(plans, longest))
 
 
 def _places(

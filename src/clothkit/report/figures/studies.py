@@ -221,3 +221,55 @@ def ensemble(table: pd.DataFrame, path: Path) -> None:
     names = [f"{length} manipulation{'s' if length > 1 else ''}" for length in (1, 2, 3)]
     figure.legend(handles, names, fontsize=8, frameon=False, loc="outside upper center", ncols=len(names))
     panels.save(figure, path)
+
+
+OPTIMISERS = {
+    "gradient": ("gradient (reference)", COLOURS[0], "o"),
+    "gradient_paper": ("gradient, the paper's rules", "#8fb4d6", "o"),
+    "hybrid": ("hybrid: CEM, then gradient", "#c0392b", "D"),
+    "cem": ("CEM", COLOURS[2], "s"),
+    "mppi": ("MPPI", "#8e5bd0", "s"),
+    "greedy": ("greedy", "#7a4a2b", "^"),
+    "shooting": ("random shooting", COLOURS[1], "v"),
+    "shooting_500": ("random shooting, 500", "#eebf8f", "v"),
+}
+"""Name, colour and marker of each contestant."""
+
+BUDGETS = {"evaluations": "as many evaluations", "seconds": "as many seconds"}
+
+
+def optimisers(table: pd.DataFrame, path: Path) -> None:
+    """Writes charts of the error and the search failures of optimisers by plan length, a row of charts per budget.
+
+    Points are means with 95 % intervals; dotted lines continue the reference's. Columns of `table`: contestant (of
+    OPTIMISERS), budget (of BUDGETS, or both), length, and for each of error [cloth length] and search_failures (share)
+    the mean and, with _low and _high, its interval. A measure without values is said to be missing.
+    """
+    figure, axes = panels.chart(4, width=4.1, height=2.5, columns=2)
+    lengths = np.sort(table["length"].unique())
+    titles = {"error": "error of the outcome\n[cloth length]", "search_failures": "search failures [%]"}
+    offsets = np.linspace(-0.34, 0.34, len(OPTIMISERS))
+    for axis, (budget, (column, title)) in zip(axes, product(BUDGETS, titles.items()), strict=True):
+        rows = table[table["budget"].isin([budget, "both"])].set_index(["contestant", "length"]).sort_index()
+        scale = 100.0 if column == "search_failures" else 1.0
+        for (name, (label, colour, marker)), offset in zip(OPTIMISERS.items(), offsets, strict=True):
+            if name not in rows.index:
+                continue
+            own = scale * rows.loc[name].reindex(lengths)[[column, f"{column}_low", f"{column}_high"]]
+            mean, low, high = own.to_numpy(float).T
+            style: dict[str, Any] = {"color": colour, "markersize": 4.5, "linewidth": 1.1, "label": label}
+            axis.errorbar(lengths + offset, mean, yerr=(mean - low, high - mean), fmt=marker, **style)
+            if name == "gradient":
+                axis.hlines(mean, lengths - 0.42, lengths + 0.42, color=colour, linewidth=0.8, linestyle=(0, (1, 2)))
+        if rows[column].isna().all():
+            axis.text(0.5, 0.5, "not executed", transform=axis.transAxes, ha="center", color=QUIET)
+        axis.set_xticks(lengths)
+        axis.set_xlim(lengths[0] - 0.5, lengths[-1] + 0.5)
+        axis.set_ylim(bottom=0)
+        axis.grid(visible=False, axis="x")
+        axis.set_ylabel(title, fontsize=8)
+        axis.set_title(f"{BUDGETS[budget]} as the reference", fontsize=8.5, color=panels.INK)
+        axis.set_xlabel("manipulations of the plan", fontsize=8)
+    entries = {label: bars for axis in axes for bars, label in zip(*axis.get_legend_handles_labels(), strict=True)}
+    figure.legend(entries.values(), entries, fontsize=8, frameon=False, loc="outside upper center", ncols=4)
+    panels.save(figure, path)
