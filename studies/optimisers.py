@@ -291,8 +291,8 @@ def plans_of(planner: Planner, optimisers: dict[int, Any], posed: list[Posed], n
             for rows, found in searches(own, each, bar):
                 plan = agent.conclude(own, take(each.problems, rows), found, each.candidates[rows])
                 position = grasp_positions(own, plan, each.tasks.centre[rows])
-                keys = np.array(each.tasks.task[rows]).T
-                parts.append(Plans(*keys, plan.manipulations, position, plan.loss, plan.expected))
+                sequence, start, length = np.array(each.tasks.task[rows]).T
+                parts.append(Plans(sequence, start, length, plan.manipulations, position, plan.loss, plan.expected))
     return Plans(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
 
@@ -380,7 +380,7 @@ def sized(
             continue
         start = None
         if (contestant.name, "evaluations", each.length) in known.index:
-            before = known.loc[(contestant.name, "evaluations", each.length)]
+            before: Any = known.xs((contestant.name, "evaluations", each.length))
             start = float(before["evaluations"] * before["seconds_reference"] / before["seconds"])
         found = size(contestant, planner, usual, each, start)
         table = append(table, pd.DataFrame([{**found, COLUMN: current}]))
@@ -398,12 +398,12 @@ def summary(table: pd.DataFrame, sizes: pd.DataFrame) -> pd.DataFrame:
     measures = {"error": "error", "search_failure": "search_failures"}
     columns = {title: [f"{title}{ending}" for ending in ENDINGS] for title in measures.values()}
     reference = table[table["contestant"] == REFERENCE].assign(system=REFERENCE)
-    found = []
+    found: list[pd.DataFrame] = []
     for (name, budget), own in table.groupby(["contestant", "budget"], sort=False):
         rows = own.groupby("length")[["loss", "expected", "error_no_action"]].mean()
         rows.insert(0, "tasks", own.groupby("length").size())
         rows = rows.reindex(columns=["tasks", *chain(*columns.values()), *rows.columns[1:]])
-        pairs = pd.concat([reference, own.assign(system=name)])
+        pairs = pd.concat([reference, own.assign(system=str(name))])
         for column, title in measures.items():
             for part in totals(own.dropna(subset=column), column):
                 if part.column.endswith("/all"):
@@ -411,11 +411,11 @@ def summary(table: pd.DataFrame, sizes: pd.DataFrame) -> pd.DataFrame:
                     rows.loc[int(part.column[0]), columns[title][:3]] = values
             for row in () if name == REFERENCE else compare(pairs, column, str(name), REFERENCE).itertuples():
                 if str(row.column).endswith("/all"):
-                    values = (row.difference, row.low, row.high, row.p)
-                    rows.loc[int(str(row.column)[0]), columns[title][3:]] = values
+                    apart: Any = (row.difference, row.low, row.high, row.p)
+                    rows.loc[int(str(row.column)[0]), columns[title][3:]] = apart
         rows = rows.reset_index()
-        rows.insert(0, "contestant", name)
-        rows.insert(1, "budget", budget)
+        rows.insert(0, "contestant", str(name))
+        rows.insert(1, "budget", str(budget))
         found.append(rows)
     return pd.concat(found, ignore_index=True).merge(sizes.drop(columns=["settings", COLUMN]), on=SIZES, how="left")
 
