@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int
 
@@ -168,7 +169,7 @@ def _score(
     """One net's score and its predicted outcome after so many manipulations, by a program that serves all nets."""
     latents = rollout(model, net, model.encode(net, start), plan).latents
     outcome = model.decode(net, latents[steps - 1])
-    return representation.accuracy(representation.target(goal), outcome), outcome
+    return representation.accuracy(representation.target(jnp.asarray(goal)), outcome), outcome
 
 
 _mean_difference = jax.jit(mean_difference, static_argnames="representation")
