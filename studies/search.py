@@ -65,7 +65,8 @@ def searches(usual: SearchConfig, asked: argparse.Namespace) -> list[SearchConfi
     found = [usual, *(changed(usual, strains=count) for count in asked.strains)]
     for factor in asked.iterations:
         # Strains are halved only if the iterations of the last round are a multiple of this.
-        whole = 2**usual.optimiser.halvings
+        optimiser: Any = usual.optimiser
+        whole = 2**optimiser.halvings
         base, more = (
             round(factor * value_of(usual, name) / whole) * whole for name in ("base_iterations", "iterations_per_step")
         )
