@@ -70,7 +70,7 @@ def choices_of(space: Space, plan: Float[Array, "plans n 6"]) -> Choices:
     squared = jnp.sum((grasps - jnp.asarray(space.candidates)) ** 2, axis=-1)
     present = jnp.arange(squared.shape[-1]) < space.present
     index = jnp.argmin(jnp.where(present, squared, jnp.inf), axis=-1)
-    return Choices(jnp.sort(index, axis=-1), is_single(plan))
+    return Choices(jnp.sort(index, axis=-1), jnp.asarray(is_single(plan)))
 
 
 def fit(

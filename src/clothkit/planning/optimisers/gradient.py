@@ -277,7 +277,7 @@ def _started(plans: Plans, settings: IRpropConfig) -> _Strains:
     count = len(plans.plan)
     return _Strains(
         plans=plans,
-        single=is_single(plans.plan),
+        single=jnp.asarray(is_single(plans.plan)),
         rate=jnp.full(plans.plan.shape, settings.initial),
         gradient=jnp.zeros(plans.plan.shape),
         lowest=jnp.full(count, jnp.inf),
