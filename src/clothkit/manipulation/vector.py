@@ -1,7 +1,5 @@
 """Manipulations as 6-vectors: u1 v1 u2 v2 (geodesic), dx dy (normalised, Cartesian) (section 4.2.2)."""
 
-from typing import overload
-
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -25,10 +23,6 @@ def displacement(manipulation: Manipulations) -> Array | ndarray:
     return manipulation[..., 4:6]
 
 
-@overload
-def is_null(manipulation: Float[Array, "*batch 6"]) -> Bool[Array, "*batch"]: ...
-@overload
-def is_null(manipulation: Float[ndarray, "*batch 6"]) -> Bool[ndarray, "*batch"]: ...
 def is_null(manipulation: Manipulations) -> Bool[Array, "*batch"] | Bool[ndarray, "*batch"]:
     """Whether the displacement is shorter than `SHORTEST`, so that the manipulation is null (4.4, restriction 3).
 
@@ -38,10 +32,6 @@ def is_null(manipulation: Manipulations) -> Bool[Array, "*batch"] | Bool[ndarray
     return xp.asarray(xp.sum(displacement(manipulation) ** 2, axis=-1) < SHORTEST**2)
 
 
-@overload
-def is_single(manipulation: Float[Array, "*batch 6"]) -> Bool[Array, "*batch"]: ...
-@overload
-def is_single(manipulation: Float[ndarray, "*batch 6"]) -> Bool[ndarray, "*batch"]: ...
 def is_single(manipulation: Manipulations) -> Bool[Array, "*batch"] | Bool[ndarray, "*batch"]:
     """Whether the manipulation is one-handed: its two grasp points are equal. NumPy or JAX, as the argument is."""
     xp = jnp if isinstance(manipulation, Array) else np
