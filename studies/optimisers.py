@@ -146,22 +146,31 @@ def mppi(wanted: float, length: int, *, temperature: float, std: float, iteratio
 
 def hybrid(wanted: float, length: int, *, first: float, strains: float, usual: GradientConfig) -> HybridConfig:
     """Return the sizes of five iterations of CEM, then gradient descent of the best plans with two halvings."""
+    halvings = 2
     last = dataclasses.replace(
-        usual, strains=int(strains), base_iterations=3, iterations_per_step=0, screen=1, halvings=2
+        usual,
+        strains=int(strains),
+        base_iterations=2**halvings,
+        iterations_per_step=0,
+        screen=1,
+        halvings=halvings,
+        polished=min(usual.polished, int(strains) >> halvings),
     )
     rest = wanted - last.finalists
-    # Evaluations of an iteration, as a mean over the equal rounds between halvings.
-    each = last.evaluations(length) / last.iterations(length)
-    last = dataclasses.replace(last, base_iterations=max(3, round((1 - first) * rest / each)))
+    # Iterations of the last round come in multiples of the smallest number; CEM gets what is left of the budget.
+    more = last.evaluations(length)
+    each = dataclasses.replace(last, base_iterations=2 * last.base_iterations).evaluations(length) - more
+    parts = 1 + max(0, round(((1 - first) * rest - more) / each))
+    last = dataclasses.replace(last, base_iterations=parts * last.base_iterations)
     sizes = population((rest - last.evaluations(length)) / 5, last.strains)
     start = CEMConfig(**sizes, iterations=5, elites=max(1, round(0.2 * sizes["plans"])))
     return HybridConfig(phases=(start, last))
 
 
-def descent(wanted: float, length: int, *, usual: GradientConfig) -> GradientConfig:
-    """Return a gradient search by the paper's rules with the strains of `usual`, all starts and restarts at random."""
-    iterations = max(1, round(wanted / usual.strains) - 1)
-    return dataclasses.replace(usual, base_iterations=iterations, iterations_per_step=0, screen=1, near=0.0, halvings=0)
+def descent(wanted: float, length: int) -> GradientConfig:
+    """Return a gradient search by the paper's rules: its step sizes, all starts and restarts at random, no halvings."""
+    iterations = max(1, round(wanted / FINALISTS) - 1)
+    return GradientConfig(strains=FINALISTS, base_iterations=iterations, iterations_per_step=0)
 
 
 def tunable(usual: GradientConfig) -> dict[str, Callable[..., Any]]:
@@ -180,7 +189,7 @@ class Contestant(NamedTuple):
 
 def contestants(usual: GradientConfig) -> list[Contestant]:
     """Return all contestants, the reference first."""
-    sized: dict[str, Sizing] = {"gradient_paper": partial(descent, usual=usual), "shooting": shooting, "greedy": greedy}
+    sized: dict[str, Sizing] = {"gradient_paper": descent, "shooting": shooting, "greedy": greedy}
     sized |= {name: partial(sizing, **TUNED[name]) for name, sizing in tunable(usual).items()}
     return [
         Contestant(REFERENCE, "both", lambda wanted, length: usual),
@@ -194,7 +203,8 @@ def gradients(settings: Any, length: int) -> int:
     if isinstance(settings, HybridConfig):
         return sum(gradients(phase, length) for phase in settings.phases)
     if isinstance(settings, GradientConfig):
-        return sum(strains * iterations for strains, iterations in settings.rounds(length))
+        moved = sum(strains * iterations for strains, iterations in settings.rounds(length))
+        return moved + settings.polish * settings.finalists
     return 0
 
 
