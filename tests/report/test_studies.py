@@ -77,22 +77,22 @@ def test_weights_and_search(tmp_path: Path, drawn: list[Figure]) -> None:
         [
             {
                 "fold": fold,
-                "every": every,
+                "stride": stride,
                 "near": 0.5,
                 "strains": strains,
                 "base_iterations": more,
                 "iterations_per_step": more,
                 "length": length,
-                "seconds": strains * more / every,
+                "seconds": strains * more / stride,
                 "error": 1 / strains,
                 "loss": 1.0,
                 "loss_recorded": 0.5 if strains == 16 else 2.0,
             }
-            for strains, more, every, fold in sizes
+            for strains, more, stride, fold in sizes
             for length in (1, 2, 3)
         ]
     )
-    names = ["strains", "base_iterations", "iterations_per_step", "every", "near", "fold"]
+    names = ["strains", "base_iterations", "iterations_per_step", "stride", "near", "fold"]
     restarts = pd.DataFrame(
         {"length": [1, 1, 2, 3], "restart": [1, 2, 1, 1], "best": [3, 4, 5, 6], "least": [3, 3, 5, 6]}
     )

@@ -113,7 +113,7 @@ def _mean(rows: pd.DataFrame) -> Float[np.ndarray, "3"]:
 
 ITERATIONS = ["base_iterations", "iterations_per_step"]
 OTHERS = {
-    "vertices": ("s", ["every"]),
+    "vertices": ("s", ["stride"]),
     "restarts": ("^", ["near"]),
     "kinds of manipulations": ("D", ["fold"]),
 }
