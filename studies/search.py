@@ -136,9 +136,11 @@ def main() -> None:
     sequences = dataset.indices("validation")[: asked.sequences].tolist()
     folder.mkdir(parents=True, exist_ok=True)
     optimiser: Any = plan.search.optimiser
-    others = {name: value for name, value in dataclasses.asdict(optimiser).items() if name not in KEYS}
+    others = {**dataclasses.asdict(plan.search), **dataclasses.asdict(optimiser)}
+    others = {name: value for name, value in others.items() if name not in [*KEYS, "optimiser"]}
     inputs = [meshes, *artifacts(SYSTEMS["main"], data, members).values()]
-    current = fingerprint(inputs, others, plan.refine, weights, simulate.candidates, simulate.simulation)
+    settings = [others, plan.refine, plan.batch, plan.seed, weights, simulate.candidates, simulate.simulation]
+    current = fingerprint(inputs, *settings)
     table = read(path, [*KEYS, "sequence"], current)
     restarts = read(of_restarts, [*KEYS, "length", "restart", "best", "least"], current)
     for size in searches(plan.search, asked):
@@ -148,8 +150,8 @@ def main() -> None:
         known = done.issuperset(sequences) and _same(restarts, of_search).any()
         missing = [] if known else sorted(done.union(sequences))
         if missing:
-            settings = dataclasses.replace(plan, search=size)
-            planner = assemble(SYSTEMS["main"], data, weights, settings, simulate.candidates, members)
+            sized = dataclasses.replace(plan, search=size)
+            planner = assemble(SYSTEMS["main"], data, weights, sized, simulate.candidates, members)
             simulator = partial(execute, settings=simulate.simulation)
             annotate = partial(diagnosed, planner=planner)
             sessions, times = try_out(dataset, missing, "validation", planner, simulator, annotate=annotate)
