@@ -6,6 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pydantic
 import pytest
 
 from clothkit.cloth import voxels
@@ -125,3 +126,10 @@ def test_settings_for_voxels_are_those_of_voxel_systems_alone() -> None:
     settings = PlanConfig(voxel_search=SearchConfig(optimiser=GradientConfig(strains=8)), voxel_batch=2)
     assert settings.of(system("main")) is settings
     assert (settings.of(system("b4")).search.optimiser.strains, settings.of(system("b4")).batch) == (8, 2)
+
+
+@pytest.mark.parametrize("setting", [{"edge": 0.5}, {"stride": 4}])
+def test_settings_that_concern_meshes_alone_are_refused_for_voxels(setting: dict[str, Any]) -> None:
+    assert PlanConfig(search=SearchConfig(**setting)).of(system("b4")).search == SearchConfig()
+    with pytest.raises(pydantic.ValidationError, match="voxel_search: expected edge 0 and stride 1"):
+        PlanConfig(voxel_search=SearchConfig(**setting))

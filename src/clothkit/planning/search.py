@@ -34,12 +34,13 @@ class SearchConfig:
     optimiser: AnySettings = GradientConfig()
     """The optimiser by name, and its settings."""
     stride: Annotated[int, Gt(0), Predicate(lambda stride: SQUARE.shape[0] % stride == 0)] = 1
-    """Stride along u and v of the vertices that the optimiser's losses compare; the final choice of a plan uses all."""
+    """Stride along u and v of the vertices that the optimiser's losses compare; the final choice of a plan uses all.
+    For meshes only."""
     fold: bool = False
     """Whether first manipulations must have q on the cloth, as in the training data (section 4.4), or be null."""
     edge: Annotated[float, Ge(0), Le(1)] = 0.0
     """Share of later grasp points of random plans that lie on the cloth's edge, half of them at its corners. A camera
-    sees a cloth's outline, where hands grasp, and most of an outline is edge. For meshes: voxels have no edge."""
+    sees a cloth's outline, where hands grasp, and most of an outline is edge. For meshes only."""
 
 
 @partial(jax.jit, static_argnames=("model", "representation", "settings", "length"))

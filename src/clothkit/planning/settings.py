@@ -43,6 +43,11 @@ class PlanConfig:
     voxel_batch: Count = 1
     """Used instead of `batch` by systems that plan in voxels."""
 
+    def __post_init__(self) -> None:
+        # Voxels have no edge and are never thinned: such a setting would have no effect, or a wrong one.
+        if self.voxel_search.edge != 0 or self.voxel_search.stride != 1:
+            raise ValueError("voxel_search: expected edge 0 and stride 1, which concern meshes alone")
+
     def of(self, system: System) -> "PlanConfig":
         """The settings of a system: if it plans in voxels, `search` and `batch` are those for voxels."""
         if not system.voxels:
