@@ -185,7 +185,6 @@ class PEMD:
         kernel, bias = (
             thinned(decoder["mesh"][name].reshape(-1, *SQUARE.shape, 6), stride) for name in ("kernel", "bias")
         )
-        side = kernel.shape[1]
         units = units @ kernel.reshape(len(kernel), -1) + bias.reshape(-1)
-        units = units.reshape(*latent.shape[:-1], side, side, 6)
+        units = units.reshape(*latent.shape[:-1], *kernel.shape[1:])
         return ProbabilisticMesh(units[..., :3], jnp.exp(units[..., 3:]) + self.config.least_std)
