@@ -113,15 +113,15 @@ class Sessions:
     loss_recorded: np.ndarray = _array("f4", "task")
     """Planning loss of the recorded manipulations, starting from the first estimate."""
     offered: np.ndarray = _array("?", "task")
-    """Whether each recorded first grasp point is near a candidate of the first step (see `diagnosis.offered`)."""
+    """Whether each recorded first grasp point is near a candidate of the first step (see `diagnosis.is_offered`)."""
     prediction_mean: np.ndarray = _array("f2", "task", "step", "planned", "net", *STATE_AXES)
     prediction_std: np.ndarray = _array("f2", "task", "step", "planned", "net", *STD_AXES)
     refined: np.ndarray = _array("f2", "task", "step", *STD_AXES)
     """The best net's prediction of the plan's outcome, refined."""
     progress: np.ndarray = _array("f4", "task", "step", "iteration")
-    """Lowest loss of all strains up to that iteration."""
+    """Lowest loss of all strains up to that iteration, as the optimiser evaluates it: not exact, unlike `loss`."""
     restarts: np.ndarray = _array("f4", "task", "step", "strain", "restart")
-    """Lowest loss of each strain between restarts."""
+    """Lowest loss in each row of strains between restarts; several strains take turns in a row if they are halved."""
 
     def __post_init__(self) -> None:
         lengths: dict[str, int] = {}

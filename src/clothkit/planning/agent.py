@@ -192,7 +192,7 @@ def _padded(values: Float[np.ndarray, "task length ..."], length: int) -> np.nda
 def best_of_restarts(
     losses: Float[np.ndarray, "task iteration strain"], restarts: np.ndarray, most: int
 ) -> Float[np.ndarray, "task strain restart"]:
-    """The lowest loss of each strain between consecutive restarts.
+    """The lowest loss in each row of strains between consecutive restarts.
 
     Periods after the first `most` are merged into the last of these. NaN where a period does not exist or has no finite
     loss.

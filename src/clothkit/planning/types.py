@@ -74,7 +74,7 @@ class Found(NamedTuple):
     """Index of the goal's relabelling that the loss of the plan refers to."""
     losses: Float[Array, "iterations strains"]
     restarts: Bool[Array, "iterations strains"]
-    """Whether a strain restarted after that iteration."""
+    """Whether the strain of that row restarted after that iteration, as in `space.Outcome`."""
 
 
 class Plan(NamedTuple):
@@ -112,9 +112,10 @@ class Plan(NamedTuple):
     null: Bool[np.ndarray, " task"]
     """Whether the plan's first manipulation shall not be executed: the plan is useless, or the manipulation null."""
     progress: Float[np.ndarray, "task iteration"]
-    """The lowest loss of all strains up to each iteration of the search."""
+    """The lowest loss of all strains up to each iteration of the search, as the optimiser evaluates it: not exact."""
     restarts: Float[np.ndarray, "task strain restart"]
-    """The lowest loss of each strain between its restarts."""
+    """The lowest loss in each row of strains between its restarts, not exact. A row is one strain, unless strains are
+    halved: then several strains take turns in it."""
 
 
 class Memory(NamedTuple):

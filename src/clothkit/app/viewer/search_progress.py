@@ -1,9 +1,10 @@
 """A search that reports its progress: it runs the strains in batches, and gives the best plan after each batch.
 
-A search is one compiled program, which returns nothing until its end. The strains of a gradient search are independent
-of one another, so a search with 64 strains can be replaced by four with 16, of which the best plan is kept. Between
-these, progress can be shown and the search stopped. Its random numbers differ from those of `clothkit plan`, so its
-plan may differ, too. Other optimisers run in one piece.
+A search is one compiled program, which returns nothing until its end. The strains of a gradient search hardly depend on
+one another, so a search with 64 strains can be replaced by four with 16, of which the best plan is kept. Between these,
+progress can be shown and the search stopped. Its random numbers differ from those of `clothkit plan`, and strains
+restart near the best plan of their own batch alone, so its plan may differ, too. Other optimisers run in one piece, and
+so does a gradient search with halvings, for which strains are compared with one another.
 """
 
 import dataclasses

@@ -131,7 +131,8 @@ def descend(
     """Search by gradient descent; the first strains start from the initial plans, the others from random ones.
 
     A strain whose plan is not valid restarts at once. The rows of the best plans are strains. Groups of strains take
-    turns, each as large as the last round's, so that one compiled iteration serves all rounds.
+    turns, each as large as the last round's, so that one compiled iteration serves all rounds; the rows of the losses
+    and restarts are those of a group.
     """
     size, rounds = settings.together, settings.rounds(space.length)
 
@@ -215,9 +216,10 @@ def _first_state(
 
 
 def _sorted(evaluate: Evaluate, space: Space, settings: GradientConfig, state: _State) -> _State:
-    """The strains in order of their best plans, from which they go on.
+    """The strains in order of their best plans.
 
-    As many as there are in the last round are tried in all labels, and go on in those of the lowest loss.
+    As many as there are in the last round are tried in all labels, and go on in those of the lowest loss. A strain
+    starts anew from its best plan, unless it found that plan since its last start: then it goes on from where it is.
     """
     strains, best, restart = take(jnp.argsort(state.best.loss), state)
     leading = jnp.arange(settings.together)
@@ -228,7 +230,6 @@ def _sorted(evaluate: Evaluate, space: Space, settings: GradientConfig, state: _
     tried = Best(take(rows, variants), take(rows, found.labels), loss.min(axis=1))
     better = select(tried.loss < best.loss[leading], tried, take(leading, best))
     best = jax.tree.map(lambda all, some: all.at[leading].set(some), best, better)
-    # A strain that is at its best plan keeps its step sizes.
     elsewhere = restart | (best.loss < strains.lowest)
     return _State(select(elsewhere, _started(best.plans, settings.irprop), strains), best, jnp.isinf(best.loss))
 

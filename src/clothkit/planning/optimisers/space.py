@@ -113,9 +113,12 @@ class Outcome(NamedTuple):
 
     best: Best
     losses: Float[Array, "iterations plans"]
-    """Losses of all plans in order of their evaluation; infinite if invalid, or where nothing was evaluated."""
+    """Losses of the plans of each iteration, not exact; infinite if invalid, or where nothing was evaluated.
+
+    Evaluations before, between and after iterations are not among them: of screened plans, other labels, exact ones."""
     restarts: Bool[Array, "iterations plans"]
-    """Whether a row has a new plan in the next iteration, that does not follow from the one before."""
+    """Whether a row has a new plan in the next iteration, that does not follow from the one before. Where strains take
+    turns in one row (`GradientConfig.halvings`), whether the strain whose turn it was restarts at its next one."""
 
 
 class Result(NamedTuple):
