@@ -4,7 +4,6 @@
 one of them: `perceive`, `pose`, `conclude`, `remember`.
 """
 
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -22,9 +21,6 @@ from clothkit.planning.types import UNKNOWN, Candidates, Found, Memory, Observat
 from clothkit.runtime.clock import timed
 
 Keys = Shaped[jax.Array, " task"]
-
-Search = Callable[..., Found]
-"""problems, keys, length= -> `Found`: what `Planner.search` does, or something in its place."""
 
 
 def begin(planner: Planner, goals: States, lengths: Int[np.ndarray, " task"]) -> Memory:
@@ -52,14 +48,13 @@ def initial_traces(planner: Planner, count: int) -> Traces:
     return tuple(np.zeros((count, planner.representation.labels, width), np.float32) for width in widths)
 
 
-def decide(
-    planner: Planner, observation: Observation, memory: Memory, *, key: Keys, search: Search | None = None
-) -> tuple[Plan, Memory]:
+def decide(planner: Planner, observation: Observation, memory: Memory, *, key: Keys) -> tuple[Plan, Memory]:
     """Plan for each task of a batch, and remember what the next decision needs.
 
     `key` has one key per task, so that a task's plan does not depend on the batch. The new memory is that of an agent
     whose plan's first manipulation is executed unless it is null; where that is not so, `remember` gives another one.
-    Tasks whose cloth lies as it lay keep their state, whatever is observed. `search` replaces the planner's own.
+    Tasks whose cloth lies as it lay keep their state, whatever is observed. Every task has one to `STEPS`
+    manipulations left.
     """
     state, candidates = perceive(planner, observation, memory)
     plans, rows_of_plans = [], []
@@ -67,7 +62,7 @@ def decide(
         rows = np.flatnonzero(memory.left == length)
         if len(rows):
             problems = pose(planner, state[rows], candidates[rows], take(memory, rows), length)
-            found = _searched(search or planner.search, problems, key[rows], length, planner.settings.batch)
+            found = _searched(planner, problems, key[rows], length)
             plans.append(conclude(planner, problems, found, candidates[rows]))
             rows_of_plans.append(rows)
     order = np.argsort(np.concatenate(rows_of_plans), kind="stable")
@@ -120,15 +115,15 @@ def pose(
     )
 
 
-def _searched(search: Search, problems: Problem, keys: Keys, length: int, batch: int) -> Found:
+def _searched(planner: Planner, problems: Problem, keys: Keys, length: int) -> Found:
     """What the search finds for each problem, in batches, with the time of each batch counted under the length."""
-    count = len(problems.state)
+    count, batch = len(problems.state), planner.settings.batch
     # The last batch is padded with copies, which are not counted as tasks.
     counts = iter([min(batch, count - first) for first in range(0, count, batch)])
 
     def timed_search(problems: Problem, keys: jax.Array) -> Found:
         with timed(str(length), next(counts)):
-            return jax.block_until_ready(search(problems, keys, length=length))
+            return jax.block_until_ready(planner.search(problems, keys, length=length))
 
     return in_batches(timed_search, batch, problems, keys)
 
