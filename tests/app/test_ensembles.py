@@ -135,8 +135,9 @@ def test_a_plan_file_says_all_that_a_later_plan_needs(planner: Planner, folder: 
     assert found.relative == later.relative
     if not plan.steps[0].null and not planned.useless:
         np.testing.assert_allclose(found.expected, later.expected, atol=1e-5)
+        # Traces are computed anew from the file's manipulations, whose digits are rounded.
         for ours, agents in zip(found.traces, later.traces, strict=True):
-            np.testing.assert_allclose(ours, agents, atol=1e-5)
+            np.testing.assert_allclose(ours, agents, atol=1e-4)
 
 
 def test_one_net_is_system_b2_and_the_best_net_of_three_is_too(
