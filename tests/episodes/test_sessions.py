@@ -162,6 +162,24 @@ def test_nothing_is_done_where_nothing_helps() -> None:
     assert rows(sessions, "b1").error.tolist() == pytest.approx([0])
 
 
+def test_a_search_without_a_valid_plan_moves_nothing() -> None:
+    """Then all losses are infinite, and the plan may be any, here a good one."""
+    original = Planner.search
+
+    def fruitless(planner: Planner, problems: Problem, keys: Any, *, length: int) -> Found:
+        found = original(planner, problems, keys, length=length)
+        return found._replace(losses=jnp.full_like(found.losses, jnp.inf))
+
+    usual = run_sessions(tasks(Task(0, 0, 1)), toy.planner("b1"), toy.execute)
+    assert not usual.null[0, 0]
+    with mock.patch.object(Planner, "search", fruitless):
+        sessions = run_sessions(tasks(Task(0, 0, 1)), toy.planner("b1"), toy.execute)
+    np.testing.assert_array_equal(sessions.expected, usual.expected)
+    assert sessions.null[0, 0]
+    assert sessions.cancelled[0, 0]
+    np.testing.assert_array_equal(sessions.state[0, 1], sessions.state[0, 0])
+
+
 def test_a_second_search_is_given_the_first_ones_plan_and_traces() -> None:
     planner = toy.planner("b1")
     asked = []

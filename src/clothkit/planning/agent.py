@@ -134,7 +134,7 @@ def conclude(
     """The plans that a search found, with the nets' predictions for them and the null check (section 5.1).
 
     A plan is useless if the nets, in the mean, expect the state to end farther from the goal than it is, in the
-    labelling that the search found.
+    labelling that the search found, or if the search found no valid plan.
     """
     representation, settings = planner.representation, planner.settings
     state, plan = np.asarray(problems.state), np.asarray(found.plan)
@@ -152,10 +152,12 @@ def conclude(
     apart = in_batches(partial(differences, representation), settings.batch, predictions)
     goal = representation.relabel(np.asarray(problems.goal), np.asarray(found.relative))
     expected = representation.distance(np.mean([mean[:, -1] for mean in means], axis=0), goal)
-    useless = expected > representation.distance(state, goal)
+    losses = np.asarray(found.losses)
+    # Where a search found no valid plan, all of its losses are infinite, and the plan is any.
+    without_plan = ~np.isfinite(losses).any(axis=(1, 2))
+    useless = (expected > representation.distance(state, goal)) | without_plan
     first_is_null = np.asarray(is_null(plan[:, 0]))
     optimiser = settings.search.optimiser
-    losses = np.asarray(found.losses)
     return Plan(
         state=state,
         candidates=candidates,
