@@ -2,6 +2,8 @@
 
 import jax.numpy as jnp
 import numpy as np
+import pydantic
+import pytest
 
 from clothkit.planning.irprop import IRpropConfig, irprop_minus
 
@@ -40,3 +42,9 @@ def test_the_first_update_acts_on_the_gradient_at_hand() -> None:
     settings = IRpropConfig()
     update, _, _ = irprop_minus(jnp.array([2.0, -3.0, 0.0]), jnp.zeros(3), jnp.full(3, settings.initial), settings)
     np.testing.assert_allclose(update, [-0.05, 0.05, 0])
+
+
+@pytest.mark.parametrize("wrong", [{"initial": 0.1}, {"most": 0.01}, {"least": 0.06}])
+def test_the_first_step_size_lies_between_its_bounds(wrong: dict[str, float]) -> None:
+    with pytest.raises(pydantic.ValidationError, match="initial must be at least"):
+        IRpropConfig(**wrong)

@@ -25,6 +25,10 @@ class IRpropConfig:
     """Delta_max: upper bound of the step size."""
     initial: Annotated[float, Gt(0)] = 0.05
 
+    def __post_init__(self) -> None:
+        if not self.least <= self.initial <= self.most:
+            raise ValueError(f"initial must be at least {self.least:g} (least) and at most {self.most:g} (most)")
+
 
 def irprop_minus(
     gradient: Steps, gradient_before: Steps, rate: Steps, settings: IRpropConfig
