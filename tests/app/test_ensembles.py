@@ -27,6 +27,8 @@ from clothkit.observation.observe import observe
 from clothkit.observation.states import MeshState
 from clothkit.observation.waypoints import MotionConfig
 from clothkit.planning.objective import Weights
+from clothkit.planning.optimisers.cem import CEMConfig
+from clothkit.planning.optimisers.gradient import GradientConfig
 from clothkit.planning.planner import Planner
 from clothkit.planning.settings import PlanConfig
 from clothkit.planning.systems import system
@@ -138,6 +140,18 @@ def test_a_plan_file_says_all_that_a_later_plan_needs(planner: Planner, folder: 
         # Traces are computed anew from the file's manipulations, whose digits are rounded.
         for ours, agents in zip(found.traces, later.traces, strict=True):
             np.testing.assert_allclose(ours, agents, atol=1e-4)
+
+
+def test_an_optimiser_by_name_keeps_the_settings_that_are_its_own(folder: Path, members: tuple[int, ...]) -> None:
+    settings = settings_of(members)
+    own = GradientConfig(strains=7)
+    search = dataclasses.replace(settings.plan.search, optimiser=own)
+    settings = settings._replace(plan=dataclasses.replace(settings.plan, search=search))
+    chosen = {
+        name: load_planner(system("b1"), folder, settings, optimiser=name).settings.search.optimiser
+        for name in (None, "gradient", "cem")
+    }
+    assert chosen == {None: own, "gradient": own, "cem": CEMConfig()}
 
 
 def test_one_net_is_system_b2_and_the_best_net_of_three_is_too(

@@ -69,7 +69,7 @@ from clothkit.runtime.errors import InputError
 @click.option(
     "--optimiser",
     type=click.Choice(list(OPTIMISERS)),
-    help="What searches for the plan, with its usual settings. [default: that of params.yaml, with its settings]",
+    help="What searches for the plan: that of params.yaml with its settings (default), another with its usual ones.",
 )
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Same seed, same plan.")
 @click.option(

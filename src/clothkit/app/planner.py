@@ -76,7 +76,8 @@ class Planned(NamedTuple):
 def load_planner(system: System, data: Path, settings: Settings, *, optimiser: str | None = None) -> Planner:
     """Load the planner of a system, for one cloth whose labels are not those of its goal.
 
-    It searches by the optimiser of that name with its usual settings, by default by that of the settings.
+    It searches by the optimiser of that name: with the settings' own sizes if that is the one they have, else with the
+    optimiser's usual ones.
 
     Raises InputError that names a missing or broken artifact.
     """
@@ -87,7 +88,7 @@ def load_planner(system: System, data: Path, settings: Settings, *, optimiser: s
         if name != "reference":
             store.description(path)
     planner = assemble(system, data, settings.weights, settings.plan, settings.grasping, settings.members)
-    if optimiser is not None:
+    if optimiser is not None and optimiser != optimisers.optimiser_of(planner.settings.search.optimiser).name:
         search = dataclasses.replace(planner.settings.search, optimiser=optimisers.optimiser(optimiser).settings())
         planner = dataclasses.replace(planner, settings=dataclasses.replace(planner.settings, search=search))
     return for_one_cloth(planner)
