@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from fingerprint import COLUMN, append, fingerprint, read
+from fingerprint import COLUMN, append, fingerprint, read, write
 
 from clothkit.cloth import voxels
 from clothkit.dataset import store as meshes
@@ -97,7 +97,7 @@ def main() -> None:
             found.append(of_batch.assign(error=errors(estimated, truth[kept])))
         if found:
             table = append(table, pd.concat(found).assign(condition=name, **{COLUMN: current}))
-            table.to_csv(path, index=False, lineterminator="\n", float_format="%.5g")
+            write(table, path)
             print(f"{name}: {len(places)} states", flush=True)
     table = table[table["sequence"].isin(sequences)]
     known = [_agreement(table[table["condition"] == name]) for name in KNOWN]

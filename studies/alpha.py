@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from fingerprint import COLUMN, append, fingerprint, read
+from fingerprint import COLUMN, append, fingerprint, read, write
 
 from clothkit.dataset import store
 from clothkit.episodes.evaluate import try_out
@@ -29,7 +29,6 @@ from clothkit.planning.objective import Weights
 from clothkit.planning.planner import artifacts, assemble
 from clothkit.planning.systems import SYSTEMS
 from clothkit.report.figures.studies import weights as draw
-from clothkit.runtime.publish import unfinished
 from clothkit.simulation.executor import execute
 
 NAMES = ("alpha", "beta", "gamma")
@@ -81,8 +80,7 @@ def main() -> None:
             sessions, _ = try_out(dataset, missing, "validation", planner, simulator, annotate=annotate)
             found = rows(sessions, name).assign(**weights._asdict(), **{COLUMN: current})
             table = append(table, found)
-            with unfinished(path) as part:
-                table.to_csv(part, index=False, lineterminator="\n", float_format="%.5g")
+            write(table, path)
         means = known(table, weights).groupby("length")["error"].mean().round(4).tolist()
         print(f"alpha {weights.alpha:g}, beta {weights.beta:g}, gamma {weights.gamma:g}: {means}", flush=True)
     draw(table, usual._asdict(), path.with_suffix(".png"))

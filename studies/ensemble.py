@@ -43,7 +43,7 @@ from typing import Any
 import jax
 import numpy as np
 import pandas as pd
-from fingerprint import COLUMN, append, fingerprint, read
+from fingerprint import COLUMN, append, fingerprint, read, write
 from search import seconds_per_plan
 
 from clothkit.dataset import store
@@ -175,12 +175,6 @@ def predicted(dataset: Dataset, initial: Starts, nets: Sequence[Net], batch: int
         of_task = {"prediction_error": of_all, "prediction_error_single": single}
         found.append(pd.DataFrame({"sequence": sequence, "start": start, "length": length, **of_task}))
     return pd.concat(found, ignore_index=True)
-
-
-def write(table: pd.DataFrame, path: Path) -> None:
-    """Write a table as CSV, as the other studies do."""
-    with unfinished(path) as part:
-        table.to_csv(part, index=False, lineterminator="\n", float_format="%.5g")
 
 
 def planned(dataset: Dataset, sequences: list[int], planner: Planner, params: Params) -> pd.DataFrame:

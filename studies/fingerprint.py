@@ -1,4 +1,4 @@
-"""Fingerprints of the nets, data and settings behind a study's rows, by which rows that are out of date are dropped."""
+"""The rows of a study as CSV, with fingerprints of nets, data and settings, by which rows out of date are dropped."""
 
 import hashlib
 from collections.abc import Iterable
@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+
+from clothkit.runtime.publish import unfinished
 
 COLUMN = "fingerprint"
 """The column of a study's rows."""
@@ -30,3 +32,9 @@ def read(path: Path, columns: list[str], current: str) -> pd.DataFrame:
 def append(table: pd.DataFrame, found: pd.DataFrame) -> pd.DataFrame:
     """Return the table with the found rows appended; data types are kept if the table is empty."""
     return pd.concat([table, found], ignore_index=True) if len(table) else found.reset_index(drop=True)
+
+
+def write(table: pd.DataFrame, path: Path) -> None:
+    """Write rows as a CSV file, which is replaced only when it is complete."""
+    with unfinished(path) as part:
+        table.to_csv(part, index=False, lineterminator="\n", float_format="%.5g")

@@ -22,6 +22,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
+from fingerprint import write
 from jaxtyping import Array, Float, PyTree
 
 from clothkit.cloth.topology import CLOTH_LENGTH
@@ -122,9 +123,9 @@ def main() -> None:
     tidy = rows(dataset, ensemble, dataset.indices("validation")[: asked.sequences].tolist())
     folder = Path("reports") / params.scale / "studies"
     folder.mkdir(parents=True, exist_ok=True)
-    tidy.to_csv(folder / "memory_tasks.csv", index=False, lineterminator="\n", float_format="%.5g")
+    write(tidy, folder / "memory_tasks.csv")
     found = summary(tidy)
-    found.to_csv(folder / "memory.csv", index=False, lineterminator="\n", float_format="%.5g")
+    write(found, folder / "memory.csv")
     print(found.round(5).to_string(index=False))
 
 

@@ -26,7 +26,7 @@ Existing rows and sizes are not computed again; those made with other nets or ot
 dropped. `--draw` summarises and draws the rows that are there.
 
 `--tune` tries settings of cem, mppi and hybrid (GRIDS) on other validation sequences (numbers 30 to 44), by their mean
-loss with the reference's evaluations, and writes optimisers_tuning.csv; TUNED has the settings that were chosen. Needs
+loss with the reference's evaluations, and writes optimisers_tuning.csv; TUNED has the settings in force. Needs
 the nets, the normalisation and the dataset (`dvc repro normalise`).
 """
 
@@ -43,7 +43,7 @@ import jax
 import numpy as np
 import pandas as pd
 import pydantic
-from fingerprint import COLUMN, append, fingerprint, read
+from fingerprint import COLUMN, append, fingerprint, read, write
 from jaxtyping import Float
 from tqdm import tqdm
 
@@ -95,7 +95,7 @@ TUNED: dict[str, dict[str, float]] = {
     "mppi": {"temperature": 0.05, "std": 0.25, "iterations": 10},
     "hybrid": {"first": 0.5, "strains": 64},
 }
-"""Settings chosen by `--tune`: reports/laptop/studies/optimisers_tuning.csv."""
+"""Settings that `--tune` chooses. These were not chosen by it yet: VSF's for cem, and guesses for mppi and hybrid."""
 
 GRIDS: dict[str, dict[str, tuple[float, ...]]] = {
     "cem": {"elites": (0.05, 0.1, 0.2), "iterations": (5, 10)},
@@ -472,12 +472,6 @@ def tune(
     write(table.assign(chosen=chosen_rows.astype(int)), path)
     print(table.pivot_table(index=["optimiser", "settings"], columns="length", values="loss", sort=False).round(4))
     print(f"chosen, for TUNED:\n{best.to_string(index=False)}")
-
-
-def write(table: pd.DataFrame, path: Path) -> None:
-    """Write rows as CSV."""
-    with unfinished(path) as part:
-        table.to_csv(part, index=False, lineterminator="\n", float_format="%.5g")
 
 
 def main() -> None:

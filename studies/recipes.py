@@ -21,12 +21,11 @@ from typing import Any
 
 import jax
 import pandas as pd
-from fingerprint import COLUMN, append, fingerprint, read
+from fingerprint import COLUMN, append, fingerprint, read, write
 
 from clothkit.dataset import store
 from clothkit.params import load_params
 from clothkit.report.figures.studies import recipes as draw
-from clothkit.runtime.publish import unfinished
 from clothkit.training import emd_voxel as emd_voxel_training
 from clothkit.training import pemd as pemd_training
 from clothkit.training import vtm as vtm_training
@@ -212,8 +211,7 @@ def main() -> None:
                 rows = study(asked.net, changed(settings, wanted), asked.minutes)
                 of = {"budget": asked.minutes, "variant": variant, "changes": json.dumps(changes), "seed": seed}
                 table = append(table, pd.DataFrame([{**of, **row, COLUMN: current} for row in rows]))
-                with unfinished(path) as part:
-                    table.to_csv(part, index=False, lineterminator="\n", float_format="%.5g")
+                write(table, path)
                 known = table.index >= len(table) - len(rows)
             best = table[known].sort_values("score").iloc[0]
             print(

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from fingerprint import COLUMN, append, fingerprint, read
+from fingerprint import COLUMN, append, fingerprint, read, write
 
 from clothkit.dataset import store
 from clothkit.episodes.evaluate import try_out
@@ -39,7 +39,6 @@ from clothkit.planning.search import SearchConfig
 from clothkit.planning.systems import SYSTEMS
 from clothkit.report.figures.studies import search as draw
 from clothkit.runtime.clock import Clock
-from clothkit.runtime.publish import unfinished
 from clothkit.simulation.executor import execute
 
 OWN = ("strains", "base_iterations", "iterations_per_step", "near")
@@ -161,10 +160,8 @@ def main() -> None:
             table = append(table[~_same(table, of_search)], found)
             of_size = by_restart(sessions).assign(**of_search, **{COLUMN: current})
             restarts = append(restarts[~_same(restarts, of_search)], of_size)
-            with unfinished(of_restarts) as part:
-                restarts.to_csv(part, index=False, lineterminator="\n", float_format="%.5g")
-            with unfinished(path) as part:
-                table.to_csv(part, index=False, lineterminator="\n", float_format="%.5g")
+            write(restarts, of_restarts)
+            write(table, path)
             print(f"{of_search}: {found['error'].mean():.4f}", flush=True)
     print(table.groupby([*KEYS, "length"])[["seconds", "error", "loss"]].mean().round(4).to_string())
     draw(table, restarts[_same(restarts, usual)], usual, folder / "search.png")
