@@ -76,8 +76,8 @@ def rollout(
 ) -> Rollout:
     """Apply M once per manipulation: eq. (5) without the decoder. Without `trace` the first memory trace is zero.
 
-    With `unroll` the program has the steps one after another instead of a loop. The numbers are the same; in a measured
-    case on a CPU it ran for a sixth less time, and a search took a quarter longer to compile.
+    With `unroll` the program has the steps one after another instead of a loop, which takes longer to compile and less
+    time to run.
     """
 
     def step(carry: tuple[Array, Array], manipulation: Array) -> tuple[tuple[Array, Array], Rollout]:
