@@ -4,14 +4,13 @@ Plans and executes all tasks of the first validation sequences (default: 5) with
 sizes: different numbers of strains; and, with the strains of params.yaml, different numbers of iterations, strides over
 the vertices in the loss, fractions of restarts near the best plan, and the other value of `fold` (whether a first
 manipulation must fold the cloth). A row per search and task goes to reports/<scale>/studies/search.csv, with the
-seconds per plan of that length, and the results of the restarts to search_restarts.csv. Existing rows are not computed
-again; rows made with other nets or other settings (`fingerprint`) are dropped.
+seconds per plan of that length and the evaluations of the loss in its search. Existing rows are not computed again;
+rows made with other nets or other settings (`fingerprint`) are dropped.
 
 The figure search.png shows, for each plan length, the error, the search failures (the recorded plan has the lower loss)
-and the first plan's loss against the number of loss evaluations per plan (strains times iterations), and, for the
-search of params.yaml, the best loss of each restart. Seconds exclude the first call of each length, which compiles; if
-all sequences are planned in one call, they are NaN. Needs the nets, the normalisation and the dataset
-(`dvc repro normalise`).
+and the first plan's loss against the number of evaluations of the loss per plan. Seconds exclude the first call of each
+length, which compiles; if all sequences are planned in one call, they are NaN. Needs the nets, the normalisation and
+the dataset (`dvc repro normalise`).
 
 Options with defaults: `--strains N ..` (16 32 64 128 256 512), `--iterations F ..` (0.5 2, factors of the iterations in
 params.yaml), `--stride N ..` (1 4), `--near SHARE ..` (0 0.8). `--draw` only draws the existing rows.
@@ -29,7 +28,6 @@ from fingerprint import COLUMN, append, fingerprint, read, write
 
 from clothkit.dataset import store
 from clothkit.episodes.evaluate import try_out
-from clothkit.episodes.record import Sessions
 from clothkit.evaluation.diagnosis import diagnosed
 from clothkit.evaluation.session_rows import rows
 from clothkit.params import load_params
@@ -67,29 +65,13 @@ def searches(usual: SearchConfig, asked: argparse.Namespace) -> list[SearchConfi
         optimiser: Any = usual.optimiser
         whole = 2**optimiser.halvings
         base, more = (
-            round(factor * value_of(usual, name) / whole) * whole for name in ("base_iterations", "iterations_per_step")
+            max(round(factor * value_of(usual, name) / whole), 1) * whole
+            for name in ("base_iterations", "iterations_per_step")
         )
         found.append(changed(usual, base_iterations=base, iterations_per_step=more))
     found += [changed(usual, stride=stride) for stride in asked.stride]
     found += [changed(usual, near=share) for share in asked.near]
     return [*found, changed(usual, fold=not usual.fold)]
-
-
-def by_restart(sessions: Sessions) -> pd.DataFrame:
-    """Return the results of the restarts in the searches for first plans, a row per length and restart (1, 2, ..).
-
-    best: the lowest loss that any strain found between this restart and the next, as a mean over tasks; least: the
-    lowest up to then, as a mean. Restarts that were not reached in all tasks are left out.
-    """
-    best = np.nan_to_num(sessions.restarts[:, 0], nan=np.inf).min(axis=1)
-    found = []
-    for length in np.unique(sessions.length).tolist():
-        own = best[sessions.length == length]
-        own = own[:, np.isfinite(own).all(axis=0)]
-        least = np.minimum.accumulate(own, axis=1)
-        means = {"best": own.mean(0), "least": least.mean(0)}
-        found.append(pd.DataFrame({"length": length, "restart": np.arange(own.shape[1]) + 1, **means}))
-    return pd.concat(found, ignore_index=True)
 
 
 def seconds_per_plan(times: Clock) -> dict[int, float]:
@@ -124,10 +106,9 @@ def main() -> None:
     simulate, plan = params.stages.simulate, params.stages.plan
     usual = {name: value_of(plan.search, name) for name in KEYS}
     folder = Path("reports") / params.scale / "studies"
-    path, of_restarts = folder / "search.csv", folder / "search_restarts.csv"
+    path = folder / "search.csv"
     if asked.draw:
-        restarts = pd.read_csv(of_restarts)
-        draw(pd.read_csv(path), restarts[_same(restarts, usual)], usual, folder / "search.png")
+        draw(pd.read_csv(path), usual, folder / "search.png")
         return
     weights = Weights(params.alpha, params.beta, params.gamma)
     data, meshes, members = Path("data"), Path("data/meshes.zarr"), params.ensemble.members
@@ -141,13 +122,10 @@ def main() -> None:
     settings = [others, plan.refine, plan.batch, plan.seed, weights, simulate.candidates, simulate.simulation]
     current = fingerprint(inputs, *settings)
     table = read(path, [*KEYS, "sequence"], current)
-    restarts = read(of_restarts, [*KEYS, "length", "restart", "best", "least"], current)
     for size in searches(plan.search, asked):
         of_search = {name: value_of(size, name) for name in KEYS}
         done = set(table.loc[_same(table, of_search), "sequence"])
-        # All sequences of a search are planned at once, since the results of restarts are means over all of them.
-        known = done.issuperset(sequences) and _same(restarts, of_search).any()
-        missing = [] if known else sorted(done.union(sequences))
+        missing = sorted(set(sequences) - done)
         if missing:
             sized = dataclasses.replace(plan, search=size)
             planner = assemble(SYSTEMS["main"], data, weights, sized, simulate.candidates, members)
@@ -157,14 +135,12 @@ def main() -> None:
             seconds = seconds_per_plan(times)
             found = rows(sessions, "main").assign(**of_search, **{COLUMN: current})
             found["seconds"] = found["length"].map(seconds)
-            table = append(table[~_same(table, of_search)], found)
-            of_size = by_restart(sessions).assign(**of_search, **{COLUMN: current})
-            restarts = append(restarts[~_same(restarts, of_search)], of_size)
-            write(restarts, of_restarts)
+            found["evaluations"] = found["length"].map(value_of(size, "optimiser").evaluations)
+            table = append(table, found)
             write(table, path)
             print(f"{of_search}: {found['error'].mean():.4f}", flush=True)
     print(table.groupby([*KEYS, "length"])[["seconds", "error", "loss"]].mean().round(4).to_string())
-    draw(table, restarts[_same(restarts, usual)], usual, folder / "search.png")
+    draw(table, usual, folder / "search.png")
 
 
 if __name__ == "__main__":

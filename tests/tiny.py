@@ -161,7 +161,7 @@ def sessions(dataset: meshes.Dataset) -> Sessions:
     sequence = int(dataset.indices("test", evaluated=True)[0])
     tasks = tasks_of_dataset(dataset, tasks_of(sequence, 3), "test")
     assert tasks.recorded is not None
-    sizes = Sizes(state=(32, 32, 3), probabilistic=True, candidate=12, net=2, iteration=10, strain=8, restart=3)
+    sizes = Sizes(state=(32, 32, 3), probabilistic=True, candidate=12, net=2, iteration=10)
     done = record.record(tasks, [], sizes)
     for row, (task, way) in enumerate(zip(tasks.task, tasks.recorded, strict=True)):
         for step in range(task.length):

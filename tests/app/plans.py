@@ -38,7 +38,6 @@ def finding(plan: np.ndarray, *, common: int = 0, relative: int = 0) -> Any:
             common=jnp.full(tasks, common, jnp.int32),
             relative=jnp.full(tasks, relative, jnp.int32),
             losses=jnp.zeros(size),
-            restarts=jnp.zeros(size, bool),
         )
 
     return mock.patch.object(Planner, "search", search)

@@ -24,7 +24,6 @@ from clothkit.episodes.record import Pieces, Tasks, join, load, save, save_piece
 from clothkit.episodes.sensors import Sensed
 from clothkit.episodes.sessions import run_sessions
 from clothkit.evaluation.session_rows import rows
-from clothkit.planning.agent import best_of_restarts
 from clothkit.planning.mesh_representation import MESH
 from clothkit.planning.perception import KnownMeshes
 from clothkit.planning.planner import Planner
@@ -76,7 +75,6 @@ def finding(plan: np.ndarray) -> Any:
             common=jnp.zeros(tasks, jnp.int32),
             relative=jnp.asarray(problems.relative),
             losses=jnp.zeros(size),
-            restarts=jnp.zeros(size, bool),
         )
 
     return mock.patch.object(Planner, "search", search)
@@ -260,13 +258,6 @@ def test_candidates_of_the_flat_cloth_are_its_corners() -> None:
     angle, radius = np.linspace(0, 2 * np.pi, 32)[:, None], np.linspace(0, 0.6, 32)[None]
     disc[..., 0], disc[..., 1] = radius * np.cos(angle), radius * np.sin(angle)
     assert len(MESH.candidates(disc, toy.planner("b1").grasping)) >= 1
-
-
-def test_best_of_restarts_by_hand() -> None:
-    losses = np.array([3, 2, 4, 1, 5, 6.0], np.float32)[None, :, None]
-    restarts = np.array([0, 0, 1, 0, 1, 0], bool)[None, :, None]
-    np.testing.assert_array_equal(best_of_restarts(losses, restarts, 4)[0, 0], [2, 1, 6, np.nan])
-    np.testing.assert_array_equal(best_of_restarts(losses, restarts, 2)[0, 0], [2, 1])
 
 
 def test_an_interrupted_run_goes_on_to_the_same_rows(tmp_path: Path) -> None:

@@ -120,8 +120,8 @@ class Sessions:
     """The best net's prediction of the plan's outcome, refined."""
     progress: np.ndarray = _array("f4", "task", "step", "iteration")
     """Lowest loss of all strains up to that iteration, as the optimiser evaluates it: not exact, unlike `loss`."""
-    restarts: np.ndarray = _array("f4", "task", "step", "strain", "restart")
-    """Lowest loss in each row of strains between restarts; several strains take turns in a row if they are halved."""
+    tried: np.ndarray = _array("i4", "task", "step")
+    """Number of plans that the search evaluated in an iteration."""
 
     def __post_init__(self) -> None:
         lengths: dict[str, int] = {}
@@ -152,22 +152,17 @@ class Sizes(NamedTuple):
     candidate: int
     net: int
     iteration: int
-    strain: int
-    restart: int
 
 
 def sizes_of(planner: Planner) -> Sizes:
     """The sizes of the arrays in a record of a planner's sessions."""
     optimiser = planner.settings.search.optimiser
-    iterations, plans = optimiser.shape(STEPS)
     return Sizes(
         state=planner.representation.shape,
         probabilistic=planner.representation.probabilistic,
         candidate=planner.grasping.most,
         net=len(planner.nets),
-        iteration=iterations,
-        strain=plans,
-        restart=optimiser.starts(STEPS),
+        iteration=optimiser.shape(STEPS)[0],
     )
 
 
@@ -202,7 +197,7 @@ def record(tasks: Tasks, steps: Sequence[Step], sizes: Sizes) -> Sessions:
         fields["prediction_mean"][at] = plan.means
         if plan.stds is not None and step.refined is not None:
             fields["prediction_std"][at], fields["refined"][at] = plan.stds, step.refined
-        fields["progress"][at], fields["restarts"][at] = plan.progress, plan.restarts
+        fields["progress"][at], fields["tried"][at] = plan.progress, plan.tried
     return Sessions(**fields)
 
 

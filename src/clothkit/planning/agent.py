@@ -176,7 +176,7 @@ def conclude(
         useless=useless,
         null=useless | first_is_null,
         progress=_padded(np.minimum.accumulate(losses.min(-1), axis=1), optimiser.shape(STEPS)[0]),
-        restarts=best_of_restarts(losses, np.asarray(found.restarts), optimiser.starts(STEPS)),
+        tried=np.full(count, losses.shape[-1]),
     )
 
 
@@ -184,20 +184,6 @@ def _padded(values: Float[np.ndarray, "task length ..."], length: int) -> np.nda
     """The values with NaN appended along the second axis."""
     missing = length - values.shape[1]
     return np.pad(values, [(0, 0), (0, missing), *[(0, 0)] * (values.ndim - 2)], constant_values=np.nan)
-
-
-def best_of_restarts(
-    losses: Float[np.ndarray, "task iteration strain"], restarts: np.ndarray, most: int
-) -> Float[np.ndarray, "task strain restart"]:
-    """The lowest loss in each row of strains between consecutive restarts.
-
-    Periods after the first `most` are merged into the last of these. NaN where a period does not exist or has no finite
-    loss.
-    """
-    period = np.minimum(np.cumsum(restarts, axis=1) - restarts, most - 1)
-    lowest = [np.where(period == number, losses, np.inf).min(1) for number in range(most)]
-    best = np.stack(lowest, axis=-1).astype(np.float32)
-    return np.where(np.isinf(best), np.nan, best).astype(np.float32)
 
 
 def remember(planner: Planner, memory: Memory, plan: Plan, *, executed: np.ndarray) -> Memory:

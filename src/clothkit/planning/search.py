@@ -84,7 +84,7 @@ def search(
         initial = carried_plans(representation, problem)
         found = optimise(evaluate, space, settings.optimiser, initial=initial, key=key)
         common, relative = found.labels
-        return Found(found.plan, found.loss, found.terms, common, relative, found.losses, found.restarts)
+        return Found(found.plan, found.loss, found.terms, common, relative, found.losses)
 
     return jax.vmap(one)(problems, keys)
 

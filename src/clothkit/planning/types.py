@@ -73,8 +73,6 @@ class Found(NamedTuple):
     relative: Int[Array, ""]
     """Index of the goal's relabelling that the loss of the plan refers to."""
     losses: Float[Array, "iterations strains"]
-    restarts: Bool[Array, "iterations strains"]
-    """Whether the strain of that row restarted after that iteration, as in `space.Outcome`."""
 
 
 class Plan(NamedTuple):
@@ -113,9 +111,8 @@ class Plan(NamedTuple):
     """Whether the plan's first manipulation shall not be executed: the plan is useless, or the manipulation null."""
     progress: Float[np.ndarray, "task iteration"]
     """The lowest loss of all strains up to each iteration of the search, as the optimiser evaluates it: not exact."""
-    restarts: Float[np.ndarray, "task strain restart"]
-    """The lowest loss in each row of strains between its restarts, not exact. A row is one strain, unless strains are
-    halved: then several strains take turns in it."""
+    tried: Int[np.ndarray, " task"]
+    """Number of plans that the search evaluates in an iteration."""
 
 
 class Memory(NamedTuple):

@@ -84,9 +84,10 @@ BUDGETS = (
     "The budgets for planning and training. *nets*: nets used in a plan: an ensemble, or for systems with one net the "
     "best of it. *parameters_millions*: of each net. *training_cpu_minutes*: of all nets of the ensemble, in the "
     "stages' last runs on this machine; for a training that was interrupted, only the time after it was resumed. "
-    "*evaluations*: how often the search for a plan of 1, 2 or 3 manipulations evaluates the loss and its gradient "
-    "(strains times iterations). One evaluation of a voxel net costs many times as much as one of a mesh net. The "
-    "paper's rows have the paper's settings; their numbers of parameters are those of our implementation.\n"
+    "*strains*: plans that an iteration changes. *evaluations*: how often the search for a plan of 1, 2 or 3 "
+    "manipulations evaluates the loss, with or without its gradient. One evaluation of a voxel net costs many times as "
+    "much as one of a mesh net. The paper's rows have the paper's settings; their numbers of parameters are those of "
+    "our implementation.\n"
 )
 PLANNING_VOXELS = (
     "The same outcomes and goals in voxels: mean absolute difference of voxel values. Both are without noise and "

@@ -110,7 +110,7 @@ def test_finds_a_known_plan_with_as_many_evaluations_as_settings_say(name: str) 
     # The objective settles labels twice: in the search, and when the plan is chosen.
     assert 200 <= found.labels["common"] < 208
     # The record has a loss for every evaluation, in a gradient search for every one with a gradient.
-    assert found.losses.shape == found.restarts.shape
+    assert found.losses.shape == settings.shape(LENGTH)
     moved = sum(strains * count for strains, count in settings.rounds(LENGTH)) if name == "gradient" else None
     assert np.isfinite(found.losses).sum() == (moved or settings.evaluations(LENGTH))
     whole = found.losses[-1] if name == "greedy" else found.losses

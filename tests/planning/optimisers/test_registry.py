@@ -51,9 +51,6 @@ class FirstConfig:
     def shape(self, length: int) -> tuple[int, int]:
         return 1, self.plans
 
-    def starts(self, length: int) -> int:
-        return 1
-
 
 def first(
     evaluate: Evaluate, space: Space, settings: FirstConfig, *, initial: Initial | None = None, key: Array

@@ -93,7 +93,7 @@ def _step(one: dict[str, np.ndarray], i: int, length: int, members: tuple[int, .
         uncertainty=float(one["terms"][i, -1]) if len(means) > 1 else None,
         loss=float(one["loss"][i]),
         progress=progress[np.isfinite(progress)],
-        tried=one["restarts"].shape[1],
+        tried=int(one["tried"][i]),
         improves=not one["cancelled"][i] and not bool(np.all(is_null(manipulations))),
         expected=expected,
         expected_no_action=no_action,

@@ -72,10 +72,6 @@ class CEMConfig:
         """Iterations and plans in each."""
         return self.iterations, self.plans
 
-    def starts(self, length: int) -> int:
-        """One: every iteration has new plans."""
-        return 1
-
 
 def cross_entropy(
     evaluate: Evaluate, space: Space, settings: CEMConfig, *, initial: Initial | None = None, key: PRNGKeyArray

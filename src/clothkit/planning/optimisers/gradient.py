@@ -102,10 +102,6 @@ class GradientConfig:
         """Iterations of all rounds, each of as many strains as the last round has, and that number."""
         return (self.halvings + 1) * self.iterations(length), self.together
 
-    def starts(self, length: int) -> int:
-        """How often a strain can start: it goes on for at least `patience` iterations."""
-        return self.shape(length)[0] // self.patience + 1
-
 
 class _Strains(NamedTuple):
     """The state of all strains; every field has a row per strain."""
@@ -132,11 +128,11 @@ def descend(
 
     A strain whose plan is not valid restarts at once. The rows of the best plans are strains. Groups of strains take
     turns, each as large as the last round's, so that one compiled iteration serves all rounds; the rows of the losses
-    and restarts are those of a group.
+    are those of a group.
     """
     size, rounds = settings.together, settings.rounds(space.length)
 
-    def iterate(state: _State, turn: tuple[Array, _Draws]) -> tuple[_State, tuple[Array, Array]]:
+    def iterate(state: _State, turn: tuple[Array, _Draws]) -> tuple[_State, Array]:
         first, draws = turn
         rows = first + jnp.arange(size)
         group = take(rows, state)
@@ -150,11 +146,11 @@ def descend(
         strains = _moved(strains, gradient, settings.irprop)
         strains = strains._replace(lowest=jnp.minimum(loss, strains.lowest), stale=stale)
         moved = _State(strains, best, restart)
-        return jax.tree.map(lambda all, some: all.at[rows].set(some), state, moved), (loss, restart)
+        return jax.tree.map(lambda all, some: all.at[rows].set(some), state, moved), loss
 
-    def pursue(state: _State, turns: tuple[Array, Any]) -> tuple[_State, tuple[Array, Array]]:
-        state, record = jax.lax.scan(iterate, state, turns)
-        return (_sorted(evaluate, space, settings, state) if settings.halvings else state), record
+    def pursue(state: _State, turns: tuple[Array, Any]) -> tuple[_State, Array]:
+        state, losses = jax.lax.scan(iterate, state, turns)
+        return (_sorted(evaluate, space, settings, state) if settings.halvings else state), losses
 
     key_first, key_search = jax.random.split(key)
     state = _first_state(evaluate, space, settings, initial, key=key_first)
@@ -163,10 +159,9 @@ def descend(
     # All at once, because a program takes longer to compile if every iteration draws random numbers.
     draws = _draws(space, len(rounds) * last * size, settings.near, key=key_search)
     draws = jax.tree.map(lambda leaf: leaf.reshape(len(rounds), last, size, *leaf.shape[1:]), draws)
-    state, record = jax.lax.scan(pursue, state, (first, draws))
-    losses, restarts = (values.reshape(-1, size) for values in record)
+    state, losses = jax.lax.scan(pursue, state, (first, draws))
     best = take(jnp.arange(size), state.best)
-    return Outcome(_polished(evaluate, space, settings, best) if settings.polish else best, losses, restarts)
+    return Outcome(_polished(evaluate, space, settings, best) if settings.polish else best, losses.reshape(-1, size))
 
 
 def _tried(

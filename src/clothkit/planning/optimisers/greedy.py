@@ -49,10 +49,6 @@ class GreedyConfig:
         """Iterations and plans in each."""
         return length, self.plans
 
-    def starts(self, length: int) -> int:
-        """One: every iteration has new plans."""
-        return 1
-
 
 def greedy(
     evaluate: Evaluate, space: Space, settings: GreedyConfig, *, initial: Initial | None = None, key: PRNGKeyArray

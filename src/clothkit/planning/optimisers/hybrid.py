@@ -43,10 +43,6 @@ class HybridConfig:
         shapes = [phase.shape(length) for phase in self.phases]
         return sum(iterations for iterations, _ in shapes), max(plans for _, plans in shapes)
 
-    def starts(self, length: int) -> int:
-        """The starts of all phases."""
-        return sum(phase.starts(length) for phase in self.phases)
-
 
 def in_turn(
     evaluate: Evaluate, space: Space, settings: HybridConfig, *, initial: Initial | None = None, key: PRNGKeyArray
@@ -64,11 +60,8 @@ def in_turn(
         initial = Initial(plans, jnp.isfinite(loss))
         outcomes.append(found)
     most = max(found.losses.shape[1] for found in outcomes)
-
-    def padded(name: str, fill: float | bool) -> jax.Array:
-        parts = [getattr(found, name) for found in outcomes]
-        return jnp.concatenate(
-            [jnp.pad(part, ((0, 0), (0, most - part.shape[1])), constant_values=fill) for part in parts]
-        )
-
-    return Outcome(found.best, padded("losses", jnp.inf), padded("restarts", False))
+    losses = [
+        jnp.pad(found.losses, ((0, 0), (0, most - found.losses.shape[1])), constant_values=jnp.inf)
+        for found in outcomes
+    ]
+    return Outcome(found.best, jnp.concatenate(losses))

@@ -72,10 +72,6 @@ class MPPIConfig:
         """Iterations and plans in each."""
         return self.iterations, self.plans
 
-    def starts(self, length: int) -> int:
-        """One: every iteration has new plans."""
-        return 1
-
 
 def path_integral(
     evaluate: Evaluate, space: Space, settings: MPPIConfig, *, initial: Initial | None = None, key: PRNGKeyArray

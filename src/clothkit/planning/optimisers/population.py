@@ -59,4 +59,4 @@ def lowest(loss: Float[Array, " plans"], count: int) -> Int[Array, " lowest"]:
 
 def outcome(best: Best, losses: Float[Array, "iterations plans"]) -> Outcome:
     """The outcome of a search in which every iteration has new plans."""
-    return Outcome(best, losses, jnp.ones(losses.shape, bool))
+    return Outcome(best, losses)

@@ -47,10 +47,6 @@ class RandomShootingConfig:
         """Iterations and plans in each."""
         return self.plans // min(self.chunk, self.plans), min(self.chunk, self.plans)
 
-    def starts(self, length: int) -> int:
-        """One: every iteration has new plans."""
-        return 1
-
 
 def shoot(
     evaluate: Evaluate,

@@ -93,10 +93,6 @@ class Settings(Protocol):
         """The shape of `Outcome.losses` of a search for plans of this length: iterations and plans."""
         ...
 
-    def starts(self, length: int) -> int:
-        """How often a row of the population can begin anew in a search, beyond which `restarts` tells nothing."""
-        ...
-
 
 class Best(NamedTuple):
     """The best plans found so far, one per row."""
@@ -116,9 +112,6 @@ class Outcome(NamedTuple):
     """Losses of the plans of each iteration, not exact; infinite if invalid, or where nothing was evaluated.
 
     Evaluations before, between and after iterations are not among them: of screened plans, other labels, exact ones."""
-    restarts: Bool[Array, "iterations plans"]
-    """Whether a row has a new plan in the next iteration, that does not follow from the one before. Where strains take
-    turns in one row (`GradientConfig.halvings`), whether the strain whose turn it was restarts at its next one."""
 
 
 class Result(NamedTuple):
@@ -133,7 +126,6 @@ class Result(NamedTuple):
     """The exact loss of the plan."""
     terms: Any
     losses: Float[Array, "iterations plans"]
-    restarts: Bool[Array, "iterations plans"]
 
 
 def choose(evaluate: Evaluate, outcome: Outcome) -> Result:
@@ -142,7 +134,7 @@ def choose(evaluate: Evaluate, outcome: Outcome) -> Result:
     exact = evaluate(Plans(best.plans.plan, best.labels), exact=True)
     winner = jnp.argmin(jnp.where(jnp.isinf(best.loss) | jnp.isnan(exact.loss), jnp.inf, exact.loss))
     plan, labels, terms = jax.tree.map(lambda leaf: leaf[winner], (best.plans.plan, exact.labels, exact.terms))
-    return Result(plan, labels, exact.loss[winner], terms, outcome.losses, outcome.restarts)
+    return Result(plan, labels, exact.loss[winner], terms, outcome.losses)
 
 
 def masked(loss: Float[Array, " plans"], valid: Bool[Array, " plans"]) -> Float[Array, " plans"]:

@@ -120,27 +120,23 @@ OTHERS = {
 """Settings, beside strains and iterations, in which searches differ: the marker and the columns of each."""
 
 
-def search(table: pd.DataFrame, restarts: pd.DataFrame, usual: Mapping[str, Any], path: Path) -> None:
+def search(table: pd.DataFrame, usual: Mapping[str, Any], path: Path) -> None:
     """Writes charts of error, search failures and loss of first plans against the cost of a plan.
 
-    The cost is the number of evaluations of the planning loss, strains times iterations, because the time of few plans
-    is mostly that of compilation. `usual` has the values in force of the columns strains, ITERATIONS and OTHERS. Solid
+    The cost is the number of evaluations of the planning loss, because the time of few plans is mostly that of
+    compilation. `usual` has the values in force of the columns strains, ITERATIONS and OTHERS. Solid
     lines, one per plan length, vary the strains of the usual search; dashed lines do so with other iterations; markers
     off the lines are searches with one other setting. Columns of `table`: the settings, length, error [cloth length],
-    loss, loss_recorded.
-
-    The last chart shows the losses that the restarts of the usual search find. Columns of `restarts`: length, restart,
-    best (loss of its best strain), least (lowest loss so far).
+    loss, loss_recorded, evaluations.
     """
-    figure, axes = panels.chart(4, width=3.0, height=2.9)
-    iterations = table["base_iterations"] + table["iterations_per_step"] * table["length"]
-    table = table.assign(failure=table["loss_recorded"] < table["loss"], evaluations=table["strains"] * iterations)
+    figure, axes = panels.chart(3, width=3.0, height=2.9)
+    table = table.assign(failure=table["loss_recorded"] < table["loss"])
     titles = {
         "error": "planning error [cloth length]",
         "failure": "share of search failures",
         "loss": "loss of the first plan",
     }
-    for axis, (column, title) in zip(axes[:3], titles.items(), strict=True):
+    for axis, (column, title) in zip(axes, titles.items(), strict=True):
         for length, colour in zip((1, 2, 3), COLOURS, strict=True):
             means = table[table["length"] == length].groupby(list(usual))[["evaluations", column]].mean().reset_index()
             line = _differing(means, usual, ["strains"]).sort_values("evaluations")
@@ -163,12 +159,6 @@ def search(table: pd.DataFrame, restarts: pd.DataFrame, usual: Mapping[str, Any]
         axis.set_ylabel(title, fontsize=8)
         if column != "loss":
             axis.set_ylim(bottom=0)
-    for length, colour in zip((1, 2, 3), COLOURS, strict=True):
-        own = restarts[restarts["length"] == length]
-        axes[3].plot(own["restart"], own["least"], "-", color=colour, linewidth=1.2)
-        axes[3].plot(own["restart"], own["best"], "o", color=colour, markersize=3.0, fillstyle="none")
-    axes[3].set_xlabel("restart (dots: its best; line: the best so far)", fontsize=8)
-    axes[3].set_ylabel("loss of the first plan", fontsize=8)
     styles = {"iterations": ("x", ITERATIONS), **OTHERS}
     marks = {name: marker for name, (marker, of) in styles.items() if (table[of].nunique() > 1).any()}
     handles = [
