@@ -5,9 +5,10 @@ python benchmarks/planning.py [SYSTEM ..] [options]
 SYSTEM is main, b2, b3, b4 or b5 (default: main, b2, b3). For plans of one, two and three manipulations, the script
 prints the seconds per plan, beside the paper's (table 8, RTX 2080 Ti, 256 strains). For systems that plan on meshes, it
 also prints the time of the search's matrix products alone, with the same shapes and in the same run, as a fraction of
-the search's time. Counted are, for every weight matrix in the loss, the forward product and the backward product for
-its input, since weights need no gradient. The encoder, which runs once, is not counted. For `main`, the script also
-prints the seconds per estimate of a mesh, without and with refinement, beside those of section 6.1.
+the search's time. Counted are, for every weight matrix in the loss, the forward product and, in evaluations with a
+gradient, the backward product for its input, since weights need no gradient. Exact evaluations count like others. The
+encoder, which runs once, is not counted. For `main`, the script also prints the seconds per estimate of a mesh, without
+and with refinement, beside those of section 6.1.
 
 `--scale NAME` selects the sizes of a scale (default: that of params.yaml); `--strains`, `--batch` and `--stride` change
 its settings; `--rounds N` (default: 3) is the number of repetitions, of which the shortest time counts. The nets are
@@ -38,6 +39,7 @@ from clothkit.params import load_params
 from clothkit.planning.initial import EXTENT, RASTER
 from clothkit.planning.mesh_representation import CORNERS, MESH
 from clothkit.planning.objective import Range, Reference, Weights, objective_of
+from clothkit.planning.optimisers.gradient import GradientConfig
 from clothkit.planning.representation import Representation
 from clothkit.planning.search import SearchConfig, search
 from clothkit.planning.systems import SYSTEMS, System
@@ -109,6 +111,16 @@ def products_alone(params: Any, rows: int, length: int, explicit: bool, every: i
     return seconds, flops
 
 
+def passes(optimiser: Any, length: int) -> float:
+    """Return the number of evaluations with a gradient that have as many products as a search; others count half."""
+    every = optimiser.evaluations(length)
+    if not isinstance(optimiser, GradientConfig):
+        return every / 2
+    iterations, strains = optimiser.shape(length)
+    with_gradient = iterations * strains + optimiser.finalists * optimiser.polish
+    return with_gradient + (every - with_gradient) / 2
+
+
 def measure(system: System, stages: Any, settings: SearchConfig, batch: int, rounds: int) -> list[dict]:
     """Return a row of the table for each plan length."""
     net: Any = stages.train_emd_voxel if system.voxels else stages.train_pemd
@@ -119,7 +131,7 @@ def measure(system: System, stages: Any, settings: SearchConfig, batch: int, rou
     explicit = system.alpha is None and not system.single
     found = []
     for length in LENGTHS:
-        iterations, strains = settings.optimiser.shape(length)
+        strains = settings.optimiser.shape(length)[1]
         asked = problems(*kind, nets, length, batch)
         keys = jax.random.split(jax.random.key(0), batch)
         ones = np.ones(length, np.float32)
@@ -134,7 +146,7 @@ def measure(system: System, stages: Any, settings: SearchConfig, batch: int, rou
         if not system.voxels:
             rows = strains * batch
             alone, flops = products_alone(nets[0], rows, length, explicit, settings.stride, rounds)
-            evaluations = iterations * count
+            evaluations = passes(settings.optimiser, length) / strains * count
             row |= {
                 "GF a plan": round(flops * evaluations / batch / 1e9),
                 "products s": round(alone * evaluations / batch, 3),
