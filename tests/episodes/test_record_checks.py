@@ -33,7 +33,7 @@ def sessions(*, voxels: bool = False, nets: int = 1) -> Sessions:
     """Sessions of which nothing is known but where they were, a null that was cancelled among them."""
     dataset = make()
     shape = (32, 32, 16) if voxels else (32, 32, 3)
-    sizes = Sizes(shape, not voxels, candidate=2, net=nets, iteration=2, strain=2, restart=1)
+    sizes = Sizes(shape, not voxels, candidate=2, net=nets, iteration=2)
     found = record(tasks_of_dataset(dataset, TASKS, "test"), [], sizes)
     for row, (sequence, start, length) in enumerate(TASKS):
         for step in range(length):

@@ -215,11 +215,11 @@ def _terms(plan: Plan) -> Float[np.ndarray, "acting term"]:
 
 def _empty(tasks: Tasks, sizes: Sizes) -> dict[str, np.ndarray]:
     lengths = {"task": len(tasks.task), **_LENGTHS}
-    lengths |= {name: getattr(sizes, name) for name in ("candidate", "net", "iteration", "strain", "restart")}
+    lengths |= {name: getattr(sizes, name) for name in ("candidate", "net", "iteration")}
     lengths["term"] = sizes.net + 1
     lengths |= dict(zip(STATE_AXES, sizes.state, strict=True))
     lengths |= {name: length * sizes.probabilistic for name, length in zip(STD_AXES, sizes.state, strict=True)}
-    missing = {"f4": np.nan, "f2": np.nan, "i1": -1, "?": False}
+    missing = {"f4": np.nan, "f2": np.nan, "i1": -1, "i4": -1, "?": False}
     empty: dict[str, np.ndarray] = {
         name: np.full([lengths[d] for d in field.dimensions], missing[field.dtype], field.dtype)
         for name, field in FIELDS.items()
