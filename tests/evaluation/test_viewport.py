@@ -25,7 +25,7 @@ def test_outcomes_in_the_high_viewport() -> None:
     tasks = Tasks(
         [Task(7, 1, 2), Task(8, 0, 1)], ["test", "train"], np.stack([start] * 2), np.zeros((2, 2)), np.stack([goal] * 2)
     )
-    sessions = record(tasks, [], Sizes((32, 32, 3), True, 1, 2, 1, 1, 1))
+    sessions = record(tasks, [], Sizes((32, 32, 3), True, 1, 2, 1))
     sessions.state[0, 2], sessions.state[1, 1] = outcome, goal
     found = viewport.rows(sessions, "b1")
     assert found[["split", "system", "sequence", "start", "length"]].to_numpy().tolist() == [
