@@ -108,7 +108,10 @@ def main() -> None:
     folder = Path("reports") / params.scale / "studies"
     path = folder / "search.csv"
     if asked.draw:
-        draw(pd.read_csv(path), usual, folder / "search.png")
+        table = pd.read_csv(path)
+        if "evaluations" not in table:
+            parser.error(f"{path}: has no column evaluations, expected rows of today's study; run it without --draw")
+        draw(table, usual, folder / "search.png")
         return
     weights = Weights(params.alpha, params.beta, params.gamma)
     data, meshes, members = Path("data"), Path("data/meshes.zarr"), params.ensemble.members

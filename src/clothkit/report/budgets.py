@@ -36,9 +36,8 @@ def budgets(settings: RunSettings, timings: pd.DataFrame | None, systems: list[s
 
     Columns: source, system; nets (number of forward models used in planning: the ensemble, or the best net of it),
     parameters (of each net), training_iterations, batch, training_cpu_minutes (of the ensemble's forward models
-    together, or of VtM; NaN where the training left no note), strains (plans that an iteration
-    evaluates), iterations_1, _2, _3 (of a search, by plan length), evaluations_1, _2, _3 (of the loss: with its
-    gradient in a gradient search, whose first starts are screened without).
+    together, or of VtM; NaN where the training left no note), strains (plans that an iteration changes), iterations_1,
+    _2, _3 (of a search, by plan length), evaluations_1, _2, _3 (of the loss, with or without its gradient).
     """
     rows, members = [], settings.ensemble.members
     for name in systems:

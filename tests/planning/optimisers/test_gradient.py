@@ -53,7 +53,7 @@ def published(settings: GradientConfig, key: Array) -> tuple[np.ndarray, np.ndar
     plans, singles = [np.zeros((LENGTH, 6))] * count, [np.zeros(LENGTH, bool)] * count
     before, rates = [np.zeros((LENGTH, 6))] * count, [np.zeros((LENGTH, 6))] * count
     lowest, best, stale, restart = [np.inf] * count, [np.inf] * count, [0] * count, [True] * count
-    losses = []
+    losses, restarts = [], 0
     for drawn in every.reshape(-1, count, LENGTH, 6).astype(np.float64):
         record = []
         for s in range(count):
@@ -67,8 +67,10 @@ def published(settings: GradientConfig, key: Array) -> tuple[np.ndarray, np.ndar
             stale[s] = 0 if loss < lowest[s] else stale[s] + 1
             lowest[s] = min(lowest[s], loss)
             restart[s] = stale[s] >= settings.patience
+            restarts += restart[s]
             step_by_hand(plans[s], singles[s], 2 * SLOPES * (plans[s] - TARGET), before[s], rates[s])
         losses.append(record)
+    assert restarts
     return np.array(losses), np.array(best)
 
 

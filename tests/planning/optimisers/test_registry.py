@@ -14,7 +14,7 @@ from clothkit.planning.optimisers import OPTIMISERS, AnySettings, evaluations, o
 from clothkit.planning.optimisers.cem import CEMConfig
 from clothkit.planning.optimisers.gradient import GradientConfig
 from clothkit.planning.optimisers.hybrid import HybridConfig
-from clothkit.planning.optimisers.population import evaluate_in_chunks, outcome
+from clothkit.planning.optimisers.population import evaluate_in_chunks
 from clothkit.planning.optimisers.space import Evaluate, Initial, Outcome, Space
 from clothkit.runtime.config import config
 from clothkit.runtime.errors import InputError
@@ -57,7 +57,7 @@ def first(
 ) -> Outcome:
     """The best of the first plans that come to mind."""
     tried = evaluate_in_chunks(evaluate, space, space.sample(settings.plans, key=key), settings.plans)
-    return outcome(tried, tried.loss[None])
+    return Outcome(tried, tried.loss[None])
 
 
 @pytest.fixture

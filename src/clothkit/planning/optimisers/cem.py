@@ -35,7 +35,6 @@ from clothkit.planning.optimisers.population import (
     keep_best,
     lowest,
     nothing_yet,
-    outcome,
 )
 from clothkit.planning.optimisers.space import Best, Evaluate, Initial, Outcome, Plans, Space
 from clothkit.runtime.config import config
@@ -103,4 +102,4 @@ def cross_entropy(
 
     start = (population, distribution, nothing_yet(population, settings.finalists))
     (_, _, best), losses = jax.lax.scan(iterate, start, jax.random.split(key_rest, settings.iterations))
-    return outcome(best, losses)
+    return Outcome(best, losses)

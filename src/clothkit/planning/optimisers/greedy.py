@@ -19,7 +19,6 @@ from clothkit.planning.optimisers.population import (
     first_population,
     keep_best,
     nothing_yet,
-    outcome,
 )
 from clothkit.planning.optimisers.space import Best, Evaluate, Initial, Outcome, Plans, Space
 from clothkit.runtime.config import config
@@ -74,4 +73,4 @@ def greedy(
         return (best.plans.plan[0], best), tried.loss
 
     (_, best), losses = jax.lax.scan(choose_next, (jnp.zeros((space.length, 6)), nothing), (steps, keys))
-    return outcome(best, losses)
+    return Outcome(best, losses)

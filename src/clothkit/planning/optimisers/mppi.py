@@ -35,7 +35,6 @@ from clothkit.planning.optimisers.population import (
     first_population,
     keep_best,
     nothing_yet,
-    outcome,
 )
 from clothkit.planning.optimisers.space import Best, Evaluate, Initial, Outcome, Plans, Space, select
 from clothkit.runtime.config import config
@@ -101,7 +100,7 @@ def path_integral(
 
     start = (population, nominal, nothing_yet(population, settings.finalists))
     (_, _, best), losses = jax.lax.scan(iterate, start, jax.random.split(key_rest, settings.iterations))
-    return outcome(best, losses)
+    return Outcome(best, losses)
 
 
 def weights(loss: Float[Array, " plans"], temperature: float) -> Float[Array, " plans"]:

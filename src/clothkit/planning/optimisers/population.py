@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from clothkit.planning.optimisers.space import Best, Evaluate, Initial, Outcome, Plans, Space, begin_with, masked, take
+from clothkit.planning.optimisers.space import Best, Evaluate, Initial, Plans, Space, begin_with, masked, take
 
 
 def check_sizes(plans: int, chunk: int, finalists: int) -> None:
@@ -55,8 +55,3 @@ def keep_best(best: Best, tried: Best) -> Best:
 def lowest(loss: Float[Array, " plans"], count: int) -> Int[Array, " lowest"]:
     """The rows of the lowest losses in ascending order."""
     return jax.lax.top_k(-loss, count)[1]
-
-
-def outcome(best: Best, losses: Float[Array, "iterations plans"]) -> Outcome:
-    """The outcome of a search in which every iteration has new plans."""
-    return Outcome(best, losses)

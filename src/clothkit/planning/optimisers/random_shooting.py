@@ -16,7 +16,6 @@ from clothkit.planning.optimisers.population import (
     first_population,
     keep_best,
     nothing_yet,
-    outcome,
 )
 from clothkit.planning.optimisers.space import Best, Evaluate, Initial, Outcome, Space
 from clothkit.runtime.config import config
@@ -69,4 +68,4 @@ def shoot(
     start: tuple[object, Best] = (population, nothing_yet(population, settings.finalists))
     keys = jax.random.split(key_rest, settings.plans // count)
     (_, best), losses = jax.lax.scan(iterate, start, keys)
-    return outcome(best, losses)
+    return Outcome(best, losses)

@@ -124,9 +124,9 @@ def search(table: pd.DataFrame, usual: Mapping[str, Any], path: Path) -> None:
     """Writes charts of error, search failures and loss of first plans against the cost of a plan.
 
     The cost is the number of evaluations of the planning loss, because the time of few plans is mostly that of
-    compilation. `usual` has the values in force of the columns strains, ITERATIONS and OTHERS. Solid
-    lines, one per plan length, vary the strains of the usual search; dashed lines do so with other iterations; markers
-    off the lines are searches with one other setting. Columns of `table`: the settings, length, error [cloth length],
+    compilation. `usual` has the values in force of the columns strains, ITERATIONS and OTHERS. Solid lines, one per
+    plan length, vary the strains of the usual search; dashed lines do so with other iterations; markers off the lines
+    are searches with one other setting. Columns of `table`: the settings, length, error [cloth length],
     loss, loss_recorded, evaluations.
     """
     figure, axes = panels.chart(3, width=3.0, height=2.9)
