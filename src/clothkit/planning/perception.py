@@ -56,7 +56,8 @@ class Estimation:
                 return estimate_unrefined(self.vtm, voxels, predicted)
             return estimate(self.vtm, voxels, self.refinement, predicted=predicted).mesh
 
-        with timed("estimates", len(observation.voxels)):
+        # The last batch is padded; its copies count, because they take as long.
+        with timed("estimates", -(-len(observation.voxels) // self.batch) * self.batch):
             return in_batches(meshes, self.batch, observation.voxels, *(() if expected is None else (expected,)))
 
 
