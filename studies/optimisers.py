@@ -72,6 +72,7 @@ from clothkit.planning.planner import Planner, artifacts, assemble
 from clothkit.planning.systems import SYSTEMS
 from clothkit.planning.types import Found, Problem
 from clothkit.report.figures.studies import optimisers as draw
+from clothkit.runtime.cache import ensure_jax_cache
 from clothkit.runtime.publish import unfinished
 from clothkit.runtime.resumable import array_storage, load_piece
 from clothkit.simulation.executor import execute
@@ -502,6 +503,8 @@ def main() -> None:
         parser.exit(1, "optimisers: the reference is a gradient search, but params.yaml names another optimiser\n")
     weights = Weights(params.alpha, params.beta, params.gamma)
     data, meshes, members = Path("data"), Path("data/meshes.zarr"), params.ensemble.members
+    # Programs that were freed (`free_programs`) need not be compiled again.
+    ensure_jax_cache(Path(".work/compiled"))
     dataset = store.load(meshes)
     validation = dataset.indices("validation").tolist()
     folder.mkdir(parents=True, exist_ok=True)
