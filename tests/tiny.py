@@ -31,6 +31,7 @@ from clothkit.params import Params, load_params
 from clothkit.planning import normalisation
 from clothkit.simulation.attempts import Attempts
 from clothkit.simulation.records import write_raw
+from clothkit.simulation.settings import DRAWN
 from tests.observation.scenes import SCALE, SMALL, folded, image_of
 from tests.planning import toy
 
@@ -94,11 +95,8 @@ def write_data(folder: Path, params: Path) -> None:
     """Everything that stages leave under data/, as far as it is told of: nets included."""
     given = load_params(params)
     write_nets(folder)
-    simulation = given.stages.simulate.simulation
     tried = attempts()
-    write_raw(
-        folder / "raw", tried, [tried.states[tried.accepted]], simulation, seed=0, attributes=_about(given, "simulate")
-    )
+    write_raw(folder / "raw", tried, [tried.states[tried.accepted]], seed=0, attributes=_about(given, "simulate"))
     dataset = regularise(folder / "raw", given.stages.regularise)
     meshes.save(folder / "meshes.zarr", dataset, _about(given, "regularise"))
     training = augment(dataset.of_split("train"), given.stages.augment)
@@ -140,6 +138,9 @@ def attempts(accepted: int = 10) -> Attempts:
         accepted=np.arange(count) < accepted,
         reason=np.array([""] * accepted + ["height"]),
         reached=np.full(count, 4),
+        start=np.full(count, "flat"),
+        sides=np.full((count, 2), 0.4),
+        material=np.full((count, len(DRAWN)), 0.002, np.float32),
         states=states,
         manipulation=manipulation,
         hands=np.where(np.arange(count)[:, None] % 3 == 0, 1, 2) * np.ones((1, 3), int),

@@ -28,6 +28,8 @@ def write_raw(folder: Path, count: int = 4) -> Path:
     pd.DataFrame(steps, columns=names).to_parquet(folder / "manipulations.parquet")
     topology = {"topology": [0], "material": [material.ravel()], "triangles": [SQUARE.triangles().ravel()]}
     pd.DataFrame(topology).to_parquet(folder / "topologies.parquet")
+    cloths = {"sequence": range(count), "start": "flat", "side_u": 0.4, "side_v": 0.4, "thickness": 0.002}
+    pd.DataFrame(cloths).to_parquet(folder / "cloths.parquet")
     return folder
 
 

@@ -16,7 +16,7 @@ from clothkit.cloth.mesh import distance_aligned, error
 from clothkit.cloth.silhouette import centred
 from clothkit.cloth.symmetry import relabel
 from clothkit.cloth.topology import SQUARE
-from clothkit.dataset.store import SPLITS, Dataset
+from clothkit.dataset.store import SPLITS, Dataset, papers_cloths
 from clothkit.dataset.tasks import Task
 from clothkit.episodes import record
 from clothkit.episodes.evaluate import TIMED_SESSIONS, cost, evaluate
@@ -55,6 +55,7 @@ def dataset(sequences: int = 2) -> Dataset:
         3 * every,
         np.full(sequences, SPLITS.index("test"), np.int8),
         every.astype(bool),
+        papers_cloths(sequences),
     )
 
 

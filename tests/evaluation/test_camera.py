@@ -11,7 +11,7 @@ import pytest
 
 from clothkit.cloth import voxels
 from clothkit.cloth.topology import SQUARE
-from clothkit.dataset.store import SPLITS, Dataset
+from clothkit.dataset.store import SPLITS, Dataset, papers_cloths
 from clothkit.episodes.depth_camera import depth_camera
 from clothkit.episodes.evaluate import evaluate
 from clothkit.episodes.record import Sessions
@@ -60,6 +60,7 @@ def dataset() -> Dataset:
         np.array([3, 2, 3], np.int8),
         np.full(3, SPLITS.index("test"), np.int8),
         np.array([True, True, False]),
+        papers_cloths(3),
     )
 
 

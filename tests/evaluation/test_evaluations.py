@@ -10,7 +10,7 @@ from clothkit.cloth import voxels
 from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.cloth.symmetry import relabel
 from clothkit.cloth.topology import SQUARE
-from clothkit.dataset.store import Dataset
+from clothkit.dataset.store import Dataset, papers_cloths
 from clothkit.dataset.tasks import TASKS
 from clothkit.estimation.refine import RefineConfig
 from clothkit.evaluation import arrays, estimation, prediction
@@ -42,6 +42,7 @@ def dataset() -> Dataset:
         np.array([3, 3, 3, 2, 3], np.int8),
         np.array([0, 2, 2, 2, 1], np.int8),
         np.array([True, True, True, True, False]),
+        papers_cloths(SEQUENCES),
     )
 
 

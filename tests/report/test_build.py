@@ -12,7 +12,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from clothkit.cloth.topology import SQUARE
-from clothkit.dataset.store import Dataset
+from clothkit.dataset.store import Dataset, papers_cloths
 from clothkit.dataset.tasks import TASKS, Task
 from clothkit.episodes.record import Sessions, Sizes, record, tasks_of_dataset
 from clothkit.evaluation import calibration, camera_planning, planning
@@ -47,6 +47,7 @@ def dataset() -> Dataset:
         np.full(2, 3, np.int8),
         np.full(2, 2, np.int8),
         np.ones(2, bool),
+        papers_cloths(2),
     )
 
 

@@ -33,7 +33,7 @@ def augment(training: Dataset, settings: AugmentConfig) -> Dataset:
         if rng.random() < settings.null_share:
             _insert_null(fields, row, rng)
         _turn(fields, row, rng)
-    return Dataset(**fields, split=copies.split, evaluated=copies.evaluated)
+    return Dataset(**fields, split=copies.split, evaluated=copies.evaluated, cloth=copies.cloth)
 
 
 def _insert_null(fields: dict[str, np.ndarray], row: int, rng: np.random.Generator) -> None:

@@ -24,6 +24,9 @@ FARTHEST = 100.0
 STRETCH = 2.0
 """Largest accepted extent of a state along an axis, as a multiple of the flat cloth's diagonal."""
 
+_SIDES = (0.01, 20.0)
+"""Accepted range of a flat cloth's sides [m]; other values are probably in another unit."""
+
 EDGES = (0.5, 2.0)
 """Nor is the median of its edges shorter or longer than so many times that of the flat cloth's."""
 
@@ -87,6 +90,20 @@ ATTEMPTS = Table(
     keys=("attempt",),
 )
 
+_PROPERTY = Column("numbers", 0, missing=True, optional=True)
+
+CLOTHS = Table(
+    {
+        "sequence": _COUNTED,
+        "start": dataclasses.replace(_PROPERTY, kind="text"),
+        "side_u": Column("numbers", _SIDES[0], _SIDES[1]),
+        "side_v": Column("numbers", _SIDES[0], _SIDES[1]),
+        "thickness": Column("numbers", 0, missing=True),
+    },
+    keys=("sequence",),
+)
+"""Schema of cloths: their sides and thickness in metres, which is missing where a simulator does not tell."""
+
 TOPOLOGIES = Table(
     {
         "topology": _COUNTED,
@@ -96,9 +113,6 @@ TOPOLOGIES = Table(
     keys=("topology",),
 )
 """Schema of topologies: material coordinates in metres."""
-
-_SIDES = (0.01, 20.0)
-"""Accepted range of a flat cloth's sides [m]; other values are probably in another unit."""
 
 
 def state_files(folder: Path) -> list[Path]:
@@ -140,6 +154,19 @@ def read_manipulations(raw: Path, states: pd.DataFrame, columns: Sequence[str] =
             f"them, found {steps[sequence]}"
         )
     return moves
+
+
+def read_cloths(raw: Path, sequences: Collection[int]) -> pd.DataFrame:
+    """Read the rows of these sequences' cloths, in their order.
+
+    Raises InputError for a file that does not match its schema, and if a sequence has no row.
+    """
+    path = raw / "cloths.parquet"
+    cloths = read(path, CLOTHS, ("sequence", "side_u", "side_v", "thickness")).set_index("sequence")
+    missing = sorted(set(sequences) - set(cloths.index))
+    if missing:
+        raise InputError(f"{path}: has no row for sequence {missing[0]}, expected one for each")
+    return cloths.loc[list(sequences)]
 
 
 class Triangulation(NamedTuple):

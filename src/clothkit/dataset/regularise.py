@@ -11,13 +11,16 @@ from tqdm import tqdm
 
 from clothkit.cloth.silhouette import centred
 from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE, Shape, Topology
-from clothkit.dataset.raw import STATE_COLUMNS, Topologies, Triangulation, read_manipulations, read_states
-from clothkit.dataset.store import SPLITS, STATES, STEPS, Dataset
+from clothkit.dataset.raw import STATE_COLUMNS, Topologies, Triangulation, read_cloths, read_manipulations, read_states
+from clothkit.dataset.store import PAPERS_CLOTH, SPLITS, STATES, STEPS, Dataset
 from clothkit.runtime.config import config
 from clothkit.runtime.errors import InputError
 
 MARGIN = 1e-3
 """A point counts as covered if no barycentric weight is below -MARGIN, since coordinates may be rounded to 6 digits."""
+
+NEARLY_SQUARE = 0.01
+"""Largest difference between the sides of a square, as a fraction of the longer one."""
 
 KEPT = 64
 """Largest number of cached interpolations; ARCSim writes a topology for every state."""
@@ -126,7 +129,15 @@ def regularise(raw: Path, settings: RegulariseConfig, topology: Topology = SQUAR
         vertices[row_of[sequence], state], centres[row_of[sequence], state] = centred(mesh)
     manipulation, hands, length = _steps(manipulations, row_of)
     split, evaluated = assign_splits(settings)
-    return Dataset(vertices, centres, manipulation, hands, length, split, evaluated)
+    cloth = _cloths(read_cloths(raw, sequences))
+    return Dataset(vertices, centres, manipulation, hands, length, split, evaluated, cloth)
+
+
+def _cloths(table: pd.DataFrame) -> Float[np.ndarray, "sequence 3"]:
+    """Sides and thickness of cloths, normalised. A thickness that a simulator did not tell is that of PAPERS_CLOTH."""
+    metres = table[["side_u", "side_v", "thickness"]].to_numpy(float)
+    cloths = metres * (CLOTH_LENGTH / metres[:, :2].max(1, keepdims=True))
+    return np.where(np.isnan(cloths), PAPERS_CLOTH, cloths).astype(np.float32)
 
 
 def assign_splits(settings: RegulariseConfig) -> tuple[np.ndarray, np.ndarray]:
@@ -162,8 +173,9 @@ class Mesher:
 
     def _make(self, number: int, shared: Triangulation) -> tuple[Interpolation, float]:
         name = f"{self.topologies.path}: topology {number}"
-        sides = np.array(self.topology.sides) / CLOTH_LENGTH
-        length = float((np.ptp(shared.material, axis=0) / sides).mean())
+        sides = np.ptp(shared.material, axis=0)
+        # Other programs' squares need not be exact.
+        length = float(sides.mean() if np.ptp(sides) < NEARLY_SQUARE * sides.max() else sides.max())
         return interpolation(shared.material, shared.triangles, self.topology, name=name), CLOTH_LENGTH / length
 
 

@@ -9,14 +9,14 @@ import numpy as np
 import zarr
 from jaxtyping import Bool, Float, Int, Int8
 
-from clothkit.cloth.topology import SQUARE
+from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE
 from clothkit.dataset.zarr_store import WRITTEN, Declared, Store, open_store
 from clothkit.runtime.errors import InputError
 
 SPLITS = ("train", "validation", "test")
 STATES, STEPS = 4, 3
 _ROWS, _COLUMNS = SQUARE.shape
-LENGTHS = {"state": STATES, "step": STEPS, "u": _ROWS, "v": _COLUMNS, "xyz": 3, "xy": 2, "component": 6}
+LENGTHS = {"state": STATES, "step": STEPS, "u": _ROWS, "v": _COLUMNS, "xyz": 3, "xy": 2, "component": 6, "property": 3}
 """Lengths of the dimensions that are the same in every store."""
 
 _CHUNK, _SHARD = 16, 1024
@@ -26,10 +26,20 @@ _ARRAYS = {
     "manipulation": Declared("f4", ("sequence", "step", "component")),
     "hands": Declared("i1", ("sequence", "step")),
     "length": Declared("i1", ("sequence",)),
+    "cloth": Declared("f4", ("sequence", "property")),
     "split": Declared("i1", ("sequence",)),
     "evaluated": Declared("bool", ("sequence",)),
 }
 _HOLDS = "which a store of meshes holds"
+
+PAPERS_CLOTH = np.array([CLOTH_LENGTH, CLOTH_LENGTH, 0.007], np.float32)
+"""Sides and thickness of the paper's cloth [normalised]: a square of 0.4 m whose touching layers lie 2 mm apart."""
+
+
+def papers_cloths(sequences: int) -> Float[np.ndarray, "sequence 3"]:
+    """`Dataset.cloth` of sequences with the paper's cloth."""
+    return np.tile(PAPERS_CLOTH, (sequences, 1))
+
 
 FARTHEST = 1000.0
 """Largest accepted absolute value [normalised]; a file with larger ones is damaged or in another unit."""
@@ -52,6 +62,8 @@ class Dataset:
     """Index into SPLITS."""
     evaluated: Bool[np.ndarray, " sequence"]
     """Whether evaluations use the sequence."""
+    cloth: Float[np.ndarray, "sequence 3"]
+    """What a ruler tells of the cloth: its sides along u and along v, and its thickness."""
 
     def __len__(self) -> int:
         return len(self.length)
@@ -134,6 +146,8 @@ def _check_values(path: Path, dataset: Dataset) -> None:
         _refuse(path, name, axis, present[axis] & ~np.isfinite(values).all(axis=rest), "is not finite")
         far = present[axis] & (np.abs(values) > FARTHEST).any(axis=rest)
         _refuse(path, name, axis, far, f"is beyond {FARTHEST:g}, expected normalised lengths")
+    known = np.isfinite(dataset.cloth) & (dataset.cloth > 0) & (dataset.cloth < CLOTH_LENGTH + 1e-4)
+    _refuse(path, "cloth", "property", ~known, f"is not above 0 and at most {CLOTH_LENGTH:g}")
     _refuse(path, "hands", "step", present["step"] & ~np.isin(dataset.hands, (1, 2)), "is not 1 or 2")
 
 

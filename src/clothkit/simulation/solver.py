@@ -4,7 +4,7 @@ import numpy as np
 import warp as wp
 from jaxtyping import Float
 
-from clothkit.cloth.topology import CLOTH_LENGTH, Shape, Topology
+from clothkit.cloth.topology import Shape, Topology
 from clothkit.simulation.kernels.state import CELLS, CONTACTS, EDGE_PAIRS, HELD, MEMORY, PATH, Bend, Solver, State
 from clothkit.simulation.settings import SimulationConfig
 
@@ -145,7 +145,11 @@ def make_state(worlds: int, shape: Shape, device: str) -> State:
 def flat_state(settings: SimulationConfig, topology: Topology | None = None) -> Float[np.ndarray, "u v 3"]:
     """Return the flat cloth on the table, in metres; z is half the thickness, as vertices lie in the middle of it."""
     topology = topology or settings.topology
-    halves = [settings.cloth_side * (length / CLOTH_LENGTH) / 2 for length in topology.sides]
-    along_u, along_v = (np.linspace(-h, h, n) for h, n in zip(halves, topology.shape, strict=True))
-    x, y = np.meshgrid(along_u, along_v, indexing="ij")
-    return np.stack([x, y, np.full_like(x, settings.material.thickness / 2)], axis=-1).astype(np.float32)
+    xy = flat_grid(topology.shape, settings.sides(topology))
+    return np.concatenate([xy, np.full((*topology.shape, 1), settings.material.thickness / 2, np.float32)], axis=-1)
+
+
+def flat_grid(shape: Shape, sides: tuple[float, float]) -> Float[np.ndarray, "u v 2"]:
+    """Return the vertices xy of a centred flat cloth with the given sides, in their unit."""
+    along_u, along_v = (np.linspace(-side / 2, side / 2, n) for side, n in zip(sides, shape, strict=True))
+    return np.stack(np.meshgrid(along_u, along_v, indexing="ij"), axis=-1).astype(np.float32)
