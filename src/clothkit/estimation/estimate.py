@@ -38,7 +38,8 @@ def estimate(
     """
     probabilistic = estimate_probabilistic(net, voxels, predicted, topology)
     start = probabilistic.mean if predicted is None else predicted
-    return Estimate(probabilistic, refine(probabilistic, start, settings, topology))
+    height = net.config.height
+    return Estimate(probabilistic, refine(probabilistic, start, settings, topology, voxels=voxels, height=height))
 
 
 def estimate_probabilistic(

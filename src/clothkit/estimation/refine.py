@@ -6,11 +6,13 @@ from typing import Annotated, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from annotated_types import Ge, Gt
-from jaxtyping import Array, Bool, Float, Int
+from annotated_types import Ge, Gt, Le
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from clothkit.cloth.mesh import ProbabilisticMesh, nll
 from clothkit.cloth.topology import SQUARE, Topology
+from clothkit.cloth.voxels import HEIGHT, RESOLUTION
+from clothkit.estimation.explanation import Columns, Pulls, columns, pulls, unexplained
 from clothkit.runtime.config import config
 
 SHORTEST_SPRING = 1e-6
@@ -23,6 +25,12 @@ class RefineConfig:
 
     spring_weight: Annotated[float, Ge(0)] = 5000.0
     upward_weight: Annotated[float, Ge(0)] = 1000.0
+    observed_weight: Annotated[float, Ge(0)] = 0.0
+    """Weight of the term that has a mesh explain the observed voxels, which the paper has not: `explanation.py`."""
+    pulls: Annotated[int, Gt(0), Le(RESOLUTION[0] * RESOLUTION[1])] = 64
+    """Largest number of columns of voxels that pull a vertex at a time."""
+    renewed: Annotated[int, Gt(0)] = 10
+    """Iterations between two choices of these columns."""
     step: Annotated[float, Gt(0)] = 0.001
     """Step size of SignSGD: the change of each coordinate per iteration [normalised]."""
     iterations: Annotated[int, Ge(0)] = 300
@@ -81,29 +89,43 @@ class _Search(NamedTuple):
     lowest: Float[Array, " batch"]
     level: Float[Array, " batch"]
     stale: Int[Array, " batch"]
+    pulled: Pulls | None
 
 
-@partial(jax.jit, static_argnames=("settings", "topology"))
+@partial(jax.jit, static_argnames=("settings", "topology", "height"))
 def refine(
     estimate: ProbabilisticMesh,
     start: Float[Array | np.ndarray, "batch u v 3"],
     settings: RefineConfig,
     topology: Topology = SQUARE,
+    *,
+    voxels: Shaped[Array | np.ndarray, "batch x y z"] | None = None,
+    height: float = HEIGHT,
 ) -> Float[Array, "batch u v 3"]:
     """R of eq. (10): for each mesh of the batch, the mesh of lowest loss that SignSGD finds from `start`.
 
-    Each mesh stops when its own loss has stabilised, so that its result does not depend on the rest of the batch.
+    With `observed_weight`, meshes are also to explain the occluded `voxels`, of a viewport of that height. Each mesh
+    stops when its own loss has stabilised, so that its result does not depend on the rest of the batch.
     """
 
-    def total(mesh: Array) -> tuple[Array, Array]:
+    seen = columns(voxels, height=height) if voxels is not None and settings.observed_weight else None
+
+    def total(mesh: Array, pulled: Pulls | None) -> tuple[Array, Array]:
         loss = refinement_loss(mesh, estimate, settings, topology)
+        if seen is not None and pulled is not None:
+            loss += settings.observed_weight * unexplained(mesh, seen, pulled)
         return jnp.sum(loss), loss
+
+    def renewed(search: _Search, seen: Columns) -> Pulls:
+        due = search.iteration % settings.renewed == 0
+        return jax.lax.cond(due, lambda mesh: pulls(mesh, seen, settings.pulls), lambda _: search.pulled, search.mesh)
 
     def searching(search: _Search) -> Bool[Array, ""]:
         return (search.iteration < settings.iterations) & jnp.any(search.stale < settings.patience)
 
     def move(search: _Search) -> _Search:
-        gradient, loss = jax.grad(total, has_aux=True)(search.mesh)
+        pulled = None if seen is None else renewed(search, seen)
+        gradient, loss = jax.grad(total, has_aux=True)(search.mesh, pulled)
         active = search.stale < settings.patience
         lower = active & (loss < search.lowest)
         # `level` is the loss at the last improvement, so that many small decreases add up to one.
@@ -115,9 +137,11 @@ def refine(
             jnp.where(lower, loss, search.lowest),
             jnp.where(active & fell, loss, search.level),
             jnp.where(active, jnp.where(fell, 0, search.stale + 1), search.stale),
+            pulled,
         )
 
     start = jnp.asarray(start)
     unknown = jnp.full(len(start), jnp.inf, start.dtype)
-    first = _Search(jnp.int32(0), start, start, unknown, unknown, jnp.zeros(len(start), jnp.int32))
+    pulled = None if seen is None else pulls(start, seen, settings.pulls)
+    first = _Search(jnp.int32(0), start, start, unknown, unknown, jnp.zeros(len(start), jnp.int32), pulled)
     return jax.lax.while_loop(searching, move, first).found
