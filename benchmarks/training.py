@@ -49,7 +49,7 @@ def made_up() -> Dataset:
         length=np.full(SEQUENCES, STEPS, np.int8),
         split=np.zeros(SEQUENCES, np.int8),
         evaluated=np.zeros(SEQUENCES, bool),
-        cloth=papers_cloths(SEQUENCES),
+        **papers_cloths(SEQUENCES)._asdict(),
     )
 
 

@@ -25,5 +25,5 @@ def crumpled(count: int, seed: int) -> Dataset:
         length=np.full(count, 3, np.int8),
         split=np.zeros(count, np.int8),
         evaluated=np.zeros(count, bool),
-        cloth=papers_cloths(count),
+        **papers_cloths(count)._asdict(),
     )

@@ -21,7 +21,7 @@ def make(count: int = 5, seed: int = 0) -> Dataset:
         length=np.full(count, 3, np.int8),
         split=np.array([0, 0, 1, 2, 2], np.int8)[:count],
         evaluated=np.array([True, False, False, True, True])[:count],
-        cloth=papers_cloths(count),
+        **papers_cloths(count)._asdict(),
     )
 
 

@@ -55,7 +55,7 @@ def dataset(sequences: int = 2) -> Dataset:
         3 * every,
         np.full(sequences, SPLITS.index("test"), np.int8),
         every.astype(bool),
-        papers_cloths(sequences),
+        *papers_cloths(sequences),
     )
 
 

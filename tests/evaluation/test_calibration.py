@@ -75,7 +75,7 @@ def test_rows_count_the_states_that_there_are() -> None:
         np.array([3, 2], np.int8),
         np.array([0, 2], np.int8),
         np.ones(2, bool),
-        papers_cloths(2),
+        *papers_cloths(2),
     )
     config = PEMDConfig(latent=4, encoder=(8,), manipulation=6, decoder=(8,))
     net = Net(config, pemd.initial(config, key=jax.random.key(0)))

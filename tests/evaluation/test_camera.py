@@ -60,7 +60,7 @@ def dataset() -> Dataset:
         np.array([3, 2, 3], np.int8),
         np.full(3, SPLITS.index("test"), np.int8),
         np.array([True, True, False]),
-        papers_cloths(3),
+        *papers_cloths(3),
     )
 
 

@@ -42,7 +42,7 @@ def dataset() -> Dataset:
         np.array([3, 3, 3, 2, 3], np.int8),
         np.array([0, 2, 2, 2, 1], np.int8),
         np.array([True, True, True, True, False]),
-        papers_cloths(SEQUENCES),
+        *papers_cloths(SEQUENCES),
     )
 
 

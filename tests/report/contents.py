@@ -85,7 +85,7 @@ def dataset() -> Dataset:
         np.array([3, 2, 1], np.int8),
         np.array([0, 1, 2], np.int8),
         np.ones(3, bool),
-        papers_cloths(3),
+        *papers_cloths(3),
     )
 
 

@@ -47,7 +47,7 @@ def dataset() -> Dataset:
         np.full(2, 3, np.int8),
         np.full(2, 2, np.int8),
         np.ones(2, bool),
-        papers_cloths(2),
+        *papers_cloths(2),
     )
 
 

@@ -367,7 +367,8 @@ def test_a_rectangle_is_executed_by_its_grasp_points_on_workers_as_here() -> Non
     grasps = np.repeat(np.array([[[-0.7, -0.7 / 1.6], [-0.7, 0.7 / 1.6]]]), 4, axis=0)
     moves = np.array([[1.2, 0.0], [0.6, 0.0], [0.8, 0.1], [1.0, -0.1]])
     single = np.zeros(4, bool)
-    found = [execute(meshes, grasps, moves, single, SETTINGS, workers=workers, topology=topology) for workers in (1, 2)]
+    cloths = papers_cloths(4)._replace(cloth=np.tile(np.array([1.4, 1.4 / 1.6, 0.007], np.float32), (4, 1)))
+    found = [execute(meshes, grasps, moves, single, cloths, settings=SETTINGS, workers=workers) for workers in (1, 2)]
     np.testing.assert_array_equal(*found)
     # The edge is let go where eq. (1) says, close to where it then lies.
     np.testing.assert_allclose(found[0][0, 0, [0, -1], 0], 0.5, atol=0.1)

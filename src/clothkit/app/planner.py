@@ -12,7 +12,7 @@ from jaxtyping import Float, Shaped
 from clothkit.app.inputs import Input, Settings, Usage
 from clothkit.cloth.mesh import distance
 from clothkit.cloth.symmetry import relabel, relabel_manipulation
-from clothkit.cloth.topology import SQUARE
+from clothkit.cloth.topology import PAPERS_CLOTH, SQUARE
 from clothkit.estimation.estimate import Estimate, estimate
 from clothkit.manipulation.turns import turn_manipulation, turn_mesh
 from clothkit.manipulation.vector import is_null
@@ -237,7 +237,16 @@ def _predictions(
 ) -> tuple[Prediction, ...]:
     each = tuple(trace[None] for trace in traces)
     start = np.asarray(state, np.float32)[None]
-    return predict(planner.model, planner.representation, planner.nets, start, each, plan[None], np.array([common]))
+    return predict(
+        planner.model,
+        planner.representation,
+        planner.nets,
+        start,
+        each,
+        plan[None],
+        np.array([common]),
+        PAPERS_CLOTH[None],
+    )
 
 
 def epistemic_uncertainty(planner: Planner, planned: Planned) -> float | None:

@@ -163,7 +163,7 @@ def simulate_plan(
             )
         displacement = np.array(step.manipulation[4:], np.float32)
         single = np.array([len(step.hands) == 1])
-        outcome = execute(states[-1][None], grasps[None], displacement[None], single, settings, workers=1)[0]
+        outcome = execute(states[-1][None], grasps[None], displacement[None], single, settings=settings, workers=1)[0]
         if not np.isfinite(outcome).all():
             raise InputError(f"{name}: step {number} has an outcome that is not finite")
         states.append(outcome)

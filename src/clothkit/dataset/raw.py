@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from clothkit.dataset.store import STATES, STEPS
 from clothkit.dataset.tables import Column, Complete, Table, check, read
 from clothkit.runtime.errors import InputError
+from clothkit.simulation.settings import DRAWN
 
 STATE_COLUMNS = ("sequence", "state", "topology", "vertices")
 MANIPULATION_COLUMNS = ("sequence", "step", "hands", "u1", "v1", "u2", "v2", "dx", "dy")
@@ -98,11 +99,11 @@ CLOTHS = Table(
         "start": dataclasses.replace(_PROPERTY, kind="text"),
         "side_u": Column("numbers", _SIDES[0], _SIDES[1]),
         "side_v": Column("numbers", _SIDES[0], _SIDES[1]),
-        "thickness": Column("numbers", 0, missing=True),
+        **dict.fromkeys(DRAWN, _PROPERTY),
     },
     keys=("sequence",),
 )
-"""Schema of cloths: their sides and thickness in metres, which is missing where a simulator does not tell."""
+"""Schema of cloths, in SI units; properties are missing where a simulator does not tell them."""
 
 TOPOLOGIES = Table(
     {
@@ -162,7 +163,8 @@ def read_cloths(raw: Path, sequences: Collection[int]) -> pd.DataFrame:
     Raises InputError for a file that does not match its schema, and if a sequence has no row.
     """
     path = raw / "cloths.parquet"
-    cloths = read(path, CLOTHS, ("sequence", "side_u", "side_v", "thickness")).set_index("sequence")
+    cloths = read(path, CLOTHS, tuple(CLOTHS.columns)).set_index("sequence")
+    cloths = cloths.reindex(columns=[name for name in CLOTHS.columns if name != "sequence"])
     missing = sorted(set(sequences) - set(cloths.index))
     if missing:
         raise InputError(f"{path}: has no row for sequence {missing[0]}, expected one for each")

@@ -10,11 +10,13 @@ from jaxtyping import Float, Int
 from tqdm import tqdm
 
 from clothkit.cloth.silhouette import centred
-from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE, Shape, Topology
+from clothkit.cloth.topology import CLOTH_LENGTH, PAPERS_CLOTH, SQUARE, Shape, Topology
 from clothkit.dataset.raw import STATE_COLUMNS, Topologies, Triangulation, read_cloths, read_manipulations, read_states
-from clothkit.dataset.store import PAPERS_CLOTH, SPLITS, STATES, STEPS, Dataset
+from clothkit.dataset.store import SPLITS, STATES, STEPS, Dataset
 from clothkit.runtime.config import config
 from clothkit.runtime.errors import InputError
+from clothkit.simulation.settings import DRAWN, STARTS
+from clothkit.simulation.variation import Cloths
 
 MARGIN = 1e-3
 """A point counts as covered if no barycentric weight is below -MARGIN, since coordinates may be rounded to 6 digits."""
@@ -129,15 +131,18 @@ def regularise(raw: Path, settings: RegulariseConfig, topology: Topology = SQUAR
         vertices[row_of[sequence], state], centres[row_of[sequence], state] = centred(mesh)
     manipulation, hands, length = _steps(manipulations, row_of)
     split, evaluated = assign_splits(settings)
-    cloth = _cloths(read_cloths(raw, sequences))
-    return Dataset(vertices, centres, manipulation, hands, length, split, evaluated, cloth)
+    return Dataset(
+        vertices, centres, manipulation, hands, length, split, evaluated, *_cloths(read_cloths(raw, sequences))
+    )
 
 
-def _cloths(table: pd.DataFrame) -> Float[np.ndarray, "sequence 3"]:
-    """Sides and thickness of cloths, normalised. A thickness that a simulator did not tell is that of PAPERS_CLOTH."""
+def _cloths(table: pd.DataFrame) -> Cloths:
+    """The cloths of sequences. A thickness that a simulator did not tell is taken to be that of PAPERS_CLOTH."""
     metres = table[["side_u", "side_v", "thickness"]].to_numpy(float)
-    cloths = metres * (CLOTH_LENGTH / metres[:, :2].max(1, keepdims=True))
-    return np.where(np.isnan(cloths), PAPERS_CLOTH, cloths).astype(np.float32)
+    cloth = metres * (CLOTH_LENGTH / metres[:, :2].max(1, keepdims=True))
+    cloth = np.where(np.isnan(cloth), PAPERS_CLOTH, cloth).astype(np.float32)
+    start = np.array([STARTS.index(start) if start in STARTS else 0 for start in table["start"]], np.int8)
+    return Cloths(cloth, start, table[list(DRAWN)].to_numpy(np.float32))
 
 
 def assign_splits(settings: RegulariseConfig) -> tuple[np.ndarray, np.ndarray]:

@@ -9,14 +9,27 @@ import numpy as np
 import zarr
 from jaxtyping import Bool, Float, Int, Int8
 
-from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE
+from clothkit.cloth.topology import CLOTH_LENGTH, PAPERS_CLOTH, SQUARE
 from clothkit.dataset.zarr_store import WRITTEN, Declared, Store, open_store
 from clothkit.runtime.errors import InputError
+from clothkit.simulation.material import Material
+from clothkit.simulation.settings import DRAWN, STARTS
+from clothkit.simulation.variation import Cloths
 
 SPLITS = ("train", "validation", "test")
 STATES, STEPS = 4, 3
 _ROWS, _COLUMNS = SQUARE.shape
-LENGTHS = {"state": STATES, "step": STEPS, "u": _ROWS, "v": _COLUMNS, "xyz": 3, "xy": 2, "component": 6, "property": 3}
+LENGTHS = {
+    "state": STATES,
+    "step": STEPS,
+    "u": _ROWS,
+    "v": _COLUMNS,
+    "xyz": 3,
+    "xy": 2,
+    "component": 6,
+    "measure": 3,
+    "property": len(DRAWN),
+}
 """Lengths of the dimensions that are the same in every store."""
 
 _CHUNK, _SHARD = 16, 1024
@@ -26,19 +39,21 @@ _ARRAYS = {
     "manipulation": Declared("f4", ("sequence", "step", "component")),
     "hands": Declared("i1", ("sequence", "step")),
     "length": Declared("i1", ("sequence",)),
-    "cloth": Declared("f4", ("sequence", "property")),
     "split": Declared("i1", ("sequence",)),
     "evaluated": Declared("bool", ("sequence",)),
+    "cloth": Declared("f4", ("sequence", "measure")),
+    "start": Declared("i1", ("sequence",)),
+    "material": Declared("f4", ("sequence", "property")),
 }
 _HOLDS = "which a store of meshes holds"
 
-PAPERS_CLOTH = np.array([CLOTH_LENGTH, CLOTH_LENGTH, 0.007], np.float32)
-"""Sides and thickness of the paper's cloth [normalised]: a square of 0.4 m whose touching layers lie 2 mm apart."""
 
-
-def papers_cloths(sequences: int) -> Float[np.ndarray, "sequence 3"]:
-    """`Dataset.cloth` of sequences with the paper's cloth."""
-    return np.tile(PAPERS_CLOTH, (sequences, 1))
+def papers_cloths(sequences: int) -> Cloths:
+    """The paper's cloth for each sequence, lying flat at first."""
+    material = np.array([getattr(Material(), name) for name in DRAWN], np.float32)
+    return Cloths(
+        np.tile(PAPERS_CLOTH, (sequences, 1)), np.zeros(sequences, np.int8), np.tile(material, (sequences, 1))
+    )
 
 
 FARTHEST = 1000.0
@@ -64,6 +79,10 @@ class Dataset:
     """Whether evaluations use the sequence."""
     cloth: Float[np.ndarray, "sequence 3"]
     """What a ruler tells of the cloth: its sides along u and along v, and its thickness."""
+    start: Int8[np.ndarray, " sequence"]
+    """How the cloth came to lie as it did at first: index into STARTS."""
+    material: Float[np.ndarray, "sequence properties"]
+    """The properties in DRAWN of the simulated cloth, in SI units; NaN where a simulator did not tell them."""
 
     def __len__(self) -> int:
         return len(self.length)
@@ -71,6 +90,10 @@ class Dataset:
     def take(self, index: Int[np.ndarray, " taken"] | Bool[np.ndarray, " sequence"] | slice) -> "Dataset":
         """The sequences chosen by an index array, a mask or a slice."""
         return Dataset(*(getattr(self, field.name)[index] for field in dataclasses.fields(self)))
+
+    def cloths(self, sequence: Int[np.ndarray, " n"]) -> Cloths:
+        """The cloths of the sequences with these indices."""
+        return Cloths(self.cloth[sequence], self.start[sequence], self.material[sequence])
 
     def indices(self, split: str, *, evaluated: bool = False) -> Int[np.ndarray, " chosen"]:
         """Sorted indices of the sequences of one split; with `evaluated`, only of those that evaluations use."""
@@ -147,7 +170,9 @@ def _check_values(path: Path, dataset: Dataset) -> None:
         far = present[axis] & (np.abs(values) > FARTHEST).any(axis=rest)
         _refuse(path, name, axis, far, f"is beyond {FARTHEST:g}, expected normalised lengths")
     known = np.isfinite(dataset.cloth) & (dataset.cloth > 0) & (dataset.cloth < CLOTH_LENGTH + 1e-4)
-    _refuse(path, "cloth", "property", ~known, f"is not above 0 and at most {CLOTH_LENGTH:g}")
+    _refuse(path, "cloth", "measure", ~known, f"is not above 0 and at most {CLOTH_LENGTH:g}")
+    started = (dataset.start >= 0) & (dataset.start < len(STARTS))
+    _refuse(path, "start", "value", ~started[:, None], f"is not from 0 to {len(STARTS) - 1}")
     _refuse(path, "hands", "step", present["step"] & ~np.isin(dataset.hands, (1, 2)), "is not 1 or 2")
 
 

@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Shaped
 
-from clothkit.cloth.mesh import ProbabilisticMesh, nll
-from clothkit.cloth.symmetry import relabel_batch
-from clothkit.cloth.topology import SQUARE, Topology
+from clothkit.cloth.mesh import Cloth, ProbabilisticMesh, nll
+from clothkit.cloth.symmetry import equal_labellings, relabel_batch
+from clothkit.cloth.topology import PAPERS_CLOTH, SQUARE, Topology
 from clothkit.estimation.refine import RefineConfig, refine
 from clothkit.models import vtm
 from clothkit.models.net import Net
@@ -28,51 +28,63 @@ def estimate(
     settings: RefineConfig,
     *,
     predicted: Float[Array | np.ndarray, "batch u v 3"] | None = None,
-    topology: Topology = SQUARE,
+    cloth: Cloth = PAPERS_CLOTH,
 ) -> Estimate:
-    """Estimate meshes from centred voxels.
+    """Estimate meshes from centred voxels; `cloth` are the cloths' sides and thicknesses.
 
     Without `predicted`, refinement starts from VtM's means and the estimates have arbitrary labels. With predicted
     meshes, the estimates are relabelled to minimise the predictions' negative log likelihood, and refinement starts
     from the predictions.
     """
-    probabilistic = estimate_probabilistic(net, voxels, predicted, topology)
+    probabilistic = estimate_probabilistic(net, voxels, predicted, cloth=cloth)
     start = probabilistic.mean if predicted is None else predicted
-    height = net.config.height
-    return Estimate(probabilistic, refine(probabilistic, start, settings, topology, voxels=voxels, height=height))
+    refined = refine(probabilistic, start, settings, cloth=cloth, voxels=voxels, height=net.config.height)
+    return Estimate(probabilistic, refined)
 
 
 def estimate_probabilistic(
     net: Net,
     voxels: Shaped[Array | np.ndarray, "batch x y z"],
     predicted: Float[Array | np.ndarray, "batch u v 3"] | None = None,
-    topology: Topology = SQUARE,
+    *,
+    cloth: Cloth = PAPERS_CLOTH,
 ) -> ProbabilisticMesh:
     """VtM's probabilistic meshes, in the same labels as the result of `estimate`."""
-    probabilistic = _vtm(net, jnp.asarray(voxels))
-    return probabilistic if predicted is None else labelled_like(probabilistic, predicted, topology)
+    probabilistic = _vtm(net, jnp.asarray(voxels), jnp.asarray(cloth))
+    return probabilistic if predicted is None else labelled_like(probabilistic, predicted, cloth=cloth)
 
 
 def estimate_unrefined(
     net: Net,
     voxels: Shaped[Array | np.ndarray, "batch x y z"],
     predicted: Float[Array | np.ndarray, "batch u v 3"] | None = None,
-    topology: Topology = SQUARE,
+    *,
+    cloth: Cloth = PAPERS_CLOTH,
 ) -> Float[Array, "batch u v 3"]:
     """VtM's means without refinement, in the same labels as the result of `estimate`."""
-    return jnp.asarray(estimate_probabilistic(net, voxels, predicted, topology).mean)
+    return jnp.asarray(estimate_probabilistic(net, voxels, predicted, cloth=cloth).mean)
 
 
 def labelled_like(
-    probabilistic: ProbabilisticMesh, mesh: Float[Array | np.ndarray, "batch u v 3"], topology: Topology = SQUARE
+    probabilistic: ProbabilisticMesh,
+    mesh: Float[Array | np.ndarray, "batch u v 3"],
+    topology: Topology = SQUARE,
+    *,
+    cloth: Cloth | None = None,
 ) -> ProbabilisticMesh:
-    """For each probabilistic mesh, the equivalent that minimises the negative log likelihood of the given mesh."""
+    """For each probabilistic mesh, the equivalent that minimises the negative log likelihood of the given mesh.
+
+    With `cloth`, the cloths' sides and thicknesses, only equivalents with the same sides count.
+    """
     batch = probabilistic.mean.shape[0]
     scores = []
     for k in range(topology.count):
         labels = np.full(batch, k)
         scores.append(nll(mesh, ProbabilisticMesh(*(relabel_batch(part, labels, topology) for part in probabilistic))))
-    best = jnp.argmin(jnp.stack(scores), axis=0)
+    unlike = jnp.stack(scores)
+    if cloth is not None:
+        unlike = jnp.where(jnp.moveaxis(jnp.atleast_2d(equal_labellings(cloth)), -1, 0), unlike, jnp.inf)
+    best = jnp.argmin(unlike, axis=0)
     return ProbabilisticMesh(*(relabel_batch(part, best, topology) for part in probabilistic))
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from annotated_types import Ge, Gt, Le
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
-from clothkit.cloth.mesh import ProbabilisticMesh, nll
-from clothkit.cloth.topology import SQUARE, Topology
+from clothkit.cloth.mesh import Cloth, ProbabilisticMesh, nll
+from clothkit.cloth.topology import SQUARE, Shape, Topology
 from clothkit.cloth.voxels import HEIGHT, RESOLUTION
 from clothkit.estimation.explanation import Columns, Pulls, columns, pulls, unexplained
 from clothkit.runtime.config import config
@@ -42,11 +42,12 @@ class RefineConfig:
 
 
 def spring_energy(
-    mesh: Float[Array | np.ndarray, "*batch u v 3"], topology: Topology = SQUARE
+    mesh: Float[Array | np.ndarray, "*batch u v 3"], topology: Topology = SQUARE, cloth: Cloth | None = None
 ) -> Float[Array, "*batch"]:
     """Eq. (11): the sum over springs of (length - rest)² [normalised²].
 
-    Raises ValueError if the mesh has other numbers of vertices than the topology.
+    With `cloth`, the sides and thickness of each, rest lengths are those of a flat cloth with these sides. Raises
+    ValueError if the mesh has other numbers of vertices than the topology.
     """
     mesh = jnp.asarray(mesh)
     rows, columns = topology.shape
@@ -54,12 +55,19 @@ def spring_energy(
         raise ValueError(f"mesh of {mesh.shape[-3:-1]} vertices for a topology of {topology.shape}")
     energy = jnp.zeros(mesh.shape[:-3], mesh.dtype)
     # Slices instead of the index pairs of `Topology.springs`, because gathering costs more than the rest of the loss.
-    for du, dv, rest in topology.spring_offsets:
+    for du, dv, of_topology in topology.spring_offsets:
         low, high = max(0, -dv), columns - max(0, dv)
         spring = mesh[..., du:, low + dv : high + dv, :] - mesh[..., : rows - du, low:high, :]
         length = jnp.sqrt(jnp.maximum(jnp.sum(spring**2, axis=-1), SHORTEST_SPRING**2))
+        rest = of_topology if cloth is None else _rest(jnp.asarray(cloth), du, dv, topology.shape)[..., None, None]
         energy += jnp.sum((length - rest) ** 2, axis=(-2, -1))
     return energy
+
+
+def _rest(cloth: Float[Array, "*batch 3"], du: int, dv: int, shape: Shape) -> Float[Array, "*batch"]:
+    """Rest length of the springs with this grid offset in flat cloths with these sides."""
+    along_u, along_v = (cloth[..., axis] * steps / (shape[axis] - 1) for axis, steps in enumerate((du, dv)))
+    return jnp.sqrt(along_u**2 + along_v**2)
 
 
 def upward_bias(mesh: Float[Array, "*batch u v 3"], estimate: ProbabilisticMesh) -> Float[Array, "*batch"]:
@@ -72,12 +80,13 @@ def refinement_loss(
     estimate: ProbabilisticMesh,
     settings: RefineConfig,
     topology: Topology = SQUARE,
+    cloth: Cloth | None = None,
 ) -> Float[Array, "*batch"]:
     """The compound loss of section 4.7: NLL and springs are sums, the upward bias is a mean (design 6.16)."""
     coordinates = mesh.shape[-3] * mesh.shape[-2] * mesh.shape[-1]
     return (
         coordinates * nll(mesh, estimate)
-        + settings.spring_weight * spring_energy(mesh, topology)
+        + settings.spring_weight * spring_energy(mesh, topology, cloth)
         + settings.upward_weight * upward_bias(mesh, estimate)
     )
 
@@ -99,19 +108,21 @@ def refine(
     settings: RefineConfig,
     topology: Topology = SQUARE,
     *,
+    cloth: Cloth | None = None,
     voxels: Shaped[Array | np.ndarray, "batch x y z"] | None = None,
     height: float = HEIGHT,
 ) -> Float[Array, "batch u v 3"]:
     """R of eq. (10): for each mesh of the batch, the mesh of lowest loss that SignSGD finds from `start`.
 
-    With `observed_weight`, meshes are also to explain the occluded `voxels`, of a viewport of that height. Each mesh
+    `cloth` are the cloths' sides and thicknesses, if they are not the topology's. With `observed_weight`, meshes
+    are also to explain the occluded `voxels`, of a viewport of that height. Each mesh
     stops when its own loss has stabilised, so that its result does not depend on the rest of the batch.
     """
 
     seen = columns(voxels, height=height) if voxels is not None and settings.observed_weight else None
 
     def total(mesh: Array, pulled: Pulls | None) -> tuple[Array, Array]:
-        loss = refinement_loss(mesh, estimate, settings, topology)
+        loss = refinement_loss(mesh, estimate, settings, topology, cloth)
         if seen is not None and pulled is not None:
             loss += settings.observed_weight * unexplained(mesh, seen, pulled)
         return jnp.sum(loss), loss

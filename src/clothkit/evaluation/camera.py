@@ -4,6 +4,7 @@ import dataclasses
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float
@@ -75,6 +76,7 @@ def picture_settings(settings: EvaluateCameraConfig, condition: Condition) -> Pi
 
 def observe(
     meshes: Float[np.ndarray, "states u v 3"],
+    cloth: Float[np.ndarray, "states 3"],
     vtm: Net,
     condition: Condition,
     settings: EvaluateCameraConfig,
@@ -84,6 +86,7 @@ def observe(
 ) -> Observations:
     """Observe meshes (normalised, centred) under a condition, and estimate them from what was observed.
 
+    `cloth` are the cloths' sides and thicknesses.
     `stored` lists the indices of the states whose heights are returned.
     """
     if condition == NO_CAMERA:
@@ -106,7 +109,11 @@ def observe(
             overlap[number] = goal_iou(mesh, picture.observation.points)
             if number in stored:
                 height[stored.index(number)] = _height(picture)
-    mesh = in_batches(lambda batch: estimate(vtm, batch, refinement).mesh, TOGETHER, occupied)
+
+    def estimated(seen: np.ndarray, cloth: np.ndarray) -> jax.Array:
+        return estimate(vtm, seen, refinement, cloth=cloth).mesh
+
+    mesh = in_batches(estimated, TOGETHER, occupied, cloth)
     return Observations(occupied, centre_error, overlap, mesh, height)
 
 
@@ -130,7 +137,7 @@ def estimation(
     chosen = dataset.indices("test", evaluated=True)[: settings.estimated]
     place = [(s, state) for s in chosen.tolist() for state in range(1, min(STATES, int(dataset.length[s]) + 1))]
     sequence, state = np.array(place).T
-    truth = dataset.vertices[sequence, state]
+    truth, cloth = dataset.vertices[sequence, state], dataset.cloth[sequence]
     # Stored states are alternately those after one, two and three manipulations, or the last of a shorter sequence.
     stored = [
         place.index((s, min(1 + number % (STATES - 1), int(dataset.length[s]))))
@@ -139,7 +146,7 @@ def estimation(
     conditions = (NO_CAMERA, *settings.conditions)
     with tqdm(total=len(conditions) * len(truth), desc="camera", unit="state") as bar:
         finished = resumable_map(
-            lambda condition: observe(truth, vtm, condition, settings, refinement, stored=stored),
+            lambda condition: observe(truth, cloth, vtm, condition, settings, refinement, stored=stored),
             conditions,
             folder=work,
             name="observations",
@@ -156,7 +163,7 @@ def estimation(
             "voxel_error": (observed.voxels != clean).mean((1, 2, 3)),
             "centre_error": observed.centre_error,
             "iou": observed.iou,
-            "error": np.asarray(errors(observed.mesh, truth)),
+            "error": np.asarray(errors(observed.mesh, truth, cloth=cloth)),
         }
         columns: dict[str, Any] = {"condition": condition.name, "tilt": condition.tilt, "noise": condition.noise}
         columns |= {"sequence": sequence, "state": state, "seen": seen}

@@ -51,13 +51,13 @@ def estimates(dataset: Dataset, net: Net, settings: EvaluateEstimationConfig) ->
     """
     sequence = np.flatnonzero(dataset.evaluated)
     present = np.arange(STATES) <= dataset.length[sequence, None]
-    truth = dataset.vertices[sequence][present]
+    truth, cloth = dataset.vertices[sequence][present], dataset.cloth[sequence[np.nonzero(present)[0]]]
     parts: list[tuple[np.ndarray, ...]] = []
     for start in tqdm(range(0, len(truth), settings.batch), desc="estimates", unit="batch"):
         # The last batch is padded to the same size, which avoids another compilation.
         chosen = np.minimum(np.arange(start, start + settings.batch), len(truth) - 1)
-        estimated = estimate(net, seen_by(net, truth[chosen]), settings.refine)
-        label = labels_of_truth(estimated.mesh, truth[chosen])
+        estimated = estimate(net, seen_by(net, truth[chosen]), settings.refine, cloth=cloth[chosen])
+        label = labels_of_truth(estimated.mesh, truth[chosen], cloth=cloth[chosen])
         kept = min(settings.batch, len(truth) - start)
         parts.append(tuple(np.asarray(a)[:kept] for a in (*estimated.probabilistic, estimated.mesh, label)))
     return Estimates(sequence, *(_placed(np.concatenate(values), present) for values in zip(*parts, strict=True)))
@@ -83,7 +83,7 @@ def rows(dataset: Dataset, found: Estimates) -> pd.DataFrame:
         sequence = found.sequence[long]
         if not len(sequence):
             continue
-        truth = dataset.vertices[sequence, state]
+        truth, cloth = dataset.vertices[sequence, state], dataset.cloth[sequence]
         probabilistic = ProbabilisticMesh(found.mean[long, state], found.std[long, state])
         for kind, mesh in (("pmr", probabilistic.mean), ("dmr", found.mesh[long, state])):
             tidy.append(
@@ -93,12 +93,12 @@ def rows(dataset: Dataset, found: Estimates) -> pd.DataFrame:
                         "sequence": sequence,
                         "state": state,
                         "kind": kind,
-                        "error": np.asarray(errors(mesh, truth)),
+                        "error": np.asarray(errors(mesh, truth, cloth=cloth)),
                         "error_labelled": np.asarray(labelled_errors(mesh, truth)),
                         "error_no_action": np.asarray(
-                            errors(dataset.vertices[sequence, state - 1], truth, aligned=True)
+                            errors(dataset.vertices[sequence, state - 1], truth, aligned=True, cloth=cloth)
                         ),
-                        "sigma_ratio": np.asarray(sigma_ratio(probabilistic, truth)),
+                        "sigma_ratio": np.asarray(sigma_ratio(probabilistic, truth, cloth=cloth)),
                     }
                 )
             )

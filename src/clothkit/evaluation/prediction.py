@@ -78,7 +78,8 @@ def rows(dataset: Dataset, initial: Starts, ensemble: Ensemble, settings: Evalua
             continue
         truth = dataset.vertices[sequence, end]
         manipulations = dataset.manipulation[sequence, start:end]
-        predicted, shift = predict(ensemble.nets[k], initial.meshes[system][long, start], manipulations, settings.batch)
+        state, cloth = initial.meshes[system][long, start], dataset.cloth[sequence]
+        predicted, shift = predict(ensemble.nets[k], state, manipulations, settings.batch, cloth)
         final = ProbabilisticMesh(predicted.mean[-1], predicted.std[-1])
         moved = dataset.centre[sequence, end] - dataset.centre[sequence, start]
         first = dataset.vertices[sequence, start]
@@ -91,11 +92,11 @@ def rows(dataset: Dataset, initial: Starts, ensemble: Ensemble, settings: Evalua
                 "sequence": sequence,
                 "start": start,
                 "length": length,
-                "error": np.asarray(errors(final.mean, truth)),
-                "error_no_action": np.asarray(errors(first, truth, aligned=True)),
+                "error": np.asarray(errors(final.mean, truth, cloth=cloth)),
+                "error_no_action": np.asarray(errors(first, truth, aligned=True, cloth=cloth)),
                 "position_error": np.linalg.norm(shift.sum(0) - moved, axis=-1) / CLOTH_LENGTH,
                 "position_no_action": np.linalg.norm(moved, axis=-1) / CLOTH_LENGTH,
-                "sigma_ratio": np.asarray(sigma_ratio(final, truth)),
+                "sigma_ratio": np.asarray(sigma_ratio(final, truth, cloth=cloth)),
                 **_in_voxels(final, first, truth, settings.batch),
             }
         )
@@ -117,7 +118,8 @@ def stored(dataset: Dataset, initial: Starts, net: Net, settings: EvaluatePredic
     first = np.sort(np.concatenate([np.flatnonzero(split == name)[: settings.stored] for name in np.unique(split)]))
     start = initial.meshes["main"][first, 0]
     manipulations = np.nan_to_num(dataset.manipulation[initial.sequence[first]])
-    predicted, shift = predict(net, start, manipulations, settings.batch)
+    cloth = dataset.cloth[initial.sequence[first]]
+    predicted, shift = predict(net, start, manipulations, settings.batch, cloth)
     mean, std = (np.array(part) for part in predicted)
     for values in (mean, std, shift):
         values[np.arange(STEPS)[:, None] >= dataset.length[initial.sequence[first]]] = np.nan
@@ -132,14 +134,14 @@ def stored(dataset: Dataset, initial: Starts, net: Net, settings: EvaluatePredic
 
 
 def predict(
-    net: Net, mesh: np.ndarray, manipulations: np.ndarray, batch: int
+    net: Net, mesh: np.ndarray, manipulations: np.ndarray, batch: int, cloth: np.ndarray
 ) -> tuple[ProbabilisticMesh, Float[np.ndarray, "step n 2"]]:
     """Return the probabilistic meshes [step n u v 3] and the centre shift of each step, computed in equal batches."""
     parts = []
     for first in range(0, len(mesh), batch):
         chosen = np.minimum(np.arange(first, first + batch), len(mesh) - 1)
         kept = min(batch, len(mesh) - first)
-        predicted, shift = _predict(net, mesh[chosen], manipulations[chosen])
+        predicted, shift = _predict(net, mesh[chosen], manipulations[chosen], cloth[chosen])
         parts.append([np.asarray(a)[:, :kept] for a in (*predicted, shift)])
     mean, std, shift = (np.concatenate(values, axis=1) for values in zip(*parts, strict=True))
     return ProbabilisticMesh(mean, std), shift
@@ -184,6 +186,9 @@ def _voxel_errors(
 
 
 @jax.jit
-def _predict(net: Net, mesh: jax.Array, manipulations: jax.Array) -> tuple[ProbabilisticMesh, jax.Array]:
-    predicted, found = forward.predict(forward.forward_model(net.config), net.params, mesh, manipulations, unroll=True)
+def _predict(
+    net: Net, mesh: jax.Array, manipulations: jax.Array, cloth: jax.Array
+) -> tuple[ProbabilisticMesh, jax.Array]:
+    model = forward.forward_model(net.config)
+    predicted, found = forward.predict(model, net.params, mesh, manipulations, cloth=cloth, unroll=True)
     return predicted, found.shifts

@@ -11,6 +11,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree, Shaped
 from numpy import ndarray
 
+from clothkit.cloth.mesh import Cloth
+from clothkit.cloth.topology import PAPERS_CLOTH
 from clothkit.models.canonical import MESHES, VOXELS, Canonicalised
 from clothkit.models.emd_voxel import EMDVoxel
 from clothkit.models.pemd import PEMD
@@ -26,9 +28,9 @@ class ForwardModel(Protocol):
     """
 
     def encode(
-        self, params: PyTree, state: Shaped[Array | ndarray, "*batch_and_state"]
+        self, params: PyTree, state: Shaped[Array | ndarray, "*batch_and_state"], cloth: Cloth = PAPERS_CLOTH
     ) -> Float[Array, "*batch latent"]:
-        """The latent of a state: eq. (2)."""
+        """The latent of a state: eq. (2). `cloth` are the cloth's sides and thickness, for nets that are told them."""
         ...
 
     def step(
@@ -96,8 +98,9 @@ def predict(
     manipulations: Float[Array | ndarray, "*batch n 6"],
     trace: Float[Array | ndarray, "*batch latent"] | None = None,
     *,
+    cloth: Cloth = PAPERS_CLOTH,
     unroll: bool = False,
 ) -> tuple[Any, Rollout]:
     """Predictions [n *batch ..] of the state after each of n manipulations, and the rollout: eq. (5)."""
-    found = rollout(model, params, model.encode(params, state), manipulations, trace, unroll=unroll)
+    found = rollout(model, params, model.encode(params, state, cloth), manipulations, trace, unroll=unroll)
     return model.decode(params, found.latents), found

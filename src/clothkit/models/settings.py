@@ -25,6 +25,8 @@ class PEMDConfig:
     """Constant that eq. (6) adds to every standard deviation [normalised]: a lower bound of predicted uncertainty."""
     canonical: bool = False
     """Whether inputs are transformed to canonical descriptions (canonical.py); the paper's net does not do this."""
+    told: bool = False
+    """Whether the net is told the cloth's sides and thickness, as the paper's net, which knows one cloth, is not."""
 
     def __post_init__(self) -> None:
         if self.manipulation < self.latent:
@@ -44,6 +46,8 @@ class VtMConfig:
     """Whether input voxels are turned to be widest along x (canonical.py); only four of the eight views then differ."""
     height: Rate = HEIGHT
     """Upper end of the input voxels in z [normalised]."""
+    told: bool = False
+    """Whether the net is told the cloth's sides and thickness, as the paper's net, which knows one cloth, is not."""
 
 
 @config

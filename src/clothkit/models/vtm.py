@@ -8,13 +8,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree, Shaped
 from numpy import ndarray
 
-from clothkit.cloth.mesh import Mesh, ProbabilisticMesh, distance
+from clothkit.cloth.mesh import Cloth, Mesh, ProbabilisticMesh, best_label
 from clothkit.cloth.symmetry import equivalents, relabel
-from clothkit.cloth.topology import SQUARE, SWAP
+from clothkit.cloth.topology import PAPERS_CLOTH, SQUARE, SWAP
 from clothkit.cloth.voxels import RESOLUTION, observe
 from clothkit.manipulation.turns import turn_mesh
 from clothkit.models.canonical import axes, lies_along_y
-from clothkit.models.layers import dense, probabilistic_mesh, probabilistic_output, run
+from clothkit.models.layers import dense, probabilistic_mesh, probabilistic_output, run, with_cloth
 from clothkit.models.net import Net
 from clothkit.models.settings import Start, VtMConfig
 
@@ -28,8 +28,10 @@ class VtM(nn.Module):
     start: Start = Start()
 
     @nn.compact
-    def __call__(self, voxels: Shaped[Array, "*batch x y z"]) -> ProbabilisticMesh:
+    def __call__(self, voxels: Shaped[Array, "*batch x y z"], cloth: Cloth = PAPERS_CLOTH) -> ProbabilisticMesh:
         units = voxels.reshape(*voxels.shape[:-3], -1).astype(jnp.float32)
+        if self.config.told:
+            units = with_cloth(units, cloth)
         for i in range(HIDDEN_LAYERS):
             units = jnp.tanh(dense(self.config.hidden, f"layer_{i + 1}")(units))
         return probabilistic_mesh(probabilistic_output("mesh", self.start)(units), self.config.least_std)
@@ -49,8 +51,13 @@ def seen_by(net: Net, mesh: Float[Array | ndarray, "*batch u v 3"]) -> Bool[Arra
 class Estimator(Protocol):
     """VtM as a pure function of a net's weights."""
 
-    def __call__(self, params: PyTree, voxels: Shaped[Array, "*batch 32 32 16"]) -> ProbabilisticMesh:
-        """The probabilistic mesh [normalised] of centred, occluded voxels (bool or 0 / 1): eq. (9)."""
+    def __call__(
+        self, params: PyTree, voxels: Shaped[Array, "*batch 32 32 16"], cloth: Cloth = PAPERS_CLOTH
+    ) -> ProbabilisticMesh:
+        """The probabilistic mesh [normalised] of centred, occluded voxels (bool or 0 / 1): eq. (9).
+
+        `cloth` are the cloth's sides and thickness, for nets that are told them.
+        """
         ...
 
 
@@ -60,8 +67,10 @@ class SinglePass:
 
     config: VtMConfig
 
-    def __call__(self, params: PyTree, voxels: Shaped[Array, "*batch 32 32 16"]) -> ProbabilisticMesh:
-        return run(VtM(self.config), params, voxels)
+    def __call__(
+        self, params: PyTree, voxels: Shaped[Array, "*batch 32 32 16"], cloth: Cloth = PAPERS_CLOTH
+    ) -> ProbabilisticMesh:
+        return run(VtM(self.config), params, voxels, jnp.asarray(cloth))
 
 
 @dataclass(frozen=True)
@@ -70,9 +79,11 @@ class Canonicalised:
 
     estimator: Estimator
 
-    def __call__(self, params: PyTree, voxels: Shaped[Array, "*batch 32 32 16"]) -> ProbabilisticMesh:
+    def __call__(
+        self, params: PyTree, voxels: Shaped[Array, "*batch 32 32 16"], cloth: Cloth = PAPERS_CLOTH
+    ) -> ProbabilisticMesh:
         swap = lies_along_y(voxels) * SWAP
-        return back(self.estimator(params, relabel(voxels, swap[..., None, None, None])), swap)
+        return back(self.estimator(params, relabel(voxels, swap[..., None, None, None]), cloth), swap)
 
 
 @dataclass(frozen=True)
@@ -87,10 +98,12 @@ class Views:
     equivalents: tuple[int, ...]
     """The transformations of the axes x and y, as those of u and v by equivalent k."""
 
-    def __call__(self, params: PyTree, voxels: Shaped[Array, "*batch 32 32 16"]) -> ProbabilisticMesh:
-        views = [back(self.estimator(params, relabel(voxels, k)), k) for k in self.equivalents]
+    def __call__(
+        self, params: PyTree, voxels: Shaped[Array, "*batch 32 32 16"], cloth: Cloth = PAPERS_CLOTH
+    ) -> ProbabilisticMesh:
+        views = [back(self.estimator(params, relabel(voxels, k), cloth), k) for k in self.equivalents]
         first = views[0].mean
-        labelled = [(relabelled_like(m, first, m), relabelled_like(s, first, m)) for m, s in views]
+        labelled = [(relabelled_like(m, first, m, cloth), relabelled_like(s, first, m, cloth)) for m, s in views]
         means, stds = (jnp.stack(parts) for parts in zip(*labelled, strict=True))
         mean = jnp.mean(means, axis=0)
         return ProbabilisticMesh(mean, jnp.sqrt(jnp.mean(stds**2 + (means - mean) ** 2, axis=0)))
@@ -107,9 +120,11 @@ def estimator(config: VtMConfig) -> Estimator:
     return Views(shown, tuple(views))
 
 
-def estimate(net: Net, voxels: Shaped[Array | ndarray, "*batch 32 32 16"]) -> ProbabilisticMesh:
+def estimate(
+    net: Net, voxels: Shaped[Array | ndarray, "*batch 32 32 16"], cloth: Cloth = PAPERS_CLOTH
+) -> ProbabilisticMesh:
     """The net's estimate, a probabilistic mesh [normalised], from centred, occluded voxels (bool or 0 / 1): eq. (9)."""
-    return estimator(net.config)(net.params, jnp.asarray(voxels))
+    return estimator(net.config)(net.params, jnp.asarray(voxels), jnp.asarray(cloth))
 
 
 def back(estimated: ProbabilisticMesh, k: int | Int[Array, "*batch"]) -> ProbabilisticMesh:
@@ -128,7 +143,7 @@ def turned_back(mesh: Mesh, k: int | Int[Array, "*batch"]) -> Float[Array, "*bat
     return turn_mesh(jnp.asarray(mesh), jnp.swapaxes(axes(jnp.asarray(k)), -1, -2))
 
 
-def relabelled_like(values: Mesh, like: Mesh, mesh: Mesh) -> Float[Array, "*batch u v 3"]:
-    """Values at a mesh's vertices, under the labels that bring `mesh` nearest to the mesh `like`."""
-    nearest = jnp.argmin(distance(equivalents(mesh), like), axis=0)
+def relabelled_like(values: Mesh, like: Mesh, mesh: Mesh, cloth: Cloth = PAPERS_CLOTH) -> Float[Array, "*batch u v 3"]:
+    """Values at a mesh's vertices, under the labels that bring `mesh` nearest to `like` and keep the cloth's sides."""
+    nearest = best_label(like, mesh, cloth=cloth)
     return jnp.take_along_axis(equivalents(values), nearest[None, ..., None, None, None], axis=0)[0]

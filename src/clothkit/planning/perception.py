@@ -5,7 +5,7 @@ from typing import Protocol, runtime_checkable
 
 import jax
 import numpy as np
-from jaxtyping import Shaped
+from jaxtyping import Float, Shaped
 
 from clothkit.cloth.mesh import best_label
 from clothkit.cloth.symmetry import relabel
@@ -27,8 +27,11 @@ class Perception(Protocol):
         """The height of the viewport of the voxels that it takes [normalised]; None if it takes meshes."""
         ...
 
-    def __call__(self, observation: Observation, expected: States | None) -> States:
-        """The states; `expected` are the predicted means of these states, None if nothing was predicted yet."""
+    def __call__(self, observation: Observation, expected: States | None, cloth: Float[np.ndarray, "task 3"]) -> States:
+        """The states; `expected` are the predicted means of these states, None if nothing was predicted yet.
+
+        `cloth` are the cloths' sides and thicknesses.
+        """
         ...
 
 
@@ -47,17 +50,18 @@ class Estimation:
     def height(self) -> float:
         return self.vtm.config.height
 
-    def __call__(self, observation: Observation, expected: Meshes | None) -> Meshes:
+    def __call__(self, observation: Observation, expected: Meshes | None, cloth: Float[np.ndarray, "task 3"]) -> Meshes:
         assert observation.voxels is not None, "an observation to estimate from has voxels"
 
-        def meshes(voxels: np.ndarray, *expected: np.ndarray) -> jax.Array:
+        def meshes(voxels: np.ndarray, cloth: np.ndarray, *expected: np.ndarray) -> jax.Array:
             predicted = expected[0] if expected else None
             if not self.refine:
-                return estimate_unrefined(self.vtm, voxels, predicted)
-            return estimate(self.vtm, voxels, self.refinement, predicted=predicted).mesh
+                return estimate_unrefined(self.vtm, voxels, predicted, cloth=cloth)
+            return estimate(self.vtm, voxels, self.refinement, predicted=predicted, cloth=cloth).mesh
 
         with timed("estimates", len(observation.voxels)):
-            return in_batches(meshes, self.batch, observation.voxels, *(() if expected is None else (expected,)))
+            inputs = (observation.voxels, cloth, *(() if expected is None else (expected,)))
+            return in_batches(meshes, self.batch, *inputs)
 
 
 @dataclass(frozen=True)
@@ -68,11 +72,11 @@ class KnownMeshes:
     """Whether their labels are those of the goal and stay the same. Else they follow the expected mesh's."""
     height: None = None
 
-    def __call__(self, observation: Observation, expected: Meshes | None) -> Meshes:
+    def __call__(self, observation: Observation, expected: Meshes | None, cloth: Float[np.ndarray, "task 3"]) -> Meshes:
         assert observation.meshes is not None, "an observation that is planned from as it is has meshes"
         if self.labelled or expected is None:
             return observation.meshes
-        return np.stack([labelled_like(*pair) for pair in zip(observation.meshes, expected, strict=True)])
+        return np.stack([labelled_like(*each) for each in zip(observation.meshes, expected, cloth, strict=True)])
 
 
 @dataclass(frozen=True)
@@ -81,11 +85,13 @@ class ObservedVoxels:
 
     height: float = HEIGHT
 
-    def __call__(self, observation: Observation, expected: States | None) -> States:
+    def __call__(self, observation: Observation, expected: States | None, cloth: Float[np.ndarray, "task 3"]) -> States:
         assert observation.voxels is not None, "an observation that is planned from as it is has voxels"
         return observation.voxels
 
 
-def labelled_like(mesh: Shaped[np.ndarray, "u v 3"], expected: Shaped[np.ndarray, "u v 3"]) -> np.ndarray:
-    """The Cartesian equivalent of a mesh that is nearest to `expected`."""
-    return np.asarray(relabel(mesh, best_label(expected.astype(np.float32), mesh, aligned=True)))
+def labelled_like(
+    mesh: Shaped[np.ndarray, "u v 3"], expected: Shaped[np.ndarray, "u v 3"], cloth: Float[np.ndarray, "3"]
+) -> np.ndarray:
+    """The Cartesian equivalent of a mesh that is nearest to `expected`, among those that keep the cloth's sides."""
+    return np.asarray(relabel(mesh, best_label(expected.astype(np.float32), mesh, aligned=True, cloth=cloth)))

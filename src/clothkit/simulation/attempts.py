@@ -84,34 +84,32 @@ def _attempt(numbers: range, settings: SimulateConfig, drawn: Drawn, first: Moti
     found = _empty(numbers, drawn)
     found.states[:, 0] = flat_state(simulation, topology)
     flat = float(np.ptp(found.states[0, 0, ..., 0]))
-    every = np.arange(count)
     if first is not None:
         opened = worlds.execute(found.states[:, 0], first)
         found.states[:, 0] = opened.states
         found.residual_speed[:, 0] = opened.residual_speed
     quality = measure(found.states[:, 0], simulation, topology)
-    _note(found, every, 0, quality, topology, flat)
+    _note(found, np.arange(count), 0, quality, topology, flat)
     if first is not None:
-        found.reason[:] = [reason(quality, opened, settings, index) for index in every]
+        found.reason[:] = [reason(quality, opened, settings, index) for index in range(count)]
     for step in range(STEPS):
         open_ = np.flatnonzero(found.reason == "")
-        drawn = []
+        moves = []
         for index in open_:
             mesh = (found.states[index, step] / np.float32(scale)).astype(np.float32)
             hands = draw_hands(rngs[index], settings.sampling)
-            drawn.append(sample(rngs[index], mesh, hands, settings.sampling, settings.candidates, topology))
-            if drawn[-1] is None:
+            moves.append(sample(rngs[index], mesh, hands, settings.sampling, settings.candidates, topology))
+            if moves[-1] is None:
                 found.reason[index] = "no manipulation"
-        chosen = [(index, draw) for index, draw in zip(open_, drawn, strict=True) if draw is not None]
+        chosen = [(index, move) for index, move in zip(open_, moves, strict=True) if move is not None]
         if not chosen:
             break
         indices = np.array([index for index, _ in chosen])
         before = found.states[indices, step]
-        points = [before[k].reshape(-1, 3)[list(draw.vertices), :2] for k, (_, draw) in enumerate(chosen)]
-        displacement = np.array([draw.displacement for _, draw in chosen]).astype(np.float32)
-        single = np.array([draw.single for _, draw in chosen])
-        moves = to_metres(displacement, scale)
-        taken, outcome = perform(worlds, before, np.array(points), moves, single)
+        points = [before[k].reshape(-1, 3)[list(move.vertices), :2] for k, (_, move) in enumerate(chosen)]
+        displacement = np.array([move.displacement for _, move in chosen]).astype(np.float32)
+        single = np.array([move.single for _, move in chosen])
+        taken, outcome = perform(worlds, before, np.array(points), to_metres(displacement, scale), single)
         quality = measure(outcome.states, simulation, topology)
         found.states[indices, step + 1] = outcome.states
         found.settle_time[indices, step] = outcome.settle_time

@@ -10,8 +10,9 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float, Int8
 
-from clothkit.cloth.topology import Topology, rectangle, square
+from clothkit.cloth.topology import CLOTH_LENGTH, Topology, rectangle, square
 from clothkit.simulation.kernels.state import PATH
 from clothkit.simulation.settings import DRAWN, LEAST_SPACING, STARTS, SimulationConfig, Start, Starts, VariationConfig
 from clothkit.simulation.solver import flat_state
@@ -19,6 +20,37 @@ from clothkit.simulation.world import Motion
 
 STREAM = 1
 """Number of the stream of random numbers for variation, so that manipulations are drawn from another one."""
+
+
+class Cloths(NamedTuple):
+    """The cloths of n sequences, as a dataset holds them."""
+
+    cloth: Float[np.ndarray, "n 3"]
+    """Sides along u and along v, and thickness [normalised]."""
+    start: Int8[np.ndarray, " n"]
+    """Index into STARTS."""
+    material: Float[np.ndarray, "n properties"]
+    """The properties in DRAWN, in SI units; NaN where a simulator did not tell them."""
+
+    def world(self, row: int, simulation: SimulationConfig) -> tuple[SimulationConfig, Topology]:
+        """The world of one sequence; what is not known is that of `simulation`."""
+        known = zip(DRAWN, self.material[row].tolist(), strict=True)
+        values = {name: value for name, value in known if not math.isnan(value)}
+        sides = (float(self.cloth[row, 0]), float(self.cloth[row, 1]))
+        return with_material(simulation, values), topology_of(simulation.side, sides)
+
+
+def topology_of(vertices: int, sides: tuple[float, float]) -> Topology:
+    """The square or rectangle with these sides [normalised] and so many vertices along each, with its symmetries."""
+    along_u, along_v = (CLOTH_LENGTH if side == max(sides) else side for side in sides)
+    if along_u == along_v:
+        return square(vertices)
+    return Topology((vertices, vertices), (along_u, along_v), rectangle(along_u / along_v).symmetries)
+
+
+def with_material(simulation: SimulationConfig, values: dict[str, float]) -> SimulationConfig:
+    """The simulation with another cloth: these properties of its material."""
+    return replace(simulation, material=replace(simulation.material, **values))
 
 
 class Drawn(NamedTuple):
@@ -32,9 +64,10 @@ class Drawn(NamedTuple):
 def draw(simulation: SimulationConfig, variation: VariationConfig, *, seed: int, number: int) -> Drawn:
     """The world of an attempt, which depends on the seed and its number alone."""
     rng = np.random.default_rng([seed, number, STREAM])
-    topology = square(simulation.side)
+    sides = (CLOTH_LENGTH, CLOTH_LENGTH)
     if rng.random() >= variation.squares:
-        topology = rectangle(_between(rng, variation.ratio), shape=topology.shape)
+        sides = (CLOTH_LENGTH, _rounded(CLOTH_LENGTH / _between(rng, variation.ratio)))
+    topology = topology_of(simulation.side, sides)
     # A little less, so that rounding does not make it too thick.
     thickest = 0.999 * min(simulation.spacing(topology)) / LEAST_SPACING
     values = {}
@@ -45,7 +78,7 @@ def draw(simulation: SimulationConfig, variation: VariationConfig, *, seed: int,
             )
     shares = np.array([getattr(variation.starts, start) for start in STARTS])
     start = STARTS[int(rng.choice(len(STARTS), p=shares / shares.sum()))]
-    return Drawn(replace(simulation, material=replace(simulation.material, **values)), topology, start)
+    return Drawn(with_material(simulation, values), topology, start)
 
 
 def opening(drawn: Drawn, starts: Starts, *, seed: int, number: int) -> Motion | None:
@@ -78,4 +111,9 @@ def opening(drawn: Drawn, starts: Starts, *, seed: int, number: int) -> Motion |
 
 
 def _between(rng: np.random.Generator, limits: tuple[float, float]) -> float:
-    return float(math.exp(rng.uniform(math.log(limits[0]), math.log(limits[1]))))
+    return _rounded(math.exp(rng.uniform(math.log(limits[0]), math.log(limits[1]))))
+
+
+def _rounded(value: float) -> float:
+    """The value as a dataset records it, so that its world can be built again to the last bit."""
+    return float(np.float32(value))

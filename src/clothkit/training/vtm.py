@@ -17,8 +17,8 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree, Shaped
 from clothkit.cloth import mesh as meshes
 from clothkit.cloth import voxels
 from clothkit.cloth.mesh import ProbabilisticMesh
-from clothkit.cloth.symmetry import equivalents, relabel_batch
-from clothkit.cloth.topology import SWAP
+from clothkit.cloth.symmetry import equal_labellings, equivalents, relabel_batch
+from clothkit.cloth.topology import SQUARE, SWAP
 from clothkit.dataset.store import STEPS, Dataset
 from clothkit.manipulation.turns import turn_mesh
 from clothkit.models.canonical import lies_along_y
@@ -26,6 +26,7 @@ from clothkit.models.layers import run
 from clothkit.models.settings import VtMConfig
 from clothkit.models.vtm import VtM, initial, turned
 from clothkit.runtime.errors import InputError
+from clothkit.simulation.settings import STARTS
 from clothkit.training.augment import random_turns
 from clothkit.training.devices import spread
 from clothkit.training.likelihood import held_nll
@@ -43,23 +44,42 @@ class States(NamedTuple):
     """Single states as device arrays, centred [normalised]."""
 
     folded: Float[Array, "states u v 3"]
-    flat: Float[Array, "u v 3"]
+    """All that are not flat, as far as they were recorded."""
+    sequence: Int[Array, " states"]
+    """Which row of the cloths each one is of."""
+    flat: Float[Array, "cloths u v 3"]
+    """Each sequence's cloth, flat."""
+    cloth: Float[Array, "cloths 3"]
+    """Sides and thickness of each sequence's cloth."""
 
 
 def states(dataset: Dataset) -> States:
-    """The states of a dataset that follow a manipulation, and the flat cloth."""
-    follows = np.arange(STEPS + 1) <= dataset.length[:, None]
-    follows[:, 0] = False
-    return States(jnp.asarray(dataset.vertices[follows]), jnp.asarray(dataset.vertices[0, 0]))
+    """The states of a dataset that are not flat, and its cloths when they are flat."""
+    folded = np.arange(STEPS + 1) <= dataset.length[:, None]
+    folded[:, 0] = dataset.start != STARTS.index("flat")
+    flat = np.where(folded[:, 0, None, None, None], _flat(dataset.cloth), dataset.vertices[:, 0])
+    found = (dataset.vertices[folded], np.nonzero(folded)[0], flat, dataset.cloth)
+    return States(*(jnp.asarray(part) for part in found))
 
 
-def draw(data: States, settings: TrainVtMConfig, *, key: PRNGKeyArray) -> Float[Array, "batch u v 3"]:
-    """A random batch of states, rotated and mirrored at random; a share `settings.flat` of them is flat."""
+def _flat(cloth: Float[np.ndarray, "cloths 3"]) -> Float[np.ndarray, "cloths u v 3"]:
+    """Cloths with these sides and thicknesses, flat on the table: their vertices lie in their middle."""
+    uv = SQUARE.geodesic() * cloth[:, None, None, :2] / 2
+    z = np.broadcast_to(cloth[:, None, None, 2:] / 2, (*uv.shape[:-1], 1))
+    return np.concatenate([uv, z], axis=-1).astype(np.float32)
+
+
+def draw(
+    data: States, settings: TrainVtMConfig, *, key: PRNGKeyArray
+) -> tuple[Float[Array, "batch u v 3"], Float[Array, "batch 3"]]:
+    """A random batch of states, rotated and mirrored at random, and their cloths; a share `settings.flat` is flat."""
     state_key, flat_key, turn_key = jax.random.split(key, 3)
     batch = settings.training.batch
-    chosen = data.folded[jax.random.randint(state_key, (batch,), 0, data.folded.shape[0])]
+    row = jax.random.randint(state_key, (batch,), 0, data.folded.shape[0])
     is_flat = jax.random.bernoulli(flat_key, settings.flat, (batch, 1, 1, 1))
-    return turn_mesh(jnp.where(is_flat, data.flat, chosen), random_turns(batch, key=turn_key))
+    sequence = data.sequence[row]
+    mesh = jnp.where(is_flat, data.flat[sequence], data.folded[row])
+    return turn_mesh(mesh, random_turns(batch, key=turn_key)), data.cloth[sequence]
 
 
 def observed(
@@ -83,11 +103,20 @@ def shown(
 
 
 def loss_vtm(
-    mesh: Float[Array, "batch u v 3"], estimate: ProbabilisticMesh, *, hold: float = 0.0
+    mesh: Float[Array, "batch u v 3"],
+    estimate: ProbabilisticMesh,
+    *,
+    cloth: Float[Array, "batch 3"] | None = None,
+    hold: float = 0.0,
 ) -> Float[Array, " batch"]:
-    """Eq. (12): the negative log likelihood (`held_nll` with that `hold`) for the most likely labelling of the mesh."""
+    """Eq. (12): the negative log likelihood (`held_nll` with that `hold`) for the most likely labelling of the mesh.
+
+    With `cloth`, its sides and thickness, only labellings that keep its sides count.
+    """
     # Choosing the labelling first keeps the other seven out of the backward pass; the gradient is the same.
     likelihoods = jax.lax.stop_gradient(meshes.nll(equivalents(mesh), estimate))
+    if cloth is not None:
+        likelihoods = jnp.where(jnp.moveaxis(equal_labellings(cloth), -1, 0), likelihoods, jnp.inf)
     return held_nll(relabel_batch(mesh, jnp.argmin(likelihoods, axis=0)), estimate, hold)
 
 
@@ -100,13 +129,17 @@ def among(chosen: Int[np.ndarray, " voxels"], seen: Shaped[Array, "batch x y z"]
 def narrowed(params: PyTree, chosen: Int[np.ndarray, " voxels"]) -> PyTree:
     """The weights without those of the first layer for voxels that are not chosen."""
     first = params["layer_1"]
-    return {**params, "layer_1": {**first, "kernel": first["kernel"][chosen]}}
+    # Inputs after the voxels tell of the cloth.
+    kept = np.concatenate([chosen, np.arange(len(EVERY), len(first["kernel"]))])
+    return {**params, "layer_1": {**first, "kernel": first["kernel"][kept]}}
 
 
 def widened(params: PyTree, chosen: Int[np.ndarray, " voxels"]) -> PyTree:
     """The inverse of `narrowed`: weights for all voxels, with zeros for those that were not chosen."""
     first = params["layer_1"]
-    kernel = jnp.zeros((len(EVERY), first["kernel"].shape[1])).at[chosen].set(first["kernel"])
+    narrow = first["kernel"]
+    voxels = jnp.zeros((len(EVERY), narrow.shape[1])).at[chosen].set(narrow[: len(chosen)])
+    kernel = jnp.concatenate([voxels, narrow[len(chosen) :]])
     return {**params, "layer_1": {**first, "kernel": kernel}}
 
 
@@ -121,7 +154,7 @@ def taken(data: States, settings: TrainVtMConfig) -> Int[np.ndarray, " voxels"]:
     @jax.jit
     def occupied(data: States, key: PRNGKeyArray) -> Float[Array, "x y z"]:
         draw_key, noise_key = jax.random.split(key)
-        mesh = draw(data, settings, key=draw_key)
+        mesh, _ = draw(data, settings, key=draw_key)
         return jnp.mean(shown(mesh, observed(mesh, settings, key=noise_key), settings.net)[1], axis=0)
 
     batches = -(-COUNTED // settings.training.batch)
@@ -136,30 +169,37 @@ def problem(settings: TrainVtMConfig, validation: Dataset, chosen: Int[np.ndarra
     """The functions that the training loop needs for VtM; the training data are `States`, the weights are narrowed."""
     net = VtM(settings.net, settings.training.start)
 
-    def estimated(params: PyTree, seen: Bool[Array, "batch x y z"]) -> ProbabilisticMesh:
-        return run(net, params, among(chosen, seen))
+    def estimated(
+        params: PyTree, seen: Bool[Array, "batch x y z"], cloth: Float[Array, "batch 3"]
+    ) -> ProbabilisticMesh:
+        return run(net, params, among(chosen, seen), cloth)
 
     def gradient(params: PyTree, data: States, key: PRNGKeyArray) -> tuple[PyTree, dict[str, Any]]:
         draw_key, noise_key = jax.random.split(key)
-        mesh = spread(draw(data, settings, key=draw_key))
+        mesh, cloth = spread(draw(data, settings, key=draw_key))
         mesh, seen = shown(mesh, observed(mesh, settings, key=noise_key), settings.net)
 
         def loss(params: PyTree) -> Float[Array, ""]:
-            return jnp.mean(loss_vtm(mesh, estimated(params, seen), hold=settings.hold))
+            return jnp.mean(loss_vtm(mesh, estimated(params, seen, cloth), cloth=cloth, hold=settings.hold))
 
         value, gradient = jax.value_and_grad(loss)(params)
         return gradient, {"loss": value}
 
     @jax.jit
-    def errors_of(params: PyTree, mesh: Float[Array, "batch u v 3"]) -> Float[Array, " batch"]:
+    def errors_of(
+        params: PyTree, mesh: Float[Array, "batch u v 3"], cloth: Float[Array, "batch 3"]
+    ) -> Float[Array, " batch"]:
         mesh, seen = shown(mesh, voxels.observe(mesh, height=settings.net.height), settings.net)
-        return meshes.error(estimated(params, seen).mean, mesh)
+        return meshes.error(estimated(params, seen, cloth).mean, mesh, cloth=cloth)
 
     longest = int(validation.length.max())
-    by_step = [jnp.asarray(validation.vertices[validation.length >= i, i]) for i in range(longest + 1)]
+    long = [validation.length >= i for i in range(longest + 1)]
+    by_step = [
+        (jnp.asarray(validation.vertices[rows, i]), jnp.asarray(validation.cloth[rows])) for i, rows in enumerate(long)
+    ]
 
     def validate(params: PyTree) -> dict[str, float]:
-        errors = [float(errors_of(params, mesh).mean()) for mesh in by_step]
+        errors = [float(errors_of(params, *examples).mean()) for examples in by_step]
         return {"score": float(np.mean(errors[1:])), **{f"step_{i}": error for i, error in enumerate(errors)}}
 
     def start(key: PRNGKeyArray) -> PyTree:
