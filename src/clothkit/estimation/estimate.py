@@ -10,6 +10,7 @@ from jaxtyping import Array, Float, Shaped
 from clothkit.cloth.mesh import Cloth, ProbabilisticMesh, nll
 from clothkit.cloth.symmetry import equal_labellings, relabel_batch
 from clothkit.cloth.topology import PAPERS_CLOTH, SQUARE, Topology
+from clothkit.estimation.layering import lift
 from clothkit.estimation.refine import RefineConfig, refine
 from clothkit.models import vtm
 from clothkit.models.net import Net
@@ -39,7 +40,17 @@ def estimate(
     probabilistic = estimate_probabilistic(net, voxels, predicted, cloth=cloth)
     start = probabilistic.mean if predicted is None else predicted
     refined = refine(probabilistic, start, settings, cloth=cloth, voxels=voxels, height=net.config.height)
-    return Estimate(probabilistic, refined)
+    return Estimate(probabilistic, lifted(refined, cloth) if settings.lift else refined)
+
+
+def lifted(meshes: Float[Array, "batch u v 3"], cloth: Cloth) -> Float[Array, "batch u v 3"]:
+    """Meshes whose layers don't pierce one another (layering.py), of cloths with these sides and thicknesses."""
+    measures = np.broadcast_to(np.asarray(cloth, float), (len(meshes), 3)).tolist()
+    apart = [
+        lift(mesh, thickness=thickness, sides=(along_u, along_v))
+        for mesh, (along_u, along_v, thickness) in zip(np.asarray(meshes), measures, strict=True)
+    ]
+    return jnp.asarray(np.stack(apart))
 
 
 def estimate_probabilistic(

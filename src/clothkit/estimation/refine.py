@@ -20,11 +20,28 @@ SHORTEST_SPRING = 1e-6
 
 
 @config
+class Level:
+    """A stage of refinement in which a mesh moves as a coarse grid of control points does, linearly in between."""
+
+    points: Annotated[int, Ge(2)]
+    """Control points along each side."""
+    step: Annotated[float, Gt(0)]
+    """Step size of SignSGD for the control points [normalised]."""
+    iterations: Annotated[int, Gt(0)]
+    """Largest number of iterations."""
+
+
+@config
 class RefineConfig:
     """Weights of the loss, step size and stopping rule of refinement; the defaults are the paper's."""
 
     spring_weight: Annotated[float, Ge(0)] = 5000.0
     upward_weight: Annotated[float, Ge(0)] = 1000.0
+    lift: bool = False
+    """Whether layers that pierce one another are moved apart at the end (layering.py), which the paper has not."""
+    coarse: tuple[Level, ...] = ()
+    """Stages before that in which each vertex moves for itself, which the paper has not. Where a probabilistic mesh is
+    unsure, its mean is too small; vertices that are pushed apart one by one crumple it, coarse moves spread it out."""
     observed_weight: Annotated[float, Ge(0)] = 0.0
     """Weight of the term that has a mesh explain the observed voxels, which the paper has not: `explanation.py`."""
     pulls: Annotated[int, Gt(0), Le(RESOLUTION[0] * RESOLUTION[1])] = 64
@@ -114,11 +131,10 @@ def refine(
 ) -> Float[Array, "batch u v 3"]:
     """R of eq. (10): for each mesh of the batch, the mesh of lowest loss that SignSGD finds from `start`.
 
-    `cloth` are the cloths' sides and thicknesses, if they are not the topology's. With `observed_weight`, meshes
-    are also to explain the occluded `voxels`, of a viewport of that height. Each mesh
-    stops when its own loss has stabilised, so that its result does not depend on the rest of the batch.
+    `cloth` are the cloths' sides and thicknesses, if they are not the topology's. With `observed_weight`, meshes are
+    also to explain the occluded `voxels`, of a viewport of that height. In each stage, a mesh stops when its own loss
+    has stabilised, so that its result does not depend on the rest of the batch.
     """
-
     seen = columns(voxels, height=height) if voxels is not None and settings.observed_weight else None
 
     def total(mesh: Array, pulled: Pulls | None) -> tuple[Array, Array]:
@@ -131,28 +147,50 @@ def refine(
         due = search.iteration % settings.renewed == 0
         return jax.lax.cond(due, lambda mesh: pulls(mesh, seen, settings.pulls), lambda _: search.pulled, search.mesh)
 
-    def searching(search: _Search) -> Bool[Array, ""]:
-        return (search.iteration < settings.iterations) & jnp.any(search.stale < settings.patience)
+    def stage(start: Array, step: float, iterations: int, points: int | None) -> Array:
+        """The mesh of lowest loss on the way from `start`."""
 
-    def move(search: _Search) -> _Search:
-        pulled = None if seen is None else renewed(search, seen)
-        gradient, loss = jax.grad(total, has_aux=True)(search.mesh, pulled)
-        active = search.stale < settings.patience
-        lower = active & (loss < search.lowest)
-        # `level` is the loss at the last improvement, so that many small decreases add up to one.
-        fell = jnp.isinf(search.level) | (loss < search.level - settings.tolerance * jnp.abs(search.level))
-        return _Search(
-            search.iteration + 1,
-            jnp.where(active[:, None, None, None], search.mesh - settings.step * jnp.sign(gradient), search.mesh),
-            jnp.where(lower[:, None, None, None], search.mesh, search.found),
-            jnp.where(lower, loss, search.lowest),
-            jnp.where(active & fell, loss, search.level),
-            jnp.where(active, jnp.where(fell, 0, search.stale + 1), search.stale),
-            pulled,
-        )
+        def searching(search: _Search) -> Bool[Array, ""]:
+            return (search.iteration < iterations) & jnp.any(search.stale < settings.patience)
 
-    start = jnp.asarray(start)
-    unknown = jnp.full(len(start), jnp.inf, start.dtype)
-    pulled = None if seen is None else pulls(start, seen, settings.pulls)
-    first = _Search(jnp.int32(0), start, start, unknown, unknown, jnp.zeros(len(start), jnp.int32), pulled)
-    return jax.lax.while_loop(searching, move, first).found
+        def move(search: _Search) -> _Search:
+            pulled = None if seen is None else renewed(search, seen)
+            gradient, loss = jax.grad(total, has_aux=True)(search.mesh, pulled)
+            moved = search.mesh - step * (jnp.sign(gradient) if points is None else _coarse_sign(gradient, points))
+            active = search.stale < settings.patience
+            lower = active & (loss < search.lowest)
+            # `level` is the loss at the last improvement, so that many small decreases add up to one.
+            fell = jnp.isinf(search.level) | (loss < search.level - settings.tolerance * jnp.abs(search.level))
+            return _Search(
+                search.iteration + 1,
+                jnp.where(active[:, None, None, None], moved, search.mesh),
+                jnp.where(lower[:, None, None, None], search.mesh, search.found),
+                jnp.where(lower, loss, search.lowest),
+                jnp.where(active & fell, loss, search.level),
+                jnp.where(active, jnp.where(fell, 0, search.stale + 1), search.stale),
+                pulled,
+            )
+
+        unknown = jnp.full(len(start), jnp.inf, start.dtype)
+        pulled = None if seen is None else pulls(start, seen, settings.pulls)
+        first = _Search(jnp.int32(0), start, start, unknown, unknown, jnp.zeros(len(start), jnp.int32), pulled)
+        return jax.lax.while_loop(searching, move, first).found
+
+    mesh = jnp.asarray(start)
+    for level in settings.coarse:
+        mesh = stage(mesh, level.step, level.iterations, level.points)
+    return stage(mesh, settings.step, settings.iterations, None)
+
+
+def _coarse_sign(gradient: Float[Array, "batch u v 3"], points: int) -> Float[Array, "batch u v 3"]:
+    """The direction of SignSGD for a grid of points x points control points, at the vertices."""
+    along_u, along_v = (_shares(points, vertices) for vertices in gradient.shape[1:3])
+    of_points = jnp.einsum("ui,buvc,vj->bijc", along_u, gradient, along_v)
+    return jnp.einsum("ui,bijc,vj->buvc", along_u, jnp.sign(of_points), along_v)
+
+
+def _shares(points: int, vertices: int) -> Float[np.ndarray, "vertices points"]:
+    """The share of each of a line's control points in the displacement of each vertex, by linear interpolation."""
+    return np.array(
+        [np.interp(np.linspace(0, points - 1, vertices), np.arange(points), one) for one in np.eye(points)], np.float32
+    ).T
