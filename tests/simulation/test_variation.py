@@ -36,6 +36,7 @@ VARIATION = VariationConfig(
     stretch_stiffness=(1000.0, 4000.0),
     shear_stiffness=(1.0, 40.0),
     bending_stiffness=(1e-5, 2e-4),
+    bending_limit=(30.0, 1000.0),
     cloth_friction=(0.2, 0.8),
     table_friction=(0.3, 1.0),
     squares=0.5,

@@ -129,7 +129,7 @@ Range = tuple[Positive, Positive]
 """Lowest and highest value."""
 
 DRAWN = (
-    *("thickness", "density", "stretch_stiffness", "shear_stiffness", "bending_stiffness"),
+    *("thickness", "density", "stretch_stiffness", "shear_stiffness", "bending_stiffness", "bending_limit"),
     *("cloth_friction", "table_friction"),
 )
 """Properties of the material that a sequence can draw."""
@@ -170,6 +170,7 @@ class VariationConfig:
     stretch_stiffness: Range | None = None  # N/m
     shear_stiffness: Range | None = None  # N/m
     bending_stiffness: Range | None = None  # N m
+    bending_limit: Range | None = None  # 1/m
     cloth_friction: Range | None = None
     table_friction: Range | None = None
     squares: Annotated[float, Ge(0), Le(1)] = 1.0  # share of the sequences; the others' cloths are rectangles

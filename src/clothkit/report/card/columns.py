@@ -77,6 +77,7 @@ MEANINGS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "stretch_stiffness": ("N/m", "tension per strain along the threads"),
         "shear_stiffness": ("N/m", "shear force per length and angle"),
         "bending_stiffness": ("N m", "moment per width and curvature"),
+        "bending_limit": ("1/m", "curvature beyond which the moment no longer grows"),
         "cloth_friction": ("", "coefficient, of the cloth on itself"),
         "table_friction": ("", "coefficient, on the table"),
     },
