@@ -104,7 +104,7 @@ def test_what_is_clamped_is_said_and_stands_in_the_plan(here: Path) -> None:
     assert "% of the cloth lies higher than nets see, whose viewport ends 36 mm above the table" in notice
     seen = read_input("thick.obj", observation_options(APP, side=None, table=None))
     unknown = EstimateAgreement(0.2, 0.1, False, "thick.obj: the estimate does not explain what was seen")
-    request = PlanRequest(seen, seen, SQUARE.flat(), None, 0.4, 0, "table", (unknown, None))
+    request = PlanRequest(seen, seen, SQUARE.flat(), None, (0.4, 0.4), 0.002, 0, "table", (unknown, None))
     # Once, although state and goal are one file.
     assert notices(request) == [notice.removeprefix("notice: "), unknown.sentence]
 

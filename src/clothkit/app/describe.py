@@ -35,12 +35,19 @@ class PlanRequest(NamedTuple):
     """The goal of the search, in the system's representation; turned if the plan was turned."""
     matrix: Float[np.ndarray, "2 2"] | None
     """The matrix that the goal was turned or mirrored by; None: it was not."""
-    side: float
-    """Side of the flat cloth [m]."""
+    sides: tuple[float, float]
+    """Sides of the flat cloth, the longer one first [m]."""
+    thickness: float
+    """Distance of the middles of two layers that touch [m]."""
     seed: int
     frame: Frame
     agreements: tuple[EstimateAgreement | None, EstimateAgreement | None] = (None, None)
     """Agreement of the estimates of state and goal with their observations; None: not estimated."""
+
+    @property
+    def side(self) -> float:
+        """The longer side [m]."""
+        return self.sides[0]
 
 
 def frame_of(source: Input, wanted: Frame) -> Frame:
@@ -105,6 +112,8 @@ def describe(planner: Planner, planned: Planned, paths: list[HandPaths], request
         "goal": _source(planner, request.goal, request.agreements[1], goal=True),
         "turned": None if request.matrix is None else rounded(request.matrix, 9),
         "side_m": request.side,
+        "sides_m": None if request.sides[0] == request.sides[1] else request.sides,
+        "thickness_m": request.thickness,
         "metres_per_normalised": pose.scale,
         "table": {"axes": pose.rotation.tolist(), "origin_m": pose.origin.tolist()},
         "start": {"state": _state(planned.state, None, pose), "centre_m": _centre(pose)},

@@ -234,7 +234,11 @@ class Plan(Part):
     turned: tuple[tuple[float, float], tuple[float, float]] | None
     """The matrix in the table's plane that the goal was turned or mirrored by for the hands to reach all waypoints."""
     side_m: Annotated[float, Ge(0.01), Le(10)]
-    """Of the flat cloth."""
+    """Of the flat cloth; the longer one if it is no square."""
+    sides_m: tuple[Annotated[float, Ge(0.01), Le(10)], Annotated[float, Ge(0.01), Le(10)]] | None = None
+    """Both sides, the longer one first; null: a square, or the file is of an older version."""
+    thickness_m: Annotated[float, Gt(0), Le(1)] | None = None
+    """Distance of the middles of two layers that touch; null: the file is of an older version."""
     metres_per_normalised: Annotated[float, Gt(0)]
     """side_m / 1.4."""
     table: Table

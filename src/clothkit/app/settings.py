@@ -16,7 +16,11 @@ class AppConfig:
     """Settings of the command line, the same at every scale; a command's options override them."""
 
     side: Annotated[float, Gt(0)] = SimulationConfig().cloth_side
-    """Side of the flat cloth [m]."""
+    """Side of the flat cloth, the longer one if it is no square [m]."""
+    shorter: Annotated[float, Gt(0)] | None = None
+    """Its shorter side [m]; None: it is a square."""
+    thickness: Annotated[float, Gt(0)] = SimulationConfig().material.thickness
+    """Distance of the middles of two layers that touch, such as half the height of a cloth folded once [m]."""
     table: tuple[float, float, float, float] | None = None
     """a, b, c, d of the table's plane a x + b y + c z = d [m] in the clouds' frame, (a, b, c) up; None: fitted."""
     up: Triple | None = None

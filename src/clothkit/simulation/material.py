@@ -19,6 +19,10 @@ Positive = Annotated[float, Gt(0.0)]
 NotNegative = Annotated[float, Ge(0.0)]
 
 
+THINNEST, THICKEST = 1e-3, 8e-3
+"""Range of `Material.thickness` [m]."""
+
+
 @config
 class Material:
     """The cloth and the table, in SI units, so that folds stay alike when the time step or the grid is refined.
@@ -37,7 +41,7 @@ class Material:
     bending_stiffness: Annotated[float, Ge(1e-6), Le(1e-3)] = 2e-5  # N m, moment per width and curvature
     bending_friction: Annotated[float, Ge(0), Le(5e-3)] = 0.0  # N, moment per width against any change of curvature
     bending_limit: Annotated[float, Ge(5), Le(1e4)] = 31.0  # 1/m, curvature beyond which the moment no longer grows
-    thickness: Annotated[float, Ge(1e-3), Le(8e-3)] = 2e-3  # m, distance of touching layers
+    thickness: Annotated[float, Ge(THINNEST), Le(THICKEST)] = 2e-3  # m, distance of touching layers
     cloth_friction: Annotated[float, Ge(0), Le(0.8)] = 0.3
     table_friction: Annotated[float, Ge(0), Le(2)] = 0.7
     stiction: Annotated[float, Ge(0), Le(10)] = 2.0  # m/s^2, a smaller acceleration does not move a resting vertex

@@ -14,6 +14,7 @@ from jaxtyping import Float, Int8
 
 from clothkit.cloth.topology import CLOTH_LENGTH, Topology, rectangle, square
 from clothkit.simulation.kernels.state import PATH
+from clothkit.simulation.material import THICKEST, THINNEST
 from clothkit.simulation.settings import DRAWN, LEAST_SPACING, STARTS, SimulationConfig, Start, Starts, VariationConfig
 from clothkit.simulation.solver import flat_state
 from clothkit.simulation.world import Motion
@@ -38,6 +39,20 @@ class Cloths(NamedTuple):
         values = {name: value for name, value in known if not math.isnan(value)}
         sides = (float(self.cloth[row, 0]), float(self.cloth[row, 1]))
         return with_material(simulation, values), topology_of(simulation.side, sides)
+
+
+def simulated_cloths(cloth: Float[np.ndarray, "n 3"], simulation: SimulationConfig) -> Cloths:
+    """Cloths of which only sides and thickness are known [normalised]; all else is that of `simulation`.
+
+    A cloth that is thicker than the grid allows is as thick as it allows.
+    """
+    count = len(cloth)
+    material = np.full((count, len(DRAWN)), np.nan, np.float32)
+    spacing = cloth[:, :2].min(1) * (simulation.cloth_side / CLOTH_LENGTH) / (simulation.side - 1)
+    thickness = cloth[:, 2] * (simulation.cloth_side / CLOTH_LENGTH)
+    thickest = np.minimum(THICKEST, 0.999 * spacing / LEAST_SPACING)
+    material[:, DRAWN.index("thickness")] = np.clip(thickness, THINNEST, thickest)
+    return Cloths(cloth.astype(np.float32), np.zeros(count, np.int8), material)
 
 
 def topology_of(vertices: int, sides: tuple[float, float]) -> Topology:
