@@ -47,7 +47,7 @@ def dragged(mesh: Array, manipulation: Array, strength: Array | float = 1.0) -> 
     return mesh + strength * near[..., None] * jnp.concatenate([d, lift], axis=-1)
 
 
-def encode(net: Array, mesh: Array) -> Array:
+def encode(net: Array, mesh: Array, cloth: Any = None) -> Array:
     mesh = jnp.asarray(mesh)
     return mesh.reshape(*mesh.shape[:-3], -1)
 

@@ -114,11 +114,13 @@ def execute(
     *,
     settings: SimulationConfig,
     workers: int = 0,
+    topology: Topology | None = None,
 ) -> Float[np.ndarray, "worlds u v 3"]:
     """Execute one manipulation per mesh and return the resulting meshes; all normalised, in the world frame.
 
     Single-handed manipulations (`single`) use the first grasp point. The outcome depends neither on `workers`
-    (0: all cores) nor on the other worlds. Without `cloths`, each cloth is the square of `settings`.
+    (0: all cores) nor on the other worlds. Without `cloths`, all cloths have the topology, or are the square of
+    `settings`.
     """
     scale = settings.cloth_side / CLOTH_LENGTH
     states = (np.asarray(meshes, np.float64) * scale).astype(np.float32)
@@ -126,14 +128,14 @@ def execute(
     moves = np.asarray(displacement, np.float64) * scale
     parts = min(workers or cores(), max(1, len(states) // WORTH_A_WORKER))
     if parts == 1 or settings.device != "cpu":
-        final = _run(settings, cloths, states, grasps, moves, single)
+        final = _run(settings, topology, cloths, states, grasps, moves, single)
     else:
         # Interleaved, so that the parts cost about the same.
         indices = [np.arange(part, len(states), parts) for part in range(parts)]
         pool = _shared_pool(parts)
         parts_of = [None if cloths is None else Cloths(*(part[i] for part in cloths)) for i in indices]
         jobs = [
-            pool.submit(_run, settings, own, states[i], grasps[i], moves[i], single[i])
+            pool.submit(_run, settings, topology, own, states[i], grasps[i], moves[i], single[i])
             for i, own in zip(indices, parts_of, strict=True)
         ]
         final = np.empty_like(states)
@@ -144,6 +146,7 @@ def execute(
 
 def _run(
     settings: SimulationConfig,
+    topology: Topology | None,
     cloths: Cloths | None,
     states: np.ndarray,
     grasps: np.ndarray,
@@ -151,7 +154,8 @@ def _run(
     single: np.ndarray,
 ) -> np.ndarray:
     worlds = [
-        (settings, settings.topology) if cloths is None else cloths.world(k, settings) for k in range(len(states))
+        (settings, topology or settings.topology) if cloths is None else cloths.world(k, settings)
+        for k in range(len(states))
     ]
     final = np.empty_like(states)
     for world in dict.fromkeys(worlds):
