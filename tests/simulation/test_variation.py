@@ -14,6 +14,8 @@ from hypothesis import strategies as st
 
 from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.dataset.regularise import RegulariseConfig, regularise
+from clothkit.simulation.attempts import to_metres
+from clothkit.simulation.executor import perform
 from clothkit.simulation.generation import generate
 from clothkit.simulation.quality import intersections
 from clothkit.simulation.settings import (
@@ -154,6 +156,23 @@ def test_cloths_of_all_ratios_become_grids_of_one_size(raw: Path) -> None:
         lines = np.linalg.norm(np.diff(dataset.vertices, axis=axis), axis=-1).sum(axis)
         # Chords are shorter than the folded lines that they span.
         np.testing.assert_allclose(np.median(lines, axis=(1, 2)), dataset.cloth[:, side], rtol=0.05)
+
+
+def test_a_recorded_fold_of_any_cloth_is_repeated_to_the_last_bit(raw: Path) -> None:
+    dataset = regularise(raw, RegulariseConfig(train=1, validation=1, test=1, evaluated=1))
+    states, moves = pd.read_parquet(raw / "states"), pd.read_parquet(raw / "manipulations.parquet")
+    cloths = dataset.cloths(np.arange(3))
+    for sequence, step in ((0, 0), (1, 1), (2, 2)):
+        own = states[states["sequence"] == sequence]["vertices"].tolist()
+        before, after = (own[state].reshape(1, 16, 16, 3) for state in (step, step + 1))
+        move = moves[(moves["sequence"] == sequence) & (moves["step"] == step)].iloc[0]
+        uv = move[["u1", "v1", "u2", "v2"]].to_numpy(float).reshape(2, 2)
+        vertices = np.rint((uv + 1) / 2 * 15).astype(int) @ [16, 1]
+        points = before.reshape(-1, 3)[vertices, :2][None]
+        displacement = to_metres(move[["dx", "dy"]].to_numpy(np.float32)[None], 0.4 / CLOTH_LENGTH)
+        worlds = Worlds(1, *cloths.world(sequence, SIMULATION))
+        _, outcome = perform(worlds, before, points, displacement, np.array([move["hands"] == 1]))
+        np.testing.assert_array_equal(outcome.states, after)
 
 
 def test_workers_and_blocks_change_nothing(raw: Path, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from clothkit.cloth.silhouette import silhouette
 from clothkit.cloth.topology import CLOTH_LENGTH, REVERSE_V, Topology, rectangle
+from clothkit.dataset.store import papers_cloths
 from clothkit.simulation.executor import execute, layers_below, place_hands
 from clothkit.simulation.kernels.state import PATH
 from clothkit.simulation.quality import measure, reason

@@ -153,16 +153,13 @@ def _run(
     moves: np.ndarray,
     single: np.ndarray,
 ) -> np.ndarray:
-    worlds = [
-        (settings, topology or settings.topology) if cloths is None else cloths.world(k, settings)
-        for k in range(len(states))
-    ]
+    same = (settings, topology or settings.topology)
+    worlds = [same if cloths is None else cloths.world(row, settings) for row in range(len(states))]
     final = np.empty_like(states)
     for world in dict.fromkeys(worlds):
-        rows = np.array([k for k, other in enumerate(worlds) if other == world])
-        final[rows] = perform(_worlds(*world, len(rows)), states[rows], grasps[rows], moves[rows], single[rows])[
-            1
-        ].states
+        rows = np.array([row for row, other in enumerate(worlds) if other == world])
+        _, outcome = perform(_worlds(*world, len(rows)), *(part[rows] for part in (states, grasps, moves, single)))
+        final[rows] = outcome.states
     return final
 
 
