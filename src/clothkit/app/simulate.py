@@ -96,7 +96,9 @@ def command(
     plan = read_plan(source)
     if steps and steps > len(plan.steps):
         raise InputError(f"--steps: {source} has {len(plan.steps)}, found {steps}")
-    values |= cloth_of(plan, values, source)
+    # A thicker cloth than that of the plan may be tried; one of other sides would begin stretched.
+    thickness = values.pop("thickness")
+    values |= cloth_of(plan, values, source) | ({} if thickness is None else {"thickness": thickness})
     options = observation_options(settings.app, **values)
     check_target(out, FORMATS)
     keep_compiled_programs()
