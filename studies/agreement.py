@@ -43,7 +43,7 @@ Shower = Callable[[np.ndarray], np.ndarray | None]
 
 def conditions(net: Net, pictures: PictureConfig) -> dict[str, Shower]:
     """Return, per condition, the function from a mesh to its observed voxels; None if the camera finds no cloth."""
-    height = net.config.height
+    viewport = net.config.viewport
 
     def camera(mesh: np.ndarray) -> np.ndarray | None:
         try:
@@ -52,7 +52,7 @@ def conditions(net: Net, pictures: PictureConfig) -> dict[str, Shower]:
             return None
 
     def thick(factor: float) -> Shower:
-        return lambda mesh: np.asarray(voxels.observe(mesh * np.array([1, 1, factor], np.float32), height=height))
+        return lambda mesh: np.asarray(voxels.observe(mesh * np.array([1, 1, factor], np.float32), viewport=viewport))
 
     return {"voxels": thick(1.0), "camera": camera, "heights x 2": thick(2.0), "heights x 4": thick(4.0)}
 
@@ -73,7 +73,7 @@ def main() -> None:
         pictures,
         camera=dataclasses.replace(pictures.camera, tilt=0.35),
         noise=pictures.noise or NoiseConfig(),
-        cloud=dataclasses.replace(pictures.cloud, height=net.config.height),
+        cloud=dataclasses.replace(pictures.cloud, viewport=net.config.viewport),
     )
     folder = Path("reports") / params.scale / "studies"
     folder.mkdir(parents=True, exist_ok=True)
@@ -91,7 +91,7 @@ def main() -> None:
             # The last batch is padded to the same size, which avoids another compilation.
             filled = np.stack([np.asarray(shown[kept[min(i, len(kept) - 1)]]) for i in range(BATCH)])
             estimated = np.asarray(estimate(net, filled, refine).mesh)[: len(kept)]
-            agreed = agreement(estimated, filled[: len(kept)], height=net.config.height)
+            agreed = agreement(estimated, filled[: len(kept)], viewport=net.config.viewport)
             of_batch = pd.DataFrame([places[start + i] for i in kept], columns=["sequence", "state"])
             of_batch = of_batch.assign(silhouette=agreed.silhouette, heights=agreed.heights)
             found.append(of_batch.assign(error=errors(estimated, truth[kept])))

@@ -113,7 +113,7 @@ def estimated(picture: Picture, observation: Observation, net: Net, refine: obje
 def row_of(picture: Picture, observation: Observation, mesh: Float[np.ndarray, "u v 3"], net: Net) -> dict:
     """Return what the study tells of an image."""
     placed = observation.pose.normalised_to_table(mesh.astype(float))
-    agrees = agreement(mesh[None], observation.voxels[None], height=net.config.height)
+    agrees = agreement(mesh[None], observation.voxels[None], viewport=net.config.viewport)
     return {
         "image": picture.name,
         "corners_cm": np.nan if picture.markers is None else 100 * corner_error(placed, picture.markers),
@@ -173,7 +173,7 @@ def main() -> None:
     asked = parser.parse_args()
     params = load_params(Path("params.yaml"))
     net, refine = store.load(asked.data / "nets/vtm"), params.stages.plan.refine
-    settings = dataclasses.replace(params.app.cloud, height=net.config.height)
+    settings = dataclasses.replace(params.app.cloud, viewport=net.config.viewport)
     if asked.pictures:
         asked.pictures.mkdir(parents=True, exist_ok=True)
     rows = []

@@ -96,13 +96,6 @@ def link(name: str, to: str) -> Callable[[], None]:
     return make
 
 
-def higher() -> None:
-    """Params by which voxels reach higher than the net knows."""
-    params = json.loads(Path("params.yaml").read_text())
-    params["app"] = {"cloud": {"height": 0.25}}
-    Path("params.yaml").write_text(json.dumps(params))
-
-
 CLOUD = np.random.default_rng(0).uniform(0, 0.4, (2000, 3)) * [1, 1, 0.01]
 TABLE = ("--table", 0, 0, 1, 0)
 DAMAGED = ("--data", "damaged")
@@ -138,12 +131,6 @@ STATES: list[tuple[Callable[[], None], tuple[object, ...], str, str]] = [
     (raw("cloth.zarr", "x"), ("cloth.zarr:0/1",), "cloth.zarr", "is a file, expected a zarr store"),
     (nothing, ("{files}/cloud.npz", "--system", "b1"), "cloud.npz", "plans from a mesh"),
     (nothing, (START, "--data", "nowhere"), "nowhere/nets/pemd/0", "not found"),
-    (
-        higher,
-        ("{files}/cloud.npz",),
-        "app.cloud.height",
-        "is 0.25, but data/nets/vtm knows voxels up to 0.125",
-    ),
     (without("nets/vtm"), ("{files}/cloud.npz", *DAMAGED), "damaged/nets/vtm", "not found"),
     (without("normalisation/mesh.json"), (START, *DAMAGED), "normalisation/mesh.json", "not found"),
     (without("nets/pemd/1/net.json"), (START, *DAMAGED), "pemd/1/net.json", "not found, expected a net's description"),

@@ -134,7 +134,7 @@ def test_estimate_tells_what_it_covers_and_whether_it_explains(here: Path, files
 def test_the_least_agreement_is_a_setting(here: Path) -> None:
     np.save(here / "flat.npy", SQUARE.flat())
     assert np.abs(centre(SQUARE.flat())).max() < 0.01
-    settings = load_settings()
+    settings = load_settings(Path("data"))
     seen = read_input("flat.npy", observation_options(settings.app, side=None, table=None))
     lower = SQUARE.flat() * np.float32([0.9, 1, 1])
     found = compare_estimate(seen, lower, settings)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from clothkit.cloth.topology import SQUARE
-from clothkit.cloth.voxels import HEIGHT, observe
+from clothkit.cloth.voxels import HEIGHT, Viewport, observe
 from clothkit.estimation.agreement import Agreement, AgreementConfig, agreement, proposed
 
 VOXEL = HEIGHT / 16
@@ -45,7 +45,11 @@ def test_columns_that_only_one_of_them_has_count_against_it() -> None:
 
 def test_heights_above_the_viewport_are_clamped_in_both() -> None:
     assert agreement(raised(40), np.asarray(observe(raised(15)))).heights == 1
-    low = agreement(raised(1), np.asarray(observe(raised(1), height=4 * HEIGHT)), height=4 * HEIGHT)
+    low = agreement(
+        raised(1),
+        np.asarray(observe(raised(1), viewport=Viewport(height=4 * HEIGHT))),
+        viewport=Viewport(height=4 * HEIGHT),
+    )
     assert low.heights == 1
 
 

@@ -10,7 +10,8 @@ import pandas as pd
 import pytest
 
 from clothkit.cloth import voxels
-from clothkit.cloth.topology import SQUARE
+from clothkit.cloth.topology import PAPERS_CLOTH, SQUARE
+from clothkit.cloth.voxels import Viewport
 from clothkit.dataset.store import SPLITS, Dataset, papers_cloths
 from clothkit.episodes.depth_camera import depth_camera
 from clothkit.episodes.evaluate import evaluate
@@ -138,17 +139,19 @@ def test_a_camera_gives_the_voxels_and_shifts_of_its_pictures(net: Net) -> None:
 
 
 def test_sensors_see_as_high_as_the_net_knows(net: Net) -> None:
-    perception = Estimation(Net(VtMConfig(hidden=16, height=0.25), net.params), REFINE)
+    perception = Estimation(Net(VtMConfig(hidden=16, viewport=Viewport(height=0.25)), net.params), REFINE)
     truth = folded()[None] * np.array([1, 1, 4], np.float32)
-    seen = voxels.observe(truth, height=0.25)
+    seen = voxels.observe(truth, viewport=Viewport(height=0.25))
     assert (seen != voxels.observe(truth)).any()
     observation = exact_sensor(perception)(truth, None).observation
     np.testing.assert_array_equal(observation.voxels, seen)
-    np.testing.assert_allclose(perception(observation, None), estimate(perception.vtm, seen, REFINE).mesh, atol=1e-5)
+    np.testing.assert_allclose(
+        perception(observation, None, PAPERS_CLOTH[None]), estimate(perception.vtm, seen, REFINE).mesh, atol=1e-5
+    )
     pictures = []
     with mock.patch("clothkit.episodes.depth_camera.take", lambda mesh, how: pictures.append(how) or take(mesh, how)):
         depth_camera(PICTURE, perception)(truth, None)
-    assert [how.cloud.height for how in pictures] == [0.25]
+    assert [how.cloud.viewport.height for how in pictures] == [0.25]
 
 
 def test_sessions_before_a_camera_are_held_against_those_without(tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ class EstimateAgreement(NamedTuple):
 
 def compare_estimate(source: Input, mesh: State, settings: Settings) -> EstimateAgreement:
     """Compare an estimated mesh [normalised, centred] with the voxels that it was estimated from."""
-    found = agreement(mesh.astype(np.float32), source.observation.voxels, height=settings.app.cloud.height)
+    found = agreement(mesh.astype(np.float32), source.observation.voxels, viewport=settings.app.cloud.viewport)
     least = settings.app.agreement
     silhouette, heights = float(found.silhouette), float(found.heights)
     figures = f"silhouette IoU {silhouette:.2f}, height IoU {heights:.2f}"

@@ -52,7 +52,7 @@ def command(file: str, *, out: Path, sigma: Path | None, data: Path, mask: str |
     \b
     clothkit estimate cloud.ply --table 0 0 -1 -0.8 --out mesh.obj
     """
-    settings = load_settings()
+    settings = load_settings(data)
     options = observation_options(settings.app, **values)
     check_target(out, FORMATS)
     sigma_path = sigma or out.with_suffix(".sigma.npz")
@@ -61,7 +61,7 @@ def command(file: str, *, out: Path, sigma: Path | None, data: Path, mask: str |
     with part("observe"):
         source = read_input(file, options, mask=mask)
     with part("estimate"):
-        found = estimate_mesh(load_vtm(data, settings), source, settings)
+        found = estimate_mesh(load_vtm(data), source, settings)
     mesh, mean = (np.asarray(part[0], float) for part in (found.mesh, found.probabilistic.mean))
     std = np.asarray(found.probabilistic.std[0], float)
     place, scale = source.pose.normalised_to_table, source.pose.scale

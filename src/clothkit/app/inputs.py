@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float
 from clothkit.app.settings import AppConfig
 from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE, Topology
 from clothkit.manipulation.candidates import CandidateConfig
+from clothkit.models import store
 from clothkit.observation.cloud import Observation
 from clothkit.observation.files import State, read
 from clothkit.observation.observe import observe
@@ -52,11 +53,21 @@ class Settings(NamedTuple):
     """The members of the ensemble of forward models."""
 
 
-def load_settings() -> Settings:
+def load_settings(data: Path) -> Settings:
     """Read params.yaml in the current directory, at its selected scale; without such a file return the defaults.
 
-    Raises InputError if the file is invalid.
+    Voxels are those that the net under `data` that estimates meshes takes, if there is one. Raises InputError if a file
+    is invalid.
     """
+    settings = _settings()
+    vtm = data / "nets/vtm"
+    if not vtm.exists():
+        return settings
+    cloud = dataclasses.replace(settings.app.cloud, viewport=store.configuration(vtm, "vtm").viewport)
+    return settings._replace(app=dataclasses.replace(settings.app, cloud=cloud))
+
+
+def _settings() -> Settings:
     # lexists, because a broken or circular link must be reported and not replaced by the defaults.
     if not os.path.lexists(PARAMS):
         return Settings(AppConfig(), PlanConfig(), _WEIGHTS, CandidateConfig(), SimulationConfig(), (0, 1))

@@ -107,23 +107,15 @@ def for_one_cloth(planner: Planner) -> Planner:
     return dataclasses.replace(planner, perception=perception, settings=one, labelled=planner.system.voxels)
 
 
-def load_vtm(data: Path, settings: Settings) -> Net:
+def load_vtm(data: Path) -> Net:
     """Load VtM, the net that estimates meshes from voxels.
 
-    Raises InputError if it is missing or broken, or if its voxels have another height than `app.cloud.height`.
+    Raises InputError if it is missing or broken.
     """
     path = data / VTM
     if not path.exists():
         raise InputError(f"{path}: not found, it sees meshes in voxels; dvc repro makes it")
-    vtm = store.load(path, "vtm")
-    _check_height(path, vtm, settings)
-    return vtm
-
-
-def _check_height(path: Path, vtm: Net, settings: Settings) -> None:
-    height = settings.app.cloud.height
-    if height != vtm.config.height:
-        raise InputError(f"app.cloud.height: is {height}, but {path} knows voxels up to {vtm.config.height}")
+    return store.load(path, "vtm")
 
 
 def estimate_mesh(vtm: Net, source: Input, settings: Settings) -> Estimate:
@@ -134,12 +126,15 @@ def estimate_mesh(vtm: Net, source: Input, settings: Settings) -> Estimate:
 def observation_of(planner: Planner, source: Input, data: Path, settings: Settings) -> Observation:
     """What a planner observes of a file's content, as a batch of one.
 
-    Raises InputError when its system needs a mesh and the file holds none, and when its net in `data` that estimates
-    meshes takes voxels of another height than `app.cloud.height`.
+    Raises InputError when its system needs a mesh and the file holds none, and when it takes voxels of another viewport
+    than the net in `data` that estimates meshes.
     """
-    system, perception = planner.system, planner.perception
-    if isinstance(perception, Estimation):
-        _check_height(data / VTM, perception.vtm, settings)
+    system, viewport = planner.system, planner.perception.viewport
+    if viewport not in (None, settings.app.cloud.viewport):
+        raise InputError(
+            f"{data / VTM}: knows voxels up to {settings.app.cloud.viewport.height:g}, system {system.name} plans with "
+            f"nets that know them up to {viewport.height:g}"
+        )
     if not system.true_meshes:
         return Observation(voxels=source.observation.voxels[None])
     mesh = mesh_of(source)
@@ -156,7 +151,7 @@ def goal_of(system: System, source: Input, data: Path, settings: Settings) -> St
     if system.voxels:
         return source.observation.voxels
     mesh = mesh_of(source)
-    return np.asarray(estimate_mesh(load_vtm(data, settings), source, settings).mesh[0]) if mesh is None else mesh
+    return np.asarray(estimate_mesh(load_vtm(data), source, settings).mesh[0]) if mesh is None else mesh
 
 
 def usage_of(system: System, source: Input, *, goal: bool = False) -> Usage:

@@ -44,7 +44,7 @@ def command(*, state: str, source: Path, out: Path, data: Path, mask: str | None
     \b
     clothkit predict --state start.obj --plan plan.json --out predicted
     """
-    settings = load_settings()
+    settings = load_settings(data)
     plan = read_plan(source)
     values |= cloth_of(plan, values, source)
     options = observation_options(settings.app, **values)

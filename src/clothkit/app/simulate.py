@@ -92,7 +92,7 @@ def command(
     \b
     clothkit simulate --state start.obj --plan plan.json --goal goal.obj --out outcome.glb
     """
-    settings = load_settings()
+    settings = load_settings(data)
     plan = read_plan(source)
     if steps and steps > len(plan.steps):
         raise InputError(f"--steps: {source} has {len(plan.steps)}, found {steps}")
@@ -108,7 +108,7 @@ def command(
     mesh, pose = (mesh_of(start), start.pose) if start else _start(plan, source)
     if mesh is None and start:
         with part("estimate"):
-            mesh = np.asarray(estimate_mesh(load_vtm(data, settings), start, settings).mesh[0])
+            mesh = np.asarray(estimate_mesh(load_vtm(data), start, settings).mesh[0])
         warn(compare_estimate(start, mesh, settings))
     assert mesh is not None
     # If the cloth is crammed into a point, each vertex touches all others, and one simulation step takes minutes.

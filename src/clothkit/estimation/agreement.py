@@ -9,7 +9,7 @@ import numpy as np
 from annotated_types import Ge, Le
 from jaxtyping import Bool, Float
 
-from clothkit.cloth.voxels import HEIGHT, observe
+from clothkit.cloth.voxels import VIEWPORT, Viewport, observe
 from clothkit.runtime.config import config
 
 _QUANTILES = 41
@@ -45,14 +45,14 @@ class Agreement(NamedTuple):
 
 
 def agreement(
-    meshes: Float[np.ndarray, "*batch u v 3"], seen: Bool[np.ndarray, "*batch x y z"], *, height: float = HEIGHT
+    meshes: Float[np.ndarray, "*batch u v 3"], seen: Bool[np.ndarray, "*batch x y z"], *, viewport: Viewport = VIEWPORT
 ) -> Agreement:
-    """The agreement of meshes [normalised, centred] with occluded, centred voxels of a viewport of that height.
+    """The agreement of meshes [normalised, centred] with occluded, centred voxels of that viewport.
 
     The meshes are converted to voxels as for training, but without noise: doubled, occluded, and with points above the
     viewport clamped to its uppermost voxels.
     """
-    shown = np.asarray(_observed(meshes, height=height))
+    shown = np.asarray(_observed(meshes, viewport=viewport))
     columns = np.asarray(shown.any(-1)), np.asarray(seen.any(-1))
     return Agreement(_iou(*columns, axes=2), _iou(shown, seen, axes=3))
 
@@ -79,4 +79,4 @@ def _iou(a: np.ndarray, b: np.ndarray, *, axes: int) -> np.ndarray:
     return np.asarray(np.where(either > 0, both / np.maximum(either, 1), 1.0))
 
 
-_observed = partial(jax.jit, static_argnames="height")(observe)
+_observed = partial(jax.jit, static_argnames="viewport")(observe)

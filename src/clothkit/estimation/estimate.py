@@ -39,7 +39,7 @@ def estimate(
     """
     probabilistic = estimate_probabilistic(net, voxels, predicted, cloth=cloth)
     start = probabilistic.mean if predicted is None else predicted
-    refined = refine(probabilistic, start, settings, cloth=cloth, voxels=voxels, height=net.config.height)
+    refined = refine(probabilistic, start, settings, cloth=cloth, voxels=voxels, viewport=net.config.viewport)
     return Estimate(probabilistic, lifted(refined, cloth) if settings.lift else refined)
 
 

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Shaped
 from numpy import ndarray
 
-from clothkit.cloth.voxels import HEIGHT, RESOLUTION, double
+from clothkit.cloth.voxels import RESOLUTION, VIEWPORT, Viewport, double
 
 WIDTH = 2 / RESOLUTION[0]
 """Width of a column [normalised]."""
@@ -29,10 +29,12 @@ class Columns(NamedTuple):
     occupied: Bool[Array, "batch columns"]
     top: Float[Array, "batch columns"]
     """Height of the middle of the uppermost occupied voxel [normalised]."""
+    low: Float[Array, "batch columns"]
+    """Of its lower side."""
+    high: Float[Array, "batch columns"]
+    """Of its upper side."""
     nearest: Int[Array, "batch columns"]
     """The occupied column nearest to each column."""
-    voxel: float
-    """Height of a voxel [normalised]."""
 
 
 class Pulls(NamedTuple):
@@ -44,16 +46,15 @@ class Pulls(NamedTuple):
     """Whether the column is not covered: there may be fewer of them than pairs."""
 
 
-def columns(voxels: Shaped[Array | ndarray, "batch x y z"], *, height: float = HEIGHT) -> Columns:
-    """The columns of occluded voxels of a viewport of that height."""
+def columns(voxels: Shaped[Array | ndarray, "batch x y z"], *, viewport: Viewport = VIEWPORT) -> Columns:
+    """The columns of occluded voxels of that viewport."""
     voxels = jnp.asarray(voxels)
-    levels = voxels.shape[-1]
-    voxel = height / levels
-    filled = jnp.max((voxels > 0) * jnp.arange(1, levels + 1), axis=-1).reshape(len(voxels), -1)
+    filled = jnp.max((voxels > 0) * jnp.arange(1, voxels.shape[-1] + 1), axis=-1).reshape(len(voxels), -1)
     occupied = filled > 0
     away = jnp.sum((_MIDDLES[:, None] - _MIDDLES) ** 2, axis=-1)
     nearest = jnp.argmin(jnp.where(occupied[:, None, :], away, jnp.inf), axis=-1)
-    return Columns(occupied, (filled - 0.5) * voxel, nearest, voxel)
+    top, low, high = (viewport.z(jnp.maximum(filled + side, 0)) for side in (-0.5, -1.0, 0.0))
+    return Columns(occupied, top, low, high, nearest)
 
 
 def pulls(mesh: Float[Array, "batch u v 3"], seen: Columns, count: int) -> Pulls:
@@ -63,7 +64,7 @@ def pulls(mesh: Float[Array, "batch u v 3"], seen: Columns, count: int) -> Pulls
     reached = jax.vmap(lambda column, z: jnp.full(len(_MIDDLES), -jnp.inf).at[column].max(z))(
         _column(dense), dense[..., 2]
     )
-    lacking = jnp.where(seen.occupied, jnp.minimum(seen.top - seen.voxel / 2 - reached, 1.0), -1.0)
+    lacking = jnp.where(seen.occupied, jnp.minimum(seen.low - reached, 1.0), -1.0)
     lack, column = jax.lax.top_k(lacking, count)
     vertices = mesh.reshape(batch, 1, -1, 3)
     target = jnp.take_along_axis(seen.top, column, axis=1)[..., None]
@@ -77,10 +78,11 @@ def unexplained(mesh: Float[Array, "batch u v 3"], seen: Columns, pulled: Pulls)
     vertices = mesh.reshape(len(mesh), -1, 3)
     nearest = jnp.take_along_axis(seen.nearest, _column(vertices), axis=1)
     beside = _beyond(vertices[..., :2] - _MIDDLES[nearest], _HALF)
-    above = jnp.maximum(0, vertices[..., 2] - jnp.take_along_axis(seen.top, nearest, axis=1) - seen.voxel / 2)
+    above = jnp.maximum(0, vertices[..., 2] - jnp.take_along_axis(seen.high, nearest, axis=1))
     moved = jnp.take_along_axis(vertices, pulled.vertex[..., None], axis=1)
     away = _beyond(moved[..., :2] - _MIDDLES[pulled.column], _HALF)
-    off = _beyond(moved[..., 2] - jnp.take_along_axis(seen.top, pulled.column, axis=1), seen.voxel / 2)
+    low, high = (jnp.take_along_axis(side, pulled.column, axis=1) for side in (seen.low, seen.high))
+    off = jnp.maximum(0, low - moved[..., 2]) + jnp.maximum(0, moved[..., 2] - high)
     uncovered = pulled.active * (jnp.sum(away**2, axis=-1) + off**2)
     return jnp.sum(beside**2, axis=(-2, -1)) + jnp.sum(above**2, axis=-1) + jnp.sum(uncovered, axis=-1)
 

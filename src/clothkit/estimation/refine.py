@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from clothkit.cloth.mesh import Cloth, ProbabilisticMesh, nll
 from clothkit.cloth.topology import SQUARE, Shape, Topology
-from clothkit.cloth.voxels import HEIGHT, RESOLUTION
+from clothkit.cloth.voxels import RESOLUTION, VIEWPORT, Viewport
 from clothkit.estimation.explanation import Columns, Pulls, columns, pulls, unexplained
 from clothkit.runtime.config import config
 
@@ -118,7 +118,7 @@ class _Search(NamedTuple):
     pulled: Pulls | None
 
 
-@partial(jax.jit, static_argnames=("settings", "topology", "height"))
+@partial(jax.jit, static_argnames=("settings", "topology", "viewport"))
 def refine(
     estimate: ProbabilisticMesh,
     start: Float[Array | np.ndarray, "batch u v 3"],
@@ -127,15 +127,15 @@ def refine(
     *,
     cloth: Cloth | None = None,
     voxels: Shaped[Array | np.ndarray, "batch x y z"] | None = None,
-    height: float = HEIGHT,
+    viewport: Viewport = VIEWPORT,
 ) -> Float[Array, "batch u v 3"]:
     """R of eq. (10): for each mesh of the batch, the mesh of lowest loss that SignSGD finds from `start`.
 
     `cloth` are the cloths' sides and thicknesses, if they are not the topology's. With `observed_weight`, meshes are
-    also to explain the occluded `voxels`, of a viewport of that height. In each stage, a mesh stops when its own loss
+    also to explain the occluded `voxels` of that viewport. In each stage, a mesh stops when its own loss
     has stabilised, so that its result does not depend on the rest of the batch.
     """
-    seen = columns(voxels, height=height) if voxels is not None and settings.observed_weight else None
+    seen = columns(voxels, viewport=viewport) if voxels is not None and settings.observed_weight else None
 
     def total(mesh: Array, pulled: Pulls | None) -> tuple[Array, Array]:
         loss = refinement_loss(mesh, estimate, settings, topology, cloth)

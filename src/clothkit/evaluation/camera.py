@@ -13,7 +13,7 @@ from tqdm import tqdm
 from clothkit.cloth import voxels
 from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.dataset.store import STATES, Dataset
-from clothkit.episodes.depth_camera import with_height
+from clothkit.episodes.depth_camera import with_viewport
 from clothkit.estimation.estimate import estimate
 from clothkit.estimation.refine import RefineConfig
 from clothkit.evaluation.arrays import NamedArray
@@ -94,7 +94,7 @@ def observe(
         centre_error, overlap = np.zeros(len(meshes)), np.ones(len(meshes))
         height = np.zeros((0, 0, 0), np.float32)
     else:
-        condition_settings = with_height(picture_settings(settings, condition), vtm.config.height)
+        condition_settings = with_viewport(picture_settings(settings, condition), vtm.config.viewport)
         occupied = np.zeros((len(meshes), *voxels.RESOLUTION), bool)
         centre_error, overlap = np.full((2, len(meshes)), np.nan)
         camera = condition_settings.camera

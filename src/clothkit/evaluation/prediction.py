@@ -12,7 +12,7 @@ from tqdm import tqdm
 from clothkit.cloth import voxels
 from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.cloth.topology import CLOTH_LENGTH
-from clothkit.cloth.voxels import HEIGHT
+from clothkit.cloth.voxels import VIEWPORT, Viewport
 from clothkit.dataset.store import SPLITS, STATES, STEPS, Dataset
 from clothkit.dataset.tasks import TASKS
 from clothkit.evaluation.arrays import NamedArray
@@ -160,17 +160,17 @@ def _in_voxels(
     With `occluded`, predictions, start and truth are as a camera above sees them.
     """
     found = {}
-    for name, height in (("voxel_error", HEIGHT), (TALL_MEASURE, TALL)):
+    for name, viewport in (("voxel_error", VIEWPORT), (TALL_MEASURE, TALL)):
         occupied, start = (
-            np.asarray((voxels.observe if occluded else voxels.of_mesh)(m, height=height)) for m in (truth, first)
+            np.asarray((voxels.observe if occluded else voxels.of_mesh)(m, viewport=viewport)) for m in (truth, first)
         )
-        found[name] = _voxel_errors(predicted, occupied, batch, height=height, occluded=occluded)
+        found[name] = _voxel_errors(predicted, occupied, batch, viewport=viewport, occluded=occluded)
         found[f"{name}_no_action"] = np.asarray(differences(start, occupied))
     return found
 
 
 def _voxel_errors(
-    mesh: ProbabilisticMesh, truth: Bool[np.ndarray, "n 32 32 16"], batch: int, *, height: float, occluded: bool
+    mesh: ProbabilisticMesh, truth: Bool[np.ndarray, "n 32 32 16"], batch: int, *, viewport: Viewport, occluded: bool
 ) -> np.ndarray:
     """Return the mean voxel differences [n] of predicted meshes, in batches of one size to bound the memory."""
     parts = []
@@ -178,9 +178,9 @@ def _voxel_errors(
         chosen = np.minimum(np.arange(first, first + batch), len(truth) - 1)
         some = ProbabilisticMesh(mesh.mean[chosen], mesh.std[chosen])
         if occluded:
-            predicted = occluded_occupancy(some, height=height, key=jax.random.key(first))
+            predicted = occluded_occupancy(some, viewport=viewport, key=jax.random.key(first))
         else:
-            predicted = occupancy(some, height=height)
+            predicted = occupancy(some, viewport=viewport)
         parts.append(np.asarray(differences(predicted, truth[chosen]))[: len(truth) - first])
     return np.concatenate(parts)
 

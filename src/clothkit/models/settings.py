@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Lt, MinLen
 
-from clothkit.cloth.voxels import HEIGHT
+from clothkit.cloth.voxels import VIEWPORT, Viewport
 from clothkit.runtime.config import config
 
 Count = Annotated[int, Gt(0)]
@@ -44,8 +44,8 @@ class VtMConfig:
     """Constant that eq. (6) adds to every standard deviation [normalised]."""
     canonical: bool = False
     """Whether input voxels are turned to be widest along x (canonical.py); only four of the eight views then differ."""
-    height: Rate = HEIGHT
-    """Upper end of the input voxels in z [normalised]."""
+    viewport: Viewport = VIEWPORT
+    """Of the input voxels."""
     told: bool = False
     """Whether the net is told the cloth's sides and thickness, as the paper's net, which knows one cloth, is not."""
 

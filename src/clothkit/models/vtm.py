@@ -43,8 +43,8 @@ def initial(config: VtMConfig, start: Start = Start(), *, key: PRNGKeyArray) -> 
 
 
 def seen_by(net: Net, mesh: Float[Array | ndarray, "*batch u v 3"]) -> Bool[Array, "*batch 32 32 16"]:
-    """The net's input voxels for meshes: the output of `voxels.observe` up to the net's height."""
-    return observe(mesh, height=net.config.height)
+    """The net's input voxels for meshes: the output of `voxels.observe` in the net's viewport."""
+    return observe(mesh, viewport=net.config.viewport)
 
 
 @runtime_checkable

@@ -9,7 +9,7 @@ from jaxtyping import Float, Shaped
 
 from clothkit.cloth.mesh import best_label
 from clothkit.cloth.symmetry import relabel
-from clothkit.cloth.voxels import HEIGHT
+from clothkit.cloth.voxels import VIEWPORT, Viewport
 from clothkit.estimation.estimate import estimate, estimate_unrefined
 from clothkit.estimation.refine import RefineConfig
 from clothkit.models.net import Net
@@ -23,8 +23,8 @@ class Perception(Protocol):
     """What turns observations of a batch of cloths into states of a planner's representation."""
 
     @property
-    def height(self) -> float | None:
-        """The height of the viewport of the voxels that it takes [normalised]; None if it takes meshes."""
+    def viewport(self) -> Viewport | None:
+        """The viewport of the voxels that it takes; None if it takes meshes."""
         ...
 
     def __call__(self, observation: Observation, expected: States | None, cloth: Float[np.ndarray, "task 3"]) -> States:
@@ -47,8 +47,8 @@ class Estimation:
     """Number of cloths that are estimated in one call."""
 
     @property
-    def height(self) -> float:
-        return self.vtm.config.height
+    def viewport(self) -> Viewport:
+        return self.vtm.config.viewport
 
     def __call__(self, observation: Observation, expected: Meshes | None, cloth: Float[np.ndarray, "task 3"]) -> Meshes:
         assert observation.voxels is not None, "an observation to estimate from has voxels"
@@ -70,7 +70,7 @@ class KnownMeshes:
 
     labelled: bool = True
     """Whether their labels are those of the goal and stay the same. Else they follow the expected mesh's."""
-    height: None = None
+    viewport: None = None
 
     def __call__(self, observation: Observation, expected: Meshes | None, cloth: Float[np.ndarray, "task 3"]) -> Meshes:
         assert observation.meshes is not None, "an observation that is planned from as it is has meshes"
@@ -83,7 +83,7 @@ class KnownMeshes:
 class ObservedVoxels:
     """The observed voxels are the states."""
 
-    height: float = HEIGHT
+    viewport: Viewport = VIEWPORT
 
     def __call__(self, observation: Observation, expected: States | None, cloth: Float[np.ndarray, "task 3"]) -> States:
         assert observation.voxels is not None, "an observation that is planned from as it is has voxels"

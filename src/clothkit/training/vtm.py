@@ -87,9 +87,9 @@ def observed(
 ) -> Bool[Array, "batch 32 32 16"]:
     """Training inputs: doubled, duplicated with noise and occluded voxels. Without noise, duplicates are not needed."""
     if settings.noise == 0:
-        return voxels.observe(mesh, height=settings.net.height)
+        return voxels.observe(mesh, viewport=settings.net.viewport)
     noise_z = settings.noise * settings.noise_z_factor
-    return voxels.observe_noisily(mesh, noise=settings.noise, noise_z=noise_z, height=settings.net.height, key=key)
+    return voxels.observe_noisily(mesh, noise=settings.noise, noise_z=noise_z, viewport=settings.net.viewport, key=key)
 
 
 def shown(
@@ -189,7 +189,7 @@ def problem(settings: TrainVtMConfig, validation: Dataset, chosen: Int[np.ndarra
     def errors_of(
         params: PyTree, mesh: Float[Array, "batch u v 3"], cloth: Float[Array, "batch 3"]
     ) -> Float[Array, " batch"]:
-        mesh, seen = shown(mesh, voxels.observe(mesh, height=settings.net.height), settings.net)
+        mesh, seen = shown(mesh, voxels.observe(mesh, viewport=settings.net.viewport), settings.net)
         return meshes.error(estimated(params, seen, cloth).mean, mesh, cloth=cloth)
 
     longest = int(validation.length.max())

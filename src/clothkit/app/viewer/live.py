@@ -71,7 +71,7 @@ def begin(
     system, observation = planner.system, observation_of(planner, start, data, settings)
     truth, mesh = mesh_of(start), mesh_of(goal)
     if truth is None and system.voxels:
-        truth = np.asarray(estimate_mesh(load_vtm(data, settings), start, settings).mesh[0])
+        truth = np.asarray(estimate_mesh(load_vtm(data), start, settings).mesh[0])
     target = goal_of(system, goal, data, settings)
     memory = plans.begin(planner, target, length, start.cloth)
     estimate = estimate_state(planner, observation, memory)
