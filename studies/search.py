@@ -77,13 +77,13 @@ def searches(usual: SearchConfig, asked: argparse.Namespace) -> list[SearchConfi
 def seconds_per_plan(times: Clock) -> dict[int, float]:
     """Return the seconds per plan by length, without each length's first call, which compiles.
 
-    Lengths with a single call are left out.
+    Lengths with a single call are left out. A call for fewer plans than others is padded to as many, and takes as long.
     """
     found = {}
     for length, calls in times.items():
         if length != "estimates" and len(calls) > 1:
-            plans, spent = np.sum(calls[1:], axis=0)
-            found[int(length)] = float(spent / plans)
+            plans, spent = np.array(calls).T
+            found[int(length)] = float(spent[1:].mean() / plans.max())
     return found
 
 

@@ -129,12 +129,11 @@ def pose(
 
 def _searched(planner: Planner, problems: Problem, keys: Keys, length: int) -> Found:
     """What the search finds for each problem, in batches, with the time of each batch counted under the length."""
-    count, batch = len(problems.state), planner.settings.batch
-    # The last batch is padded with copies, which are not counted as tasks.
-    counts = iter([min(batch, count - first) for first in range(0, count, batch)])
+    batch = planner.settings.batch
 
     def timed_search(problems: Problem, keys: jax.Array) -> Found:
-        with timed(str(length), next(counts)):
+        # The last batch is padded with copies. They count, because their searches take as long.
+        with timed(str(length), batch):
             return jax.block_until_ready(planner.search(problems, keys, length=length))
 
     return in_batches(timed_search, batch, problems, keys)
