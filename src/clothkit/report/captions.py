@@ -150,6 +150,11 @@ CAMERA_ESTIMATION = (
     "true one, and *estimate*: error of the refined estimate, both in lengths of the cloth's side. *iou*: intersection "
     "over union of the point cloud's silhouette and the true one.\n"
 )
+BY_CLOTH = (
+    "Mean errors on the test set by the cloth's thickness, in percent of its longer side, by the ratio of its sides, "
+    "and by how it lay at first: flat, dragged over the table by a hand, or dropped. Columns 1, 2, 3: estimates after so "
+    "many manipulations, and plans of so many. *sequences* is the number of sequences.\n"
+)
 CAMERA_PLANNING = (
     "The same tasks under every condition, planned by *main*. Estimates and grasp positions are from the camera's "
     "point clouds. Columns 1, 2, 3: mean error of outcomes by number of manipulations. *iou*: intersection over union "

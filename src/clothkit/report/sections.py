@@ -9,6 +9,7 @@ from collections.abc import Mapping
 import pandas as pd
 
 from clothkit.report import blocks, captions, selections, texts
+from clothkit.report.cloth_tables import COLUMNS as COLUMNS_BY_CLOTH
 from clothkit.report.contents import Contents
 from clothkit.report.entries import Card, Cards, Figure, Folded, Report, Section, Table, Text, Timings
 from clothkit.report.formatting import IDEAL_RATIO
@@ -241,6 +242,20 @@ SECTIONS = (
             ),
         ),
         needs=("camera_estimation", "camera_planning", "camera_comparisons"),
+    ),
+    Section(
+        "cloths",
+        "Cloths",
+        (
+            Table(
+                "by_cloth",
+                "Errors by cloth",
+                COLUMNS_BY_CLOTH,
+                (captions.BY_CLOTH,),
+                unit=CLOTH_LENGTHS,
+            ),
+        ),
+        needs=("by_cloth",),
     ),
     Section(
         "uncertainty",

@@ -12,6 +12,8 @@ GRAVITY = 9.81  # m/s^2
 LANES_ON_CUDA = 256
 LAUNCH_SECONDS = 0.1  # simulated time per launch
 STRETCH_PASSES = 2  # per substep
+SHORTEST_CHORD = 0.3  # of an edge's length: the least distance of its ends where the thread folds back within it
+CHORD_STIFFNESS = 0.1  # of the stretch stiffness: with all of it, the ends of such edges tremble
 LARGEST_SHARES = 0.8  # limit of the shares of `Solver.viscosity` over the four neighbours: stable below 1
 
 
@@ -58,6 +60,9 @@ def make_solver(settings: SimulationConfig, topology: Topology) -> Solver:
         "time_step": dt,
         "stretch_u": compliance(material.stretch_stiffness * ratio),
         "stretch_v": compliance(material.stretch_stiffness / ratio),
+        "chord_u": compliance(material.stretch_stiffness * ratio * CHORD_STIFFNESS),
+        "chord_v": compliance(material.stretch_stiffness / ratio * CHORD_STIFFNESS),
+        "shortest_chord": SHORTEST_CHORD,
         "shear_compliance": compliance((ratio + 1 / ratio) * material.shear_stiffness),  # one of the diagonals resists
         "diagonal_shortest": 0.3 * diagonal * along_u,
         "diagonal_longest": (1 + sheared * np.sin(material.shear_limit)) ** 0.5 * diagonal * along_u,
