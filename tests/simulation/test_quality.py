@@ -145,7 +145,7 @@ def test_strains_are_those_of_each_direction_of_a_rectangle() -> None:
 
 
 def strip(angle: float, *, within: bool) -> np.ndarray:
-    """A strip of cloth of five edges along u, bent by this angle: within the middle edge, or at the vertex before it."""
+    """A strip of cloth of five edges along u, bent by an angle: within the middle edge, or at the vertex before it."""
     spacing = SETTINGS.cloth_side / 5
     turns = np.array([0, 0, 0.5, 1, 1]) if within else np.array([0, 0, 1, 1, 1])
     directions = np.stack([np.cos(angle * turns), 0 * turns, np.sin(angle * turns)], axis=-1)

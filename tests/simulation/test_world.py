@@ -105,6 +105,15 @@ def test_half_fold_lies_in_two_layers(folded: Outcome) -> None:
     np.testing.assert_allclose(lower, THICKNESS / 2, atol=1e-4)
 
 
+def test_fold_line_is_straight_and_low(folded: Outcome) -> None:
+    """Not a row of upright grid edges, which lean to either side and are five times as high as two layers."""
+    state = folded.states[0]
+    outermost = state[state[..., 0].argmin(0), np.arange(state.shape[1])]
+    assert outermost[:, 0].std() < 1e-3
+    assert outermost[:, 2].std() < 1e-3
+    assert state[..., 2].max() < 3 * THICKNESS
+
+
 def test_half_fold_is_clean(folded: Outcome) -> None:
     is_clean(folded.states[0], SETTINGS)
     quality = measure(folded.states, SETTINGS)
@@ -352,7 +361,7 @@ def test_a_grid_with_two_spacings_folds_as_one_with_equal_spacings() -> None:
     """Stretch, shear, bending, mass and viscosity of a cloth do not depend on how it is divided into quads."""
     ratio = 23 / 12
     even, uneven = (fold_across(rectangle(ratio, shape=shape), 0).states[0] for shape in ((24, 13), (24, 25)))
-    assert distance(even, uneven[:, ::2]) < 1e-3
+    assert distance(even, uneven[:, ::2]) < 2e-3
 
 
 def test_u_and_v_are_alike() -> None:

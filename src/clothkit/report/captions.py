@@ -152,8 +152,8 @@ CAMERA_ESTIMATION = (
 )
 BY_CLOTH = (
     "Mean errors on the test set by the cloth's thickness, in percent of its longer side, by the ratio of its sides, "
-    "and by how it lay at first: flat, dragged over the table by a hand, or dropped. Columns 1, 2, 3: estimates after so "
-    "many manipulations, and plans of so many. *sequences* is the number of sequences.\n"
+    "and by how it lay at first: flat, dragged over the table by a hand, or dropped. Columns 1, 2, 3: estimates after "
+    "so many manipulations, and plans of so many. *sequences* is the number of sequences.\n"
 )
 CAMERA_PLANNING = (
     "The same tasks under every condition, planned by *main*. Estimates and grasp positions are from the camera's "

@@ -27,8 +27,8 @@ THINNEST, THICKEST = 1e-3, 8e-3
 class Material:
     """The cloth and the table, in SI units, so that folds stay alike when the time step or the grid is refined.
 
-    The default shear is softer than that of a fabric (ARCSim's gray-interlock: about 20 N/m): on a grid of 13 mm, stiff
-    shear locks folds that run across the quads, which then stand up. FABRICS have the stiffness that was measured.
+    The default shear is softer than that of a fabric (ARCSim's gray-interlock: about 20 N/m), with which a few more
+    folds take too long to rest; below 1 N/m fold lines become wavy. FABRICS have the stiffness that was measured.
 
     The ranges are those in which the solver was tried: if one setting is at either end of its range and the others have
     their defaults, folds come to rest.
@@ -36,7 +36,7 @@ class Material:
 
     density: Annotated[float, Ge(0.03), Le(1.5)] = 0.187  # kg/m^2
     stretch_stiffness: Annotated[float, Ge(200), Le(5e4)] = 2000.0  # N/m, tension per strain along the threads
-    shear_stiffness: Annotated[float, Ge(0.01), Le(200)] = 0.1  # N/m, shear force per length and angle
+    shear_stiffness: Annotated[float, Ge(0.01), Le(200)] = 3.0  # N/m, shear force per length and angle
     shear_limit: Annotated[float, Ge(0.2), Le(1.4)] = 0.76  # rad, the angle at which shearing locks
     bending_stiffness: Annotated[float, Ge(1e-6), Le(1e-3)] = 2e-5  # N m, moment per width and curvature
     bending_friction: Annotated[float, Ge(0), Le(5e-3)] = 0.0  # N, moment per width against any change of curvature

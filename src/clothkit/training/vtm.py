@@ -31,7 +31,7 @@ from clothkit.training.augment import random_turns
 from clothkit.training.devices import spread
 from clothkit.training.likelihood import held_nll
 from clothkit.training.loop import Problem, Trained, train
-from clothkit.training.settings import TrainVtMConfig
+from clothkit.training.settings import CameraNoise, TrainVtMConfig
 
 EVERY = np.arange(np.prod(voxels.RESOLUTION))
 """Indices of all voxels in a flattened volume."""
@@ -86,10 +86,43 @@ def observed(
     mesh: Float[Array, "batch u v 3"], settings: TrainVtMConfig, *, key: PRNGKeyArray
 ) -> Bool[Array, "batch 32 32 16"]:
     """Training inputs: doubled, duplicated with noise and occluded voxels. Without noise, duplicates are not needed."""
+    if settings.camera is not None:
+        return by_camera(mesh, settings.camera, settings.net.viewport, key=key)
     if settings.noise == 0:
         return voxels.observe(mesh, viewport=settings.net.viewport)
     noise_z = settings.noise * settings.noise_z_factor
     return voxels.observe_noisily(mesh, noise=settings.noise, noise_z=noise_z, viewport=settings.net.viewport, key=key)
+
+
+def displaced(
+    mesh: Float[Array, "batch u v 3"], settings: TrainVtMConfig, *, key: PRNGKeyArray
+) -> Float[Array, "batch u v 3"]:
+    """Meshes about the centres that a camera observes."""
+    if settings.camera is None:
+        return mesh
+    shift = settings.camera.shift * jax.random.normal(key, (len(mesh), 1, 1, 2))
+    return mesh.at[..., :2].add(shift)
+
+
+def by_camera(
+    mesh: Float[Array, "batch u v 3"], camera: CameraNoise, viewport: voxels.Viewport, *, key: PRNGKeyArray
+) -> Bool[Array, "batch 32 32 16"]:
+    """The voxels of meshes as a depth camera above shows them: doubled, with noise and holes, occluded."""
+    point_key, bias_key, hole_key, radius_key, count_key, share_key, missing_key = jax.random.split(key, 7)
+    points = voxels.double(mesh).reshape(len(mesh), -1, 3)
+    batch, count = points.shape[:2]
+    centre = jnp.take_along_axis(points, jax.random.randint(hole_key, (batch, camera.holes, 1), 0, count), axis=1)
+    radius = camera.radius * jax.random.uniform(radius_key, (batch, camera.holes))
+    number = jax.random.randint(count_key, (batch, 1), 0, camera.holes + 1)
+    radius = jnp.where(jnp.arange(camera.holes) < number, radius, 0.0)
+    away = jnp.linalg.norm(points[:, :, None, :2] - centre[:, None, :, :2], axis=-1)
+    share = camera.missing * jax.random.uniform(share_key, (batch, 1))
+    gone = jnp.any(away < radius[:, None], axis=-1) | jax.random.bernoulli(missing_key, share, (batch, count))
+    noise = camera.noise * jax.random.normal(point_key, points.shape)
+    noise = noise.at[..., 2].add(camera.bias * jax.random.normal(bias_key, (batch, 1)))
+    # Points outside the viewport are dropped.
+    seen = jnp.where(gone[..., None], 2.0, points + noise)
+    return voxels.occlude(voxels.voxelise(seen, viewport=viewport))
 
 
 def shown(
@@ -177,6 +210,7 @@ def problem(settings: TrainVtMConfig, validation: Dataset, chosen: Int[np.ndarra
     def gradient(params: PyTree, data: States, key: PRNGKeyArray) -> tuple[PyTree, dict[str, Any]]:
         draw_key, noise_key = jax.random.split(key)
         mesh, cloth = spread(draw(data, settings, key=draw_key))
+        mesh = displaced(mesh, settings, key=jax.random.fold_in(noise_key, 1))
         mesh, seen = shown(mesh, observed(mesh, settings, key=noise_key), settings.net)
 
         def loss(params: PyTree) -> Float[Array, ""]:
