@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Shaped
 from numpy import ndarray
 
@@ -68,7 +69,7 @@ def pulls(mesh: Float[Array, "batch u v 3"], seen: Columns, count: int) -> Pulls
     lack, column = jax.lax.top_k(lacking, count)
     vertices = mesh.reshape(batch, 1, -1, 3)
     target = jnp.take_along_axis(seen.top, column, axis=1)[..., None]
-    beyond = _beyond(vertices[..., :2] - _MIDDLES[column][:, :, None], _HALF)
+    beyond = _beyond(vertices[..., :2] - jnp.asarray(_MIDDLES)[column][:, :, None], _HALF)
     squared = jnp.sum(beyond**2, axis=-1) + (vertices[..., 2] - target) ** 2
     return Pulls(column, jnp.argmin(squared, axis=-1), lack > 0)
 
@@ -77,10 +78,10 @@ def unexplained(mesh: Float[Array, "batch u v 3"], seen: Columns, pulled: Pulls)
     """The sum of squared distances [normalised²]: of vertices beside and above what was seen, and of pulled ones."""
     vertices = mesh.reshape(len(mesh), -1, 3)
     nearest = jnp.take_along_axis(seen.nearest, _column(vertices), axis=1)
-    beside = _beyond(vertices[..., :2] - _MIDDLES[nearest], _HALF)
+    beside = _beyond(vertices[..., :2] - jnp.asarray(_MIDDLES)[nearest], _HALF)
     above = jnp.maximum(0, vertices[..., 2] - jnp.take_along_axis(seen.high, nearest, axis=1))
     moved = jnp.take_along_axis(vertices, pulled.vertex[..., None], axis=1)
-    away = _beyond(moved[..., :2] - _MIDDLES[pulled.column], _HALF)
+    away = _beyond(moved[..., :2] - jnp.asarray(_MIDDLES)[pulled.column], _HALF)
     low, high = (jnp.take_along_axis(side, pulled.column, axis=1) for side in (seen.low, seen.high))
     off = jnp.maximum(0, low - moved[..., 2]) + jnp.maximum(0, moved[..., 2] - high)
     uncovered = pulled.active * (jnp.sum(away**2, axis=-1) + off**2)
@@ -99,8 +100,5 @@ def _beyond(offset: Float[Array, "..."], half: float) -> Float[Array, "..."]:
 
 
 _HALF = (0.5 - MARGIN) * WIDTH
-_MIDDLES = (
-    jnp.stack(jnp.meshgrid(*(jnp.arange(count) for count in RESOLUTION[:2]), indexing="ij"), axis=-1).reshape(-1, 2)
-    + 0.5
-) * WIDTH - 1
+_MIDDLES = ((np.indices(RESOLUTION[:2]).reshape(2, -1).T + 0.5) * WIDTH - 1).astype(np.float32)
 """Middles xy of the columns [normalised]."""
