@@ -16,7 +16,7 @@ Mesh = Float[Array, "*#batch u v 3"] | Float[ndarray, "*#batch u v 3"]
 """A mesh or a batch of meshes; functions of two meshes broadcast their batch axes."""
 
 
-Cloth = Float[Array, "*batch 3"] | Float[ndarray, "*batch 3"]
+Cloth = Float[Array, "... 3"] | Float[ndarray, "... 3"]
 """Sides along u and along v, and thickness, of each cloth of a batch [normalised]."""
 
 

@@ -90,7 +90,7 @@ def relabel_manipulation_batch(
     return relabel_manipulation(manipulation, k.reshape(k.shape + (1,) * (manipulation.ndim - 2)), topology)
 
 
-def relabel_cloth(cloth: Float[Array | ndarray, "*batch 3"], k: Index) -> Float[Array, "*batch 3"]:
+def relabel_cloth(cloth: Float[Array | ndarray, "... 3"], k: Index) -> Float[Array, "... 3"]:
     """A cloth's sides and thickness in the labels of the square's equivalent k, which may swap the sides."""
     cloth = jnp.asarray(cloth)
     swapped = jnp.asarray(k)[..., None] & SWAP > 0
