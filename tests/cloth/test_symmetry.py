@@ -108,6 +108,11 @@ def test_only_labellings_that_keep_the_sides_count_as_the_same_cloth() -> None:
     assert float(error(np.asarray(flat)[::-1], flat, cloth=cloth)) == 0
     batch = np.stack([swapped, swapped])
     cloths = np.stack([cloth, [1.4, 1.4, 0.01]]).astype(np.float32)
-    np.testing.assert_allclose(error(batch, np.stack([flat, flat]), cloth=cloths) > 0.2, [True, False])
+    expected = [True, False]
+    np.testing.assert_array_equal(error(batch, np.stack([flat, flat]), cloth=cloths) > 0.2, expected)
+    # One cloth counts for a whole batch, and each cloth for every outcome of its own.
+    np.testing.assert_array_equal(error(batch, np.stack([flat, flat]), cloth=cloth) > 0.2, [True, True])
+    outcomes = np.tile(batch, (3, 1, 1, 1, 1))
+    np.testing.assert_array_equal(error(outcomes, np.tile(flat, (3, 2, 1, 1, 1)), cloth=cloths) > 0.2, [expected] * 3)
     assert int(best_label(swapped, flat)) == SWAP
     assert not int(best_label(swapped, flat, cloth=cloth)) & SWAP

@@ -77,7 +77,7 @@ def test_levels_and_heights_are_each_others_inverse(height: float, curve: float,
     viewport = Viewport(height=height, curve=curve)
     z = np.float32(share * height)
     np.testing.assert_allclose(viewport.z(viewport.level(jax.numpy.asarray(z))), z, rtol=1e-4, atol=1e-6)
-    assert float(viewport.z(np.float32(16))) == np.float32(height)
+    assert float(viewport.z(np.array(16, np.float32))) == np.float32(height)
 
 
 def test_a_curved_viewport_is_finer_near_the_table() -> None:

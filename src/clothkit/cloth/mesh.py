@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 from numpy import ndarray
 
-from clothkit.cloth.symmetry import equal_labellings, equivalents
+from clothkit.cloth.symmetry import among_equal_labellings, equivalents
 from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE, Topology
 
 LEAST_SPREAD = 0.005
@@ -97,4 +97,4 @@ def _to_equivalents(
 ) -> Float[Array, "count ..."]:
     measure = distance_aligned if aligned else distance
     away = measure(jnp.asarray(mesh)[None], equivalents(truth, topology))
-    return away if cloth is None else jnp.where(jnp.moveaxis(equal_labellings(cloth), -1, 0), away, jnp.inf)
+    return away if cloth is None else among_equal_labellings(away, cloth)

@@ -109,6 +109,18 @@ def equal_labellings(cloth: Float[Array | ndarray, "*batch 3"]) -> Bool[Array, "
     return square[..., None] | (jnp.arange(SQUARE.count) & SWAP == 0)
 
 
+def among_equal_labellings(
+    unlike: Float[Array, "8 ..."], cloth: Float[Array | ndarray, "*batch 3"]
+) -> Float[Array, "8 ..."]:
+    """How unlike something is under the labels of each of the square's equivalents, infinitely where sides differ.
+
+    The cloths' batch axes are the last ones of `unlike`.
+    """
+    same = jnp.moveaxis(equal_labellings(cloth), -1, 0)
+    axes_before = (1,) * (unlike.ndim - same.ndim)
+    return jnp.where(same.reshape(SQUARE.count, *axes_before, *same.shape[1:]), unlike, jnp.inf)
+
+
 def _symmetry(k: Index, topology: Topology) -> Int[Array, "..."]:
     """The bits of symmetry k."""
     k = jnp.asarray(k)

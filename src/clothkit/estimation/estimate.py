@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float, Shaped
 
 from clothkit.cloth.mesh import Cloth, ProbabilisticMesh, nll
-from clothkit.cloth.symmetry import equal_labellings, relabel_batch
+from clothkit.cloth.symmetry import among_equal_labellings, relabel_batch
 from clothkit.cloth.topology import PAPERS_CLOTH, SQUARE, Topology
 from clothkit.estimation.layering import lift
 from clothkit.estimation.refine import RefineConfig, refine
@@ -94,7 +94,7 @@ def labelled_like(
         scores.append(nll(mesh, ProbabilisticMesh(*(relabel_batch(part, labels, topology) for part in probabilistic))))
     unlike = jnp.stack(scores)
     if cloth is not None:
-        unlike = jnp.where(jnp.moveaxis(jnp.atleast_2d(equal_labellings(cloth)), -1, 0), unlike, jnp.inf)
+        unlike = among_equal_labellings(unlike, cloth)
     best = jnp.argmin(unlike, axis=0)
     return ProbabilisticMesh(*(relabel_batch(part, best, topology) for part in probabilistic))
 

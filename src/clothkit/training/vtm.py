@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree, Shaped
 from clothkit.cloth import mesh as meshes
 from clothkit.cloth import voxels
 from clothkit.cloth.mesh import ProbabilisticMesh
-from clothkit.cloth.symmetry import equal_labellings, equivalents, relabel_batch
+from clothkit.cloth.symmetry import among_equal_labellings, equivalents, relabel_batch
 from clothkit.cloth.topology import SQUARE, SWAP
 from clothkit.dataset.store import STEPS, Dataset
 from clothkit.manipulation.turns import turn_mesh
@@ -149,7 +149,7 @@ def loss_vtm(
     # Choosing the labelling first keeps the other seven out of the backward pass; the gradient is the same.
     likelihoods = jax.lax.stop_gradient(meshes.nll(equivalents(mesh), estimate))
     if cloth is not None:
-        likelihoods = jnp.where(jnp.moveaxis(equal_labellings(cloth), -1, 0), likelihoods, jnp.inf)
+        likelihoods = among_equal_labellings(likelihoods, cloth)
     return held_nll(relabel_batch(mesh, jnp.argmin(likelihoods, axis=0)), estimate, hold)
 
 
