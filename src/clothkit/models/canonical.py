@@ -12,7 +12,7 @@ input of VtM has its larger second moment along x; mirrored versions are covered
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax.numpy as jnp
@@ -70,6 +70,11 @@ def fit(mesh: Mesh, cloth: Cloth = PAPERS_CLOTH) -> Float[Array, "*batch 2 2"]:
     sign = jnp.where(turns, 1.0, -1.0)
     matrix = jnp.stack([jnp.stack([cos, sin], -1), jnp.stack([-sign * sin, sign * cos], -1)], -2)
     return jnp.where((jnp.maximum(turning, mirroring) > LEAST_FIT)[..., None, None], matrix, jnp.eye(2))
+
+
+def frame_of_square(mesh: Mesh, _: Cloth = PAPERS_CLOTH) -> Frame:
+    """`frame`, whatever the cloth's sides are."""
+    return frame(mesh)
 
 
 def eighth(
@@ -204,7 +209,10 @@ class Description:
 
 
 MESHES = Description(frame, described, manipulation_described, undone)
-"""Of meshes; grasp points are geodesic."""
+"""Of meshes, for nets that are told a cloth's sides; grasp points are geodesic."""
+
+MESHES_OF_SQUARES = replace(MESHES, frame=frame_of_square)
+"""Of meshes, for nets that are not told a cloth's sides, and so are not shown them by the frame either."""
 
 VOXELS = Description(voxel_frame, voxels_described, cartesian_described, voxels_undone)
 """Of voxels; grasp points are Cartesian."""

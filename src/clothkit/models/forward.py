@@ -13,7 +13,7 @@ from numpy import ndarray
 
 from clothkit.cloth.mesh import Cloth
 from clothkit.cloth.topology import PAPERS_CLOTH
-from clothkit.models.canonical import MESHES, VOXELS, Canonicalised
+from clothkit.models.canonical import MESHES, MESHES_OF_SQUARES, VOXELS, Canonicalised
 from clothkit.models.emd_voxel import EMDVoxel
 from clothkit.models.pemd import PEMD
 from clothkit.models.settings import EMDVoxelConfig, PEMDConfig
@@ -63,8 +63,11 @@ class Rollout(NamedTuple):
 
 def forward_model(config: PEMDConfig | EMDVoxelConfig) -> ForwardModel:
     """The model that a net with this configuration was trained for."""
-    model, description = (PEMD(config), MESHES) if isinstance(config, PEMDConfig) else (EMDVoxel(config), VOXELS)
-    return Canonicalised(model, description) if config.canonical else model
+    if isinstance(config, PEMDConfig):
+        of_meshes = PEMD(config)
+        return Canonicalised(of_meshes, MESHES if config.told else MESHES_OF_SQUARES) if config.canonical else of_meshes
+    of_voxels = EMDVoxel(config)
+    return Canonicalised(of_voxels, VOXELS) if config.canonical else of_voxels
 
 
 def rollout(
