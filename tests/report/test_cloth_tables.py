@@ -23,8 +23,8 @@ def various() -> Dataset:
 
 def estimates(errors: list[float]) -> pd.DataFrame:
     rows = pd.DataFrame({"sequence": range(4), "state": 1, "split": "test", "kind": "dmr", "error": errors})
-    others = [rows.assign(state=0, error=9.0), rows.assign(kind="pmr", error=9.0), rows.assign(split="train", error=9.0)]
-    return pd.concat([rows, *others], ignore_index=True)
+    others = [{"state": 0}, {"kind": "pmr"}, {"split": "train"}]
+    return pd.concat([rows, *(rows.assign(error=9.0, **other) for other in others)], ignore_index=True)
 
 
 def plans(errors: list[float]) -> pd.DataFrame:
@@ -48,7 +48,8 @@ def test_means_by_class() -> None:
     np.testing.assert_allclose(rows.loc[("plan", "start", "flat"), "3"], 0.3)
     assert rows.loc[("plan", "start", "flat"), "sequences"] == 3
     assert np.isnan(rows.loc[("plan", "start", "flat"), "1"])
-    assert table[table["property"] == "thickness"]["class"].tolist() == ["up to 0.8 %", "0.8 to 1.4 %", "above 1.4 %"] * 2
+    of_thickness = table[table["property"] == "thickness"]["class"]
+    assert of_thickness.tolist() == ["up to 0.8 %", "0.8 to 1.4 %", "above 1.4 %"] * 2
 
 
 def test_cloths_that_are_alike_have_no_table() -> None:

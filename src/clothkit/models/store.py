@@ -80,7 +80,7 @@ def configuration(folder: Path, kind: Kind | None = None) -> Any:
         found, widths = about["kind"], dict(about["net"])
         if "height" in widths:  # as nets of older versions call it
             widths["viewport"] = {"height": widths.pop("height")}
-        config = pydantic.TypeAdapter(KINDS[found]).validate_json(json.dumps(widths), strict=True)
+        config: Any = pydantic.TypeAdapter(KINDS[found]).validate_json(json.dumps(widths), strict=True)
     except (ValueError, KeyError, AttributeError, TypeError, OverflowError) as error:
         raise InputError(f"{folder / ATTRIBUTES}: expected a net's kind and widths, found something else") from error
     if kind is not None and found != kind:

@@ -24,8 +24,8 @@ def classes(dataset: Dataset) -> pd.DataFrame:
     found = {}
     for name, limits in CLASSES.items():
         place = np.searchsorted(list(limits.values()), values[name])
-        found[name] = pd.Categorical.from_codes(place, list(limits))
-    return pd.DataFrame({**found, "start": pd.Categorical.from_codes(dataset.start, STARTS)})
+        found[name] = pd.Categorical.from_codes(place, pd.Index(list(limits)))
+    return pd.DataFrame({**found, "start": pd.Categorical.from_codes(dataset.start, pd.Index(STARTS))})
 
 
 def by_cloth(dataset: Dataset, estimation: pd.DataFrame, planning: pd.DataFrame) -> pd.DataFrame:
@@ -43,7 +43,7 @@ def by_cloth(dataset: Dataset, estimation: pd.DataFrame, planning: pd.DataFrame)
     for name in cloths.columns[cloths.nunique() > 1]:
         for measure, system, rows in parts:
             of_class = cloths[name].iloc[rows["sequence"]].to_numpy()
-            for each in cloths[name].cat.categories.intersection(of_class, sort=False):
+            for each in cloths[name].cat.categories.intersection(pd.Index(of_class), sort=False):
                 own = rows[of_class == each]
                 means = own.groupby(own["column"].astype(str))["error"].mean().reindex(list(LENGTHS))
                 found.append((measure, system, name, each, own["sequence"].nunique(), *means))
