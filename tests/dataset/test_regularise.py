@@ -80,6 +80,25 @@ def test_too_few_sequences_and_bad_rows_are_refused_by_name(tmp_path: Path) -> N
         regularise(tmp_path / "other", SETTINGS)
 
 
+@pytest.mark.parametrize(
+    ("row", "column", "value", "sentence"),
+    [
+        (2, "sequence", 7, "has no row for sequence 2, expected one for each"),
+        (1, "side_u", 400.0, "side_u"),
+        (1, "side_v", np.nan, "side_v"),
+        (3, "thickness", -0.002, "thickness"),
+        (0, "start", "thrown", r"expected text \(flat, dragged, dropped\) or nothing, found .thrown."),
+    ],
+)
+def test_faulty_cloths_are_refused_by_name(tmp_path: Path, row: int, column: str, value: object, sentence: str) -> None:
+    raw = write_raw(tmp_path / "raw")
+    cloths = pd.read_parquet(raw / "cloths.parquet")
+    cloths.loc[row, column] = value
+    cloths.to_parquet(raw / "cloths.parquet")
+    with pytest.raises(InputError, match=rf"cloths\.parquet.*{sentence}"):
+        regularise(raw, SETTINGS)
+
+
 def test_splits_have_their_sizes_and_come_from_the_seed() -> None:
     settings = RegulariseConfig(train=8, validation=3, test=4, evaluated=2, seed=1)
     split, evaluated = assign_splits(settings)

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from clothkit.dataset.store import STATES, STEPS
 from clothkit.dataset.tables import Column, Complete, Table, check, read
 from clothkit.runtime.errors import InputError
-from clothkit.simulation.settings import DRAWN
+from clothkit.simulation.settings import DRAWN, STARTS
 
 STATE_COLUMNS = ("sequence", "state", "topology", "vertices")
 MANIPULATION_COLUMNS = ("sequence", "step", "hands", "u1", "v1", "u2", "v2", "dx", "dy")
@@ -96,7 +96,7 @@ _PROPERTY = Column("numbers", 0, missing=True, optional=True)
 CLOTHS = Table(
     {
         "sequence": _COUNTED,
-        "start": dataclasses.replace(_PROPERTY, kind="text"),
+        "start": Column("text", among=STARTS, missing=True, optional=True),
         "side_u": Column("numbers", _SIDES[0], _SIDES[1]),
         "side_v": Column("numbers", _SIDES[0], _SIDES[1]),
         **dict.fromkeys(DRAWN, _PROPERTY),
