@@ -74,8 +74,8 @@ from clothkit.planning.types import Found, Problem
 from clothkit.report.figures.studies import optimisers as draw
 from clothkit.runtime.publish import unfinished
 from clothkit.runtime.resumable import array_storage, load_piece
+from clothkit.simulation.cloths import Cloths
 from clothkit.simulation.executor import execute
-from clothkit.simulation.variation import Cloths
 
 LENGTHS = tuple(range(1, STEPS + 1))
 REFERENCE = "gradient"

@@ -37,10 +37,10 @@ from clothkit.planning.objective import Weights
 from clothkit.planning.planner import Planner, assemble
 from clothkit.planning.systems import SYSTEMS
 from clothkit.runtime.errors import InputError
+from clothkit.simulation.cloths import Cloths
 from clothkit.simulation.executor import end_workers, execute
 from clothkit.simulation.material import FABRICS, Material
 from clothkit.simulation.settings import DRAWN, SimulationConfig
-from clothkit.simulation.variation import Cloths
 
 TASKS = {(0, 1): "half", (1, 1): "half to quarter", (0, 2): "quarter"}
 """Names of the tasks by start and length."""

@@ -28,8 +28,8 @@ from clothkit.planning.objective import Weights
 from clothkit.planning.settings import PlanConfig
 from clothkit.runtime.cache import ensure_jax_cache
 from clothkit.runtime.errors import InputError, system_error
+from clothkit.simulation.cloths import topology_of
 from clothkit.simulation.settings import SimulationConfig
-from clothkit.simulation.variation import topology_of
 
 PARAMS = Path("params.yaml")
 _WEIGHTS = Weights(alpha=0.01, beta=5.0, gamma=1.25)

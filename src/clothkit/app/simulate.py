@@ -30,9 +30,9 @@ from clothkit.observation.coverage import goal_iou
 from clothkit.observation.pose import Pose
 from clothkit.observation.surfaces import check_grid
 from clothkit.runtime.errors import InputError
+from clothkit.simulation.cloths import simulated_cloths
 from clothkit.simulation.executor import execute
 from clothkit.simulation.settings import SimulationConfig
-from clothkit.simulation.variation import simulated_cloths
 
 _BESIDE = 0.1
 """Largest distance of a grasp from the cloth [cloth sides]. Later steps grasp predicted cloth, which is not exact."""

@@ -15,8 +15,8 @@ from clothkit.dataset.raw import STATE_COLUMNS, Topologies, Triangulation, read_
 from clothkit.dataset.store import SPLITS, STATES, STEPS, Dataset
 from clothkit.runtime.config import config
 from clothkit.runtime.errors import InputError
+from clothkit.simulation.cloths import Cloths
 from clothkit.simulation.settings import DRAWN, STARTS
-from clothkit.simulation.variation import Cloths
 
 MARGIN = 1e-3
 """A point counts as covered if no barycentric weight is below -MARGIN, since coordinates may be rounded to 6 digits."""

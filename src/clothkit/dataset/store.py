@@ -12,9 +12,9 @@ from jaxtyping import Bool, Float, Int, Int8
 from clothkit.cloth.topology import CLOTH_LENGTH, PAPERS_CLOTH, SQUARE
 from clothkit.dataset.zarr_store import WRITTEN, Declared, Store, open_store
 from clothkit.runtime.errors import InputError
+from clothkit.simulation.cloths import Cloths
 from clothkit.simulation.material import Material
 from clothkit.simulation.settings import DRAWN, STARTS
-from clothkit.simulation.variation import Cloths
 
 SPLITS = ("train", "validation", "test")
 STATES, STEPS = 4, 3

@@ -10,7 +10,7 @@ from clothkit.planning.batches import take
 from clothkit.planning.planner import Planner
 from clothkit.planning.types import Meshes, Plan
 from clothkit.runtime.errors import InputError
-from clothkit.simulation.variation import Cloths
+from clothkit.simulation.cloths import Cloths
 
 
 def grasp_positions(

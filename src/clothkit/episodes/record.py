@@ -17,7 +17,7 @@ from clothkit.manipulation.vector import is_null
 from clothkit.planning.planner import Planner
 from clothkit.planning.types import Plan
 from clothkit.runtime.errors import damaged_piece
-from clothkit.simulation.variation import Cloths
+from clothkit.simulation.cloths import Cloths
 
 MESH_AXES = ("u", "v", "xyz")
 STATE_AXES = ("seen_0", "seen_1", "seen_2")

@@ -19,7 +19,7 @@ from clothkit.planning.batches import in_batches, take
 from clothkit.planning.planner import Planner
 from clothkit.planning.types import Memory, Meshes, Observation, Plan
 from clothkit.runtime.errors import InputError
-from clothkit.simulation.variation import Cloths
+from clothkit.simulation.cloths import Cloths
 
 Execute = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Cloths], np.ndarray]
 """Executes manipulations: meshes [w u v 3], grasp points xy [w 2 2], displacements [w 2], whether one-handed [w], the

@@ -5,7 +5,7 @@ import pandas as pd
 
 from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.dataset.store import Dataset
-from clothkit.report.layout import LENGTHS
+from clothkit.report.layout import BY_CLOTH, LENGTHS
 from clothkit.simulation.settings import STARTS
 
 CLASSES: dict[str, dict[str, float]] = {
@@ -14,7 +14,6 @@ CLASSES: dict[str, dict[str, float]] = {
 }
 """Classes in order, each with its upper limit: of the thickness in percent of the longer side (0.8 is 3.2 mm of 0.4 m),
 and of the longer side over the shorter one."""
-COLUMNS = ("measure", "system", "property", "class", "sequences", *LENGTHS)
 
 
 def classes(dataset: Dataset) -> pd.DataFrame:
@@ -47,4 +46,4 @@ def by_cloth(dataset: Dataset, estimation: pd.DataFrame, planning: pd.DataFrame)
                 own = rows[of_class == each]
                 means = own.groupby(own["column"].astype(str))["error"].mean().reindex(list(LENGTHS))
                 found.append((measure, system, name, each, own["sequence"].nunique(), *means))
-    return pd.DataFrame(found, columns=list(COLUMNS))
+    return pd.DataFrame(found, columns=list(BY_CLOTH))

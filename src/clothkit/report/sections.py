@@ -9,11 +9,10 @@ from collections.abc import Mapping
 import pandas as pd
 
 from clothkit.report import blocks, captions, selections, texts
-from clothkit.report.cloth_tables import COLUMNS as COLUMNS_BY_CLOTH
 from clothkit.report.contents import Contents
 from clothkit.report.entries import Card, Cards, Figure, Folded, Report, Section, Table, Text, Timings
 from clothkit.report.formatting import IDEAL_RATIO
-from clothkit.report.layout import LENGTHS, SPLITS, STATES, TASKS
+from clothkit.report.layout import BY_CLOTH, LENGTHS, SPLITS, STATES, TASKS
 
 OUTCOMES = ("source", "split", "system", "statistic", *TASKS)
 COMPARISON = ("column", "sequences", "difference", "low", "high", "p")
@@ -250,7 +249,7 @@ SECTIONS = (
             Table(
                 "by_cloth",
                 "Errors by cloth",
-                COLUMNS_BY_CLOTH,
+                BY_CLOTH,
                 (captions.BY_CLOTH,),
                 unit=CLOTH_LENGTHS,
             ),

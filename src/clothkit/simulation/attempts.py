@@ -12,9 +12,9 @@ from clothkit.cloth.topology import CLOTH_LENGTH, Topology
 from clothkit.manipulation.sampling import draw_hands, sample
 from clothkit.simulation.executor import perform
 from clothkit.simulation.quality import Quality, measure, reason
-from clothkit.simulation.settings import SimulateConfig
+from clothkit.simulation.settings import DRAWN, SimulateConfig
 from clothkit.simulation.solver import flat_state
-from clothkit.simulation.variation import DRAWN, Drawn, draw, opening
+from clothkit.simulation.variation import Drawn, draw, opening
 from clothkit.simulation.world import Motion, Worlds
 
 STEPS = 3

@@ -15,9 +15,9 @@ from scipy import ndimage
 
 from clothkit.cloth.topology import CLOTH_LENGTH, Topology
 from clothkit.manipulation.geometry import release_points, topmost_vertex
+from clothkit.simulation.cloths import Cloths
 from clothkit.simulation.processes import cores, make_pool
 from clothkit.simulation.settings import SimulationConfig
-from clothkit.simulation.variation import Cloths
 from clothkit.simulation.world import Outcome, Worlds, arcs
 
 LAYERS = 16  # the most layers that a hand can grasp

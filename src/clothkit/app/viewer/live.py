@@ -28,8 +28,8 @@ from clothkit.planning.perception import Estimation
 from clothkit.planning.planner import Planner
 from clothkit.planning.types import Memory, Observation, Plan
 from clothkit.runtime.errors import InputError
+from clothkit.simulation.cloths import simulated_cloths
 from clothkit.simulation.executor import execute
-from clothkit.simulation.variation import simulated_cloths
 
 
 @dataclasses.dataclass(frozen=True)
