@@ -7,7 +7,8 @@ import pandas as pd
 
 from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.dataset.store import Dataset
-from clothkit.report.cloth_tables import COLUMNS, by_cloth, classes
+from clothkit.report.cloth_tables import by_cloth, classes
+from clothkit.report.layout import BY_CLOTH
 from clothkit.simulation.settings import STARTS
 from tests.toy_dataset import dataset
 
@@ -40,7 +41,7 @@ def test_classes_of_cloths() -> None:
 
 def test_means_by_class() -> None:
     table = by_cloth(various(), estimates([0.1, 0.2, 0.3, 0.5]), plans([0.2, 0.2, 0.3, 0.4]))
-    assert list(table.columns) == list(COLUMNS)
+    assert list(table.columns) == list(BY_CLOTH)
     rows = table.set_index(["measure", "property", "class"])
     assert len(rows) == 2 * (3 + 3 + 2)
     np.testing.assert_allclose(rows.loc[("estimate", "thickness", "above 1.4 %"), "1"], 0.4)

@@ -42,7 +42,7 @@ def test_a_narrowed_net_is_the_whole_one_with_weights_of_zero():
 
 def test_voxels_that_are_never_occupied_change_no_gradient(dataset):
     data, key = states(dataset), jax.random.key(3)
-    batch = draw(data, SETTINGS, key=jax.random.split(key)[0])
+    batch, _ = draw(data, SETTINGS, key=jax.random.split(key)[0])
     chosen = np.flatnonzero(jnp.any(voxels.observe(batch), axis=0))
     assert 0.05 < len(chosen) / len(EVERY) < 0.7
     whole, narrow = problem(SETTINGS, dataset), problem(SETTINGS, dataset, chosen)
