@@ -44,6 +44,8 @@ from clothkit.simulation.settings import DRAWN, SimulationConfig
 
 TASKS = {(0, 1): "half", (1, 1): "half to quarter", (0, 2): "quarter"}
 """Names of the tasks by start and length."""
+REACH = 0.89
+"""Displacement of the hands in sides of the towel: the edge that they let go slides on."""
 CONDITION = "noise x1"
 
 FOLDS = (((-1.0, -1.0, -1.0, 1.0), 0), ((-1.0, -1.0, 0.0, -1.0), 1))
@@ -62,7 +64,7 @@ def towels(
     angles = np.random.default_rng(seed).uniform(0, 2 * np.pi, repeats)
     states, manipulations = [flat_towels(topology, thickness * scale, angles)], []
     for (u1, v1, u2, v2), axis in FOLDS:
-        distance = 0.96 * topology.sides[axis]
+        distance = REACH * topology.sides[axis]
         move = np.eye(2)[axis] * distance
         moves = np.stack([turn(move, angle) for angle in angles])
         grasped = np.stack([grasp_points(mesh, topology, (u1, v1, u2, v2)) for mesh in states[-1]])
