@@ -235,8 +235,11 @@ def test_the_next_state_is_expected_after_the_manipulation_that_is_executed() ->
     given = tasks(Task(0, 0, 2))._replace(recorded=None)
     told = []
 
-    def perceive(perception: KnownMeshes, observation: Observation, expected: np.ndarray | None) -> np.ndarray:
+    def perceive(
+        perception: KnownMeshes, observation: Observation, expected: np.ndarray | None, cloth: np.ndarray
+    ) -> np.ndarray:
         told.append(expected)
+        np.testing.assert_array_equal(cloth, given.cloths.cloth)
         return observation.meshes
 
     with finding(MANIPULATIONS[:2]), mock.patch.object(KnownMeshes, "__call__", perceive):
@@ -283,8 +286,8 @@ def test_an_interrupted_run_goes_on_to_the_same_rows(tmp_path: Path) -> None:
     resumed, _ = evaluate(data, planner, toy.execute, work=tmp_path / "broken")
     assert [path.stat().st_mtime_ns for path in sorted(done.iterdir())] == times
     pd.testing.assert_frame_equal(rows(whole.whole(), "b1"), rows(resumed.whole(), "b1"))
-    # Two pieces of one task; the first search, which compiles, is not counted.
-    assert cost(seconds)["plans"] == {"1": (1, pytest.approx(seconds["1"][1][1], abs=1e-3))}
+    # Two pieces of one task; the first search, which compiles, is not counted. A padded batch counts as a full one.
+    assert cost(seconds)["plans"] == {"1": (toy.BATCH, pytest.approx(seconds["1"][1][1], abs=1e-3))}
     save(tmp_path / "a.zarr", whole, {"system": "b1"})
     save(tmp_path / "b.zarr", resumed, {"system": "b1"})
     files = [sorted(p for p in (tmp_path / f"{n}.zarr").rglob("*") if p.is_file()) for n in "ab"]
