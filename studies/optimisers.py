@@ -92,11 +92,11 @@ TUNING = slice(30, 45)
 """The validation sequences with which settings are tuned, by place."""
 
 TUNED: dict[str, dict[str, float]] = {
-    "cem": {"elites": 0.2, "iterations": 10},
+    "cem": {"elites": 0.05, "iterations": 10},
     "mppi": {"temperature": 0.05, "std": 0.25, "iterations": 10},
-    "hybrid": {"first": 0.5, "strains": 64},
+    "hybrid": {"first": 0.3, "strains": 32},
 }
-"""Settings that `--tune` chooses. These were not chosen by it yet: VSF's for cem, and guesses for mppi and hybrid."""
+"""Settings that `--tune` chose at `laptop` (reports/laptop/studies/optimisers_tuning.csv)."""
 
 GRIDS: dict[str, dict[str, tuple[float, ...]]] = {
     "cem": {"elites": (0.05, 0.1, 0.2), "iterations": (5, 10)},
@@ -277,6 +277,11 @@ def searches(planner: Planner, posed: Posed, bar: tqdm) -> list[tuple[slice, Fou
     return found
 
 
+def free_programs() -> None:
+    """Drop all compiled programs: some hundred of them need more memory mappings than a process may have."""
+    jax.clear_caches()
+
+
 class Plans(NamedTuple):
     """The plans that a contestant found, a row per task; steps after a plan's end are NaN."""
 
@@ -296,6 +301,7 @@ STORAGE = array_storage(Plans)
 def plans_of(planner: Planner, optimisers: dict[int, Any], posed: list[Posed], name: str) -> Plans:
     """Search with an optimiser per length, and return the plans."""
     parts = []
+    free_programs()
     with tqdm(total=sum(len(each.keys) for each in posed), desc=name, unit="plan") as bar:
         for each in posed:
             own = with_optimiser(planner, optimisers[each.length])
@@ -394,6 +400,7 @@ def sized(
         if (contestant.name, "evaluations", each.length) in known.index:
             before: Any = known.xs((contestant.name, "evaluations", each.length))
             start = float(before["evaluations"] * before["seconds_reference"] / before["seconds"])
+        free_programs()
         found = size(contestant, planner, usual, each, start)
         table = append(table, pd.DataFrame([{**found, COLUMN: current}]))
         write(table, path)
@@ -451,6 +458,7 @@ def tune(
             if ((table["optimiser"] == name) & (table["settings"] == text)).any():
                 continue
             found = []
+            free_programs()
             with tqdm(total=sum(len(each.keys) for each in posed), desc=f"{name} {text}", unit="plan") as bar:
                 for each in posed:
                     settings = sizings[name](evaluations(usual, each.length), each.length, **chosen)
