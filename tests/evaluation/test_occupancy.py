@@ -104,5 +104,5 @@ def test_differences_by_hand() -> None:
 
 def test_the_high_viewport_is_four_times_finer_in_z() -> None:
     """Height 0.25 in 16 voxels, width 2 in 32: what the paper's text says of the ratio."""
-    assert TALL == Viewport(height=0.25)
+    assert Viewport(height=0.25) == TALL
     assert (2 / 32) / (TALL.height / 16) == 4
