@@ -1,8 +1,8 @@
 """Can the household nets fold a towel before a depth camera?  python studies/towel.py [REPEATS] [options]
 
 A towel (--sides, --thickness; default 0.5 x 0.3 m, 5 mm, fabric `towel`) lies flat on the table, REPEATS times
-(default: 10) at another angle, before the depth camera of params.yaml (evaluate_camera.picture, condition `noise x1`). Hands that
-take all layers fold it in half and in quarters: these are the goals. System main plans and executes
+(default: 10) at another angle, before the depth camera of params.yaml (evaluate_camera.picture, condition `noise x1`).
+Hands that take all layers fold it in half and in quarters: these are the goals. System main plans and executes
 
 half             the half fold, from the flat towel
 half to quarter  the second fold, from the half-folded towel

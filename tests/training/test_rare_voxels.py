@@ -36,8 +36,8 @@ def test_a_narrowed_net_is_the_whole_one_with_weights_of_zero():
     narrow = narrowed(initial(SETTINGS.net, key=jax.random.key(1)), chosen)
     of_chosen = run(VtM(SETTINGS.net), narrow, among(chosen, seen))
     whole = run(VtM(SETTINGS.net), widened(narrow, chosen), seen)
-    np.testing.assert_allclose(of_chosen.mean, whole.mean, atol=1e-5)
-    np.testing.assert_allclose(of_chosen.std, whole.std, atol=1e-5)
+    np.testing.assert_allclose(of_chosen.mesh.mean, whole.mesh.mean, atol=1e-5)
+    np.testing.assert_allclose(of_chosen.mesh.std, whole.mesh.std, atol=1e-5)
 
 
 def test_voxels_that_are_never_occupied_change_no_gradient(dataset):

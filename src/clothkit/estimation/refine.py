@@ -44,6 +44,9 @@ class RefineConfig:
     unsure, its mean is too small; vertices that are pushed apart one by one crumple it, coarse moves spread it out."""
     observed_weight: Annotated[float, Ge(0)] = 0.0
     """Weight of the term that has a mesh explain the observed voxels, which the paper has not: `explanation.py`."""
+    doubt: Annotated[float, Ge(0)] = 20.0
+    """How much a hypothesis that explains the voxels worse than another loses of its probability: e-fold for 1 /
+    `doubt` less of the intersection over union of the occluded voxels."""
     pulls: Annotated[int, Gt(0), Le(RESOLUTION[0] * RESOLUTION[1])] = 64
     """Largest number of columns of voxels that pull a vertex at a time."""
     renewed: Annotated[int, Gt(0)] = 10

@@ -40,6 +40,8 @@ class VtMConfig:
     hidden: Count = 4096
     views: Literal[1, 8] = 1
     """With 8, an estimate combines those from all versions of the voxels rotated by right angles and mirrored."""
+    hypotheses: Count = 1
+    """Number of shapes among which the net may be undecided (hypotheses.py); the paper's net has one answer."""
     least_std: Rate = 0.01
     """Constant that eq. (6) adds to every standard deviation [normalised]."""
     canonical: bool = False

@@ -22,6 +22,7 @@ from clothkit.cloth.topology import SQUARE, SWAP
 from clothkit.dataset.store import STEPS, Dataset
 from clothkit.manipulation.turns import turn_mesh
 from clothkit.models.canonical import lies_along_y
+from clothkit.models.hypotheses import Hypotheses, most_probable, ordered
 from clothkit.models.layers import run
 from clothkit.models.settings import VtMConfig
 from clothkit.models.vtm import VtM, initial, turned
@@ -38,6 +39,13 @@ EVERY = np.arange(np.prod(voxels.RESOLUTION))
 
 COUNTED = 8192
 """Least number of examples from which the rare voxels are determined."""
+
+
+RELAXED = 0.05
+"""Share of the loss that all hypotheses have in common."""
+
+CHOICE = 0.01
+"""Weight of the probabilities' cross entropy, in units of a likelihood that is averaged over all coordinates."""
 
 
 class States(NamedTuple):
@@ -153,6 +161,30 @@ def loss_vtm(
     return held_nll(relabel_batch(mesh, jnp.argmin(likelihoods, axis=0)), estimate, hold)
 
 
+def loss_hypotheses(
+    mesh: Float[Array, "batch u v 3"],
+    found: Hypotheses,
+    *,
+    cloth: Float[Array, "batch 3"] | None = None,
+    hold: float = 0.0,
+) -> Float[Array, " batch"]:
+    """`loss_vtm` of each example's nearest hypothesis, and the cross entropy of the probabilities with which one it is.
+
+    The others learn a little, too (RELAXED), so that none is left without examples (Rupprecht et al., "Learning in an
+    uncertain world", ICCV 2017). The nearest one counts and not the most likely one, because the hypothesis that was
+    right before has the smaller standard deviations, and would take all examples.
+    """
+    count = found.probability.shape[-1]
+    parts = [ProbabilisticMesh(*(part[..., i, :, :, :] for part in found.mesh)) for i in range(count)]
+    each = jnp.stack([loss_vtm(mesh, part, cloth=cloth, hold=hold) for part in parts], axis=-1)
+    if count == 1:
+        return each[..., 0]
+    away = jnp.stack([meshes.error(jax.lax.stop_gradient(part.mean), mesh, cloth=cloth) for part in parts], axis=-1)
+    is_best = jax.nn.one_hot(jnp.argmin(away, axis=-1), count)
+    share = (1 - RELAXED) * is_best + RELAXED / count
+    return jnp.sum(share * each - CHOICE * is_best * jnp.log(found.probability + 1e-9), axis=-1)
+
+
 def among(chosen: Int[np.ndarray, " voxels"], seen: Shaped[Array, "batch x y z"]) -> Shaped[Array, "batch voxels 1 1"]:
     """The chosen voxels only, in the input shape of a net with narrowed weights."""
     flat = seen.reshape(len(seen), -1)
@@ -202,9 +234,7 @@ def problem(settings: TrainVtMConfig, validation: Dataset, chosen: Int[np.ndarra
     """The functions that the training loop needs for VtM; the training data are `States`, the weights are narrowed."""
     net = VtM(settings.net, settings.training.start)
 
-    def estimated(
-        params: PyTree, seen: Bool[Array, "batch x y z"], cloth: Float[Array, "batch 3"]
-    ) -> ProbabilisticMesh:
+    def estimated(params: PyTree, seen: Bool[Array, "batch x y z"], cloth: Float[Array, "batch 3"]) -> Hypotheses:
         return run(net, params, among(chosen, seen), cloth)
 
     def gradient(params: PyTree, data: States, key: PRNGKeyArray) -> tuple[PyTree, dict[str, Any]]:
@@ -214,7 +244,7 @@ def problem(settings: TrainVtMConfig, validation: Dataset, chosen: Int[np.ndarra
         mesh, seen = shown(mesh, observed(mesh, settings, key=noise_key), settings.net)
 
         def loss(params: PyTree) -> Float[Array, ""]:
-            return jnp.mean(loss_vtm(mesh, estimated(params, seen, cloth), cloth=cloth, hold=settings.hold))
+            return jnp.mean(loss_hypotheses(mesh, estimated(params, seen, cloth), cloth=cloth, hold=settings.hold))
 
         value, gradient = jax.value_and_grad(loss)(params)
         return gradient, {"loss": value}
@@ -224,7 +254,7 @@ def problem(settings: TrainVtMConfig, validation: Dataset, chosen: Int[np.ndarra
         params: PyTree, mesh: Float[Array, "batch u v 3"], cloth: Float[Array, "batch 3"]
     ) -> Float[Array, " batch"]:
         mesh, seen = shown(mesh, voxels.observe(mesh, viewport=settings.net.viewport), settings.net)
-        return meshes.error(estimated(params, seen, cloth).mean, mesh, cloth=cloth)
+        return meshes.error(most_probable(ordered(estimated(params, seen, cloth))).mean, mesh, cloth=cloth)
 
     longest = int(validation.length.max())
     long = [validation.length >= i for i in range(longest + 1)]

@@ -87,8 +87,8 @@ def estimate_state(planner: Planner, observation: Observation, memory: Memory) -
     states, points = agent.perceive(planner, observation, memory)
     sigma, perception = None, planner.perception
     if isinstance(perception, Estimation) and perception.refine and observation.voxels is not None:
-        expected = memory.expected if memory.planned[0] else None
-        found = estimate_probabilistic(perception.vtm, observation.voxels, expected, cloth=memory.cloth)
+        # Of several hypotheses, that which the state was refined from is the nearest one.
+        found = estimate_probabilistic(perception.vtm, observation.voxels, states, cloth=memory.cloth)
         sigma = np.asarray(found.std[0])
     return StateEstimate(states[0], sigma, points[0][np.isfinite(points[0]).all(-1)])
 
