@@ -1,8 +1,10 @@
 """What commands say of how they saw a file: which side is up, what is clamped, whether an estimate explains it."""
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from unittest import mock
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -17,7 +19,8 @@ from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.cloth.silhouette import centre
 from clothkit.cloth.topology import SQUARE
 from clothkit.estimation.agreement import AgreementConfig
-from clothkit.estimation.estimate import Estimate
+from clothkit.estimation.estimate import Alternatives
+from clothkit.models.hypotheses import Hypotheses
 from clothkit.observation.side import Stated
 from clothkit.runtime.errors import InputError
 from tests.app.conftest import run, succeed
@@ -111,14 +114,11 @@ def test_what_is_clamped_is_said_and_stands_in_the_plan(here: Path) -> None:
 
 def test_estimate_tells_what_it_covers_and_whether_it_explains(here: Path, files: Path) -> None:
     half = folded(along=0.0)
-    mean = half[None]
-
-    def perfect(*_: object) -> Estimate:
-        return Estimate(ProbabilisticMesh(mean, np.full_like(mean, 0.01)), mean)
+    perfect = one_of(half)
 
     np.save(here / "half.npy", np.asarray(voxels.observe(half)))
     write_mesh(here / "across.obj", turned(half, np.pi / 2).astype(float) * SCALE)
-    with mock.patch.object(estimate_command, "estimate_mesh", perfect):
+    with mock.patch.object(estimate_command, "alternatives_of", perfect):
         first, second = succeed("estimate", "half.npy", "--out", "mesh.obj").splitlines()
         wrong = succeed("estimate", "across.obj", "--out", "mesh.obj").splitlines()
     # Half of 40 x 40 cm, and a little for the bend and for pixels at the border; voxels are counted whole.
@@ -129,6 +129,27 @@ def test_estimate_tells_what_it_covers_and_whether_it_explains(here: Path, files
     # Of two halves of a square that cross, a quarter of it is in both, and three quarters in either.
     assert wrong[1].startswith("warning: across.obj: the estimate does not explain what was seen (silhouette IoU 0.3")
     assert "expected at least 0." in wrong[1]
+
+
+def test_all_shapes_that_may_be_seen_are_written_with_their_probabilities(here: Path, files: Path) -> None:
+    half, other = folded(along=0.0), folded(along=0.0) * np.float32([1, -1, 1])
+    np.save(here / "half.npy", np.asarray(voxels.observe(half)))
+    several = one_of(half, other, SQUARE.flat(), probability=(0.7, 0.26, 0.04))
+    with mock.patch.object(estimate_command, "alternatives_of", several):
+        said = succeed("estimate", "half.npy", "--out", "mesh.ply").splitlines()
+    assert said[0] == "half.npy: may show 2 shapes, which have the probabilities 70 %, 26 %"
+    assert [line.split(":")[0] for line in said[1:3]] == ["mesh.ply", "mesh.2.ply"]
+    for name, mesh in (("mesh", half), ("mesh.2", other)):
+        with np.load(here / f"{name}.sigma.npz") as arrays:
+            np.testing.assert_allclose(centre(arrays["mesh"] / SCALE), centre(mesh), atol=1e-5)
+    assert not (here / "mesh.3.ply").exists()
+
+
+def one_of(*meshes: np.ndarray, probability: Sequence[float] = (1.0,)) -> Callable[..., Alternatives]:
+    """An estimator that always answers with these shapes, and is sure to a hundredth."""
+    mean = np.stack(meshes)[None]
+    found = Hypotheses(ProbabilisticMesh(mean, np.full_like(mean, 0.01)), jnp.array([probability]))
+    return lambda *_: Alternatives(found, jnp.asarray(mean))
 
 
 def test_the_least_agreement_is_a_setting(here: Path) -> None:

@@ -13,7 +13,7 @@ from clothkit.app.inputs import Input, Settings, Usage
 from clothkit.cloth.mesh import best_label
 from clothkit.cloth.symmetry import relabel_manipulation
 from clothkit.cloth.topology import PAPERS_CLOTH, SQUARE
-from clothkit.estimation.estimate import Estimate, estimate
+from clothkit.estimation.estimate import Alternatives, Estimate, alternatives, estimate
 from clothkit.manipulation.turns import turn_manipulation, turn_mesh
 from clothkit.manipulation.vector import is_null
 from clothkit.models import store
@@ -121,6 +121,11 @@ def load_vtm(data: Path) -> Net:
 def estimate_mesh(vtm: Net, source: Input, settings: Settings) -> Estimate:
     """Estimate the mesh of one cloth of which nothing is expected yet, as a batch of one."""
     return estimate(vtm, source.observation.voxels[None], settings.plan.refine, cloth=source.cloth[None])
+
+
+def alternatives_of(vtm: Net, source: Input, settings: Settings) -> Alternatives:
+    """All shapes that an observation may show, as a batch of one."""
+    return alternatives(vtm, source.observation.voxels[None], settings.plan.refine, cloth=source.cloth[None])
 
 
 def observation_of(planner: Planner, source: Input, data: Path, settings: Settings) -> Observation:
