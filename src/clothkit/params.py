@@ -17,7 +17,7 @@ from ruamel.yaml.error import MarkedYAMLError, ReusedAnchorWarning
 from clothkit.app.settings import AppConfig
 from clothkit.dataset.augment import AugmentConfig
 from clothkit.dataset.regularise import RegulariseConfig
-from clothkit.evaluation.camera_settings import EvaluateCameraConfig
+from clothkit.evaluation.camera_settings import EvaluateCameraConfig, SetAlarmsConfig
 from clothkit.evaluation.settings import EvaluateEstimationConfig, EvaluatePlanningConfig, EvaluatePredictionConfig
 from clothkit.models.settings import EnsembleConfig
 from clothkit.planning.settings import NormaliseConfig, PlanConfig
@@ -41,6 +41,7 @@ class StageParams(pydantic.BaseModel, frozen=True, extra="forbid", allow_inf_nan
     train_pemd: TrainPEMDConfig
     train_emd_voxel: TrainEMDVoxelConfig | None  # null: no voxel baseline at this scale
     train_vtm: TrainVtMConfig
+    set_alarms: SetAlarmsConfig
     normalise: NormaliseConfig
     evaluate_estimation: EvaluateEstimationConfig
     evaluate_prediction: EvaluatePredictionConfig

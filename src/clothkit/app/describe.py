@@ -136,7 +136,7 @@ def describe(planner: Planner, planned: Planned, paths: list[HandPaths], request
 def notices(request: PlanRequest) -> list[str]:
     """Return sentences on how state and goal were read and observed, and on estimates that do not explain them."""
     sentences = [*request.state.notices, *request.goal.notices]
-    sentences += [found.sentence for found in request.agreements if found is not None and not found.explains]
+    sentences += [found.sentence for found in request.agreements if found is not None and not found.reliable]
     # State and goal may be one file.
     return list(dict.fromkeys(sentences))
 
@@ -182,6 +182,8 @@ def _source(planner: Planner, source: Input, found: EstimateAgreement | None, *,
             "silhouette_iou": round(found.silhouette_iou, 4),
             "height_iou": round(found.height_iou, 4),
             "explains": found.explains,
+            "strangeness": None if found.strangeness is None else round(found.strangeness, 4),
+            "known": found.known,
         }
     usage = usage_of(planner.system, source, goal=goal)
     return {"file": source.file, "kind": source.kind, "taken": usage, "agreement": agreement}

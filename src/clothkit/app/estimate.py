@@ -75,7 +75,7 @@ def command(file: str, *, out: Path, sigma: Path | None, data: Path, mask: str |
     for i in range(len(likely)):
         _write(_numbered(out, i), _numbered(sigma_path, i), source, found, meshes, i)
     agreement = compare_estimate(source, np.asarray(meshes[0, 0], float), settings)
-    click.echo(f"{'' if agreement.explains else 'warning: '}{agreement.sentence}")
+    click.echo(f"{'' if agreement.reliable else 'warning: '}{agreement.sentence}")
 
 
 def _write(out: Path, sigma_path: Path, source: Input, found: Hypotheses, meshes: Any, i: int) -> None:

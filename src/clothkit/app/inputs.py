@@ -12,6 +12,8 @@ from jaxtyping import Bool, Float
 
 from clothkit.app.settings import AppConfig
 from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE, Topology
+from clothkit.estimation import alarms
+from clothkit.estimation.alarms import Alarms
 from clothkit.manipulation.candidates import CandidateConfig
 from clothkit.models import store
 from clothkit.observation.cloud import Observation
@@ -51,20 +53,26 @@ class Settings(NamedTuple):
     simulation: SimulationConfig
     members: tuple[int, ...]
     """The members of the ensemble of forward models."""
+    data: Path = Path("data")
+    """The folder of the nets."""
+    alarms: Alarms | None = None
+    """From which signs on an observation is unknown to the net that estimates meshes; None: not set."""
 
 
 def load_settings(data: Path) -> Settings:
     """Read params.yaml in the current directory, at its selected scale; without such a file return the defaults.
 
-    Voxels are those that the net under `data` that estimates meshes takes, if there is one. Raises InputError if a file
-    is invalid.
+    Voxels are those that the net under `data` that estimates meshes takes, if there is one, and alarms are its own.
+    Raises InputError if a file is invalid.
     """
-    settings = _settings()
-    vtm = data / "nets/vtm"
+    settings = _settings()._replace(data=data)
+    vtm, set_alarms = data / "nets/vtm", data / "nets/alarms.npz"
     if not vtm.exists():
         return settings
-    cloud = dataclasses.replace(settings.app.cloud, viewport=store.configuration(vtm, "vtm").viewport)
-    return settings._replace(app=dataclasses.replace(settings.app, cloud=cloud))
+    net = store.configuration(vtm, "vtm")
+    cloud = dataclasses.replace(settings.app.cloud, viewport=net.viewport)
+    known = alarms.load(set_alarms, units=net.hidden) if set_alarms.exists() else None
+    return settings._replace(app=dataclasses.replace(settings.app, cloud=cloud), alarms=known)
 
 
 def _settings() -> Settings:

@@ -236,6 +236,7 @@ def summary(plan: Plan, path: Path) -> str:
                 f"the {what}'s estimate {'explains' if source.agreement.explains else 'does not explain'} what was "
                 f"seen: silhouette IoU {source.agreement.silhouette_iou:.2f}, height IoU "
                 f"{source.agreement.height_iou:.2f}"
+                f"{'' if source.agreement.known else '; the net has seen nothing like this'}"
             )
     expected = plan.expected
     if expected.error_m is not None and expected.error_no_action_m is not None:

@@ -68,6 +68,10 @@ class Agreement(Part):
     """Of the occluded voxels: of all that lies below the surface."""
     explains: bool
     """Whether both are as high as is usual for estimates that can be relied on."""
+    strangeness: NotNegative | None = None
+    """How unlike the data that the net was trained on the voxels are, about 1 for these; null if that is not known."""
+    known: bool = True
+    """Whether the strangeness is as low as is usual."""
 
 
 class Source(Part):

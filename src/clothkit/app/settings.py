@@ -30,8 +30,8 @@ class AppConfig:
     y_up: bool = False
     """Whether y, and not z, is up in OBJ and PLY meshes, and in clouds if table, up and viewpoint are not given."""
     cloud: CloudConfig = CloudConfig()
-    agreement: AgreementConfig = AgreementConfig()
-    """Thresholds of agreement from which an estimate counts as explaining its observation."""
+    agreement: AgreementConfig | None = None
+    """Thresholds of agreement from which an estimate counts as explaining its observation; None: the nets' own."""
     motion: MotionConfig = MotionConfig()
     reach: ReachConfig | None = None
     """The box that the hands reach; None: no limit."""

@@ -22,6 +22,9 @@ from clothkit.models.settings import Start, VtMConfig
 
 HIDDEN_LAYERS = 5
 
+SUPPORT_LAYER, UNITS = 1, "units"
+"""The hidden layer, counted from 0, whose units tell how strange an observation is, and their name."""
+
 
 class VtM(nn.Module):
     """Five hidden layers with tanh, and the output of eq. (6); `start` affects the initial weights only.
@@ -39,6 +42,8 @@ class VtM(nn.Module):
             units = with_cloth(units, cloth)
         for i in range(HIDDEN_LAYERS):
             units = jnp.tanh(dense(self.config.hidden, f"layer_{i + 1}")(units))
+            if i == SUPPORT_LAYER:
+                self.sow("intermediates", UNITS, units)
         count, hidden = self.config.hypotheses, self.config.hidden
         logits = dense(count, "probability")(units) if count > 1 else jnp.zeros((*units.shape[:-1], 1))
         each = [jnp.tanh(dense(hidden, f"hypothesis_{i + 1}")(units)) for i in range(count)] if count > 1 else [units]
@@ -148,6 +153,17 @@ def estimate(
 ) -> ProbabilisticMesh:
     """The net's most probable estimate, a probabilistic mesh [normalised]: eq. (9)."""
     return most_probable(hypotheses(net, voxels, cloth))
+
+
+def hidden_units(
+    net: Net, voxels: Shaped[Array | ndarray, "*batch 32 32 16"], cloth: Cloth = PAPERS_CLOTH
+) -> Float[Array, "*batch units"]:
+    """The units of layer SUPPORT_LAYER for voxels; those of a canonical net for the voxels as it takes them."""
+    voxels = jnp.asarray(voxels)
+    if net.config.canonical:
+        voxels = relabel(voxels, (lies_along_y(voxels) * SWAP)[..., None, None, None])
+    _, kept = VtM(net.config).apply({"params": net.params}, voxels, jnp.asarray(cloth), mutable=["intermediates"])
+    return kept["intermediates"][UNITS][0]
 
 
 def back(found: Hypotheses, k: int | Int[Array, "*batch"]) -> Hypotheses:

@@ -143,6 +143,16 @@ def shown(
     return turned(mesh, swap), relabel_batch(seen, swap)
 
 
+def drawn(
+    data: States, settings: TrainVtMConfig, *, key: PRNGKeyArray
+) -> tuple[Float[Array, "batch u v 3"], Bool[Array, "batch x y z"], Float[Array, "batch 3"]]:
+    """A random batch of training examples as the net takes them: meshes, voxels and cloths."""
+    draw_key, noise_key = jax.random.split(key)
+    mesh, cloth = spread(draw(data, settings, key=draw_key))
+    mesh = displaced(mesh, settings, key=jax.random.fold_in(noise_key, 1))
+    return *shown(mesh, observed(mesh, settings, key=noise_key), settings.net), cloth
+
+
 def loss_vtm(
     mesh: Float[Array, "batch u v 3"],
     estimate: ProbabilisticMesh,
@@ -218,9 +228,7 @@ def taken(data: States, settings: TrainVtMConfig) -> Int[np.ndarray, " voxels"]:
 
     @jax.jit
     def occupied(data: States, key: PRNGKeyArray) -> Float[Array, "x y z"]:
-        draw_key, noise_key = jax.random.split(key)
-        mesh, _ = draw(data, settings, key=draw_key)
-        return jnp.mean(shown(mesh, observed(mesh, settings, key=noise_key), settings.net)[1], axis=0)
+        return jnp.mean(drawn(data, settings, key=key)[1], axis=0)
 
     batches = -(-COUNTED // settings.training.batch)
     shares = np.mean([occupied(data, key) for key in jax.random.split(jax.random.key(0), batches)], axis=0)
@@ -238,10 +246,7 @@ def problem(settings: TrainVtMConfig, validation: Dataset, chosen: Int[np.ndarra
         return run(net, params, among(chosen, seen), cloth)
 
     def gradient(params: PyTree, data: States, key: PRNGKeyArray) -> tuple[PyTree, dict[str, Any]]:
-        draw_key, noise_key = jax.random.split(key)
-        mesh, cloth = spread(draw(data, settings, key=draw_key))
-        mesh = displaced(mesh, settings, key=jax.random.fold_in(noise_key, 1))
-        mesh, seen = shown(mesh, observed(mesh, settings, key=noise_key), settings.net)
+        mesh, seen, cloth = drawn(data, settings, key=key)
 
         def loss(params: PyTree) -> Float[Array, ""]:
             return jnp.mean(loss_hypotheses(mesh, estimated(params, seen, cloth), cloth=cloth, hold=settings.hold))

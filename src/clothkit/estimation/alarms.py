@@ -1,0 +1,83 @@
+"""Alarms: observations that the nets do not know, and estimates that do not explain what was seen, are noticed."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from clothkit.estimation.agreement import Agreement, AgreementConfig
+from clothkit.estimation.support import Support
+from clothkit.runtime.errors import InputError, system_error
+
+_QUANTILES = 41
+
+
+class Signs(NamedTuple):
+    """What tells of a batch of observations and their estimates whether they can be relied on."""
+
+    agreement: Agreement
+    strangeness: Float[np.ndarray, " batch"]
+
+
+class Alarms(NamedTuple):
+    """Thresholds from which an alarm is raised, and the net's support."""
+
+    least: AgreementConfig
+    """Less agreement of estimate and observation than this is an alarm."""
+    strangest: float
+    """More strangeness than this is an alarm."""
+    support: Support
+
+    def raised(self, signs: Signs) -> Bool[np.ndarray, " batch"]:
+        """Whether an alarm is raised."""
+        return ~signs.agreement.explains(self.least) | (signs.strangeness > self.strangest)
+
+
+def chosen(known: Sequence[Signs], support: Support, *, share: float) -> Alarms:
+    """The strictest thresholds at which at most a share of each batch in `known` raises an alarm.
+
+    `known` are signs of states like those that the net was trained on. All three thresholds are the same quantile of
+    the batches, the most lenient one of them; thresholds of agreement are rounded down to a hundredth.
+    """
+    best = Alarms(AgreementConfig(silhouette=0.0, heights=0.0), np.inf, support)
+    for quantile in np.linspace(0, share, _QUANTILES):
+        silhouette, heights = (
+            min(float(np.floor(100 * np.quantile(signs.agreement[i], quantile)) / 100) for signs in known)
+            for i in range(2)
+        )
+        strangest = max(float(np.quantile(signs.strangeness, 1 - quantile)) for signs in known)
+        tried = Alarms(AgreementConfig(silhouette=silhouette, heights=heights), strangest, support)
+        if all(tried.raised(signs).mean() <= share for signs in known):
+            best = tried
+    return best
+
+
+def save(path: Path, alarms: Alarms) -> None:
+    """Write alarms as NPZ. Equal alarms give equal bytes."""
+    thresholds = np.array([alarms.least.silhouette, alarms.least.heights, alarms.strangest])
+    with path.open("wb") as file:
+        np.savez(file, thresholds=thresholds, **alarms.support._asdict())
+
+
+def load(path: Path, *, units: int) -> Alarms:
+    """Read the alarms of a net whose layer has so many units. Raises InputError if they are damaged or of another."""
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+            thresholds, mean, whitening = (np.asarray(arrays[name]) for name in ("thresholds", "mean", "whitening"))
+    except OSError as error:
+        raise system_error(error, path, expected="thresholds of alarms") from error
+    except Exception as error:  # NumPy raises many types of exceptions for damaged files
+        raise InputError(f"{path}: expected thresholds of alarms, found a truncated or damaged file") from error
+    if (thresholds.shape, mean.shape, whitening.shape) != ((3,), (units,), (units, units)):
+        raise InputError(
+            f"{path}: expected alarms for a net of {units} units, found those of {mean.size}; run dvc repro"
+        )
+    if not all(np.isfinite(part).all() for part in (thresholds, mean, whitening)):
+        raise InputError(f"{path}: expected finite numbers, found NaN or infinity")
+    try:
+        least = AgreementConfig(silhouette=float(thresholds[0]), heights=float(thresholds[1]))
+    except ValueError as error:
+        raise InputError(f"{path}: expected thresholds from 0 to 1, found {thresholds[:2]}") from error
+    return Alarms(least, float(thresholds[2]), Support(mean, whitening))
