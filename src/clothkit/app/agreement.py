@@ -26,7 +26,7 @@ class EstimateAgreement(NamedTuple):
     strangeness: float | None = None
     """How unlike the training data the voxels are; None if the nets come without alarms."""
     known: bool = True
-    """Whether the strangeness is below its threshold."""
+    """Whether the net knows such voxels, and cloths of these sides and this thickness."""
 
     @property
     def reliable(self) -> bool:
@@ -42,22 +42,23 @@ def compare_estimate(source: Input, mesh: State, settings: Settings) -> Estimate
     alarms, voxels = settings.alarms, source.observation.voxels
     agrees = agreement(mesh.astype(np.float32), voxels, viewport=settings.app.cloud.viewport)
     least = settings.app.agreement or (alarms.least if alarms else AgreementConfig())
-    silhouette, heights = float(agrees.silhouette), float(agrees.heights)
-    explains, strange, known = bool(agrees.explains(least)), None, True
-    figures = f"silhouette IoU {silhouette:.2f}, height IoU {heights:.2f}"
+    silhouette, heights, explains = float(agrees.silhouette), float(agrees.heights), bool(agrees.explains(least))
+    figures, doubts, strange = f"silhouette IoU {silhouette:.2f}, height IoU {heights:.2f}", [], None
+    if not explains:
+        expected = f"expected at least {least.silhouette:.2f} and {least.heights:.2f}"
+        doubts.append(f"the estimate does not explain what was seen ({figures}, {expected})")
     if alarms:
         units = hidden_units(load_vtm(settings.data), voxels[None], source.cloth[None])
         strange = float(strangeness(np.asarray(units), alarms.support)[0])
-        known = strange <= alarms.strangest
-        figures += f", strangeness {strange:.1f}"
-    if explains and known:
-        sentence = f"the estimate explains what was seen ({figures})"
-    else:
-        said = "the estimate does not explain what was seen" if not explains else "the net has seen nothing like this"
-        expected = f"expected at least {least.silhouette:.2f} and {least.heights:.2f}"
-        expected += f" and at most {alarms.strangest:.1f}" if alarms else ""
-        reason = ": the net doesn't know such a state" if not explains else ""
-        sentence = f"{said} ({figures}, {expected}){reason}, and what follows from it can't be relied on"
+        if strange > alarms.strangest:
+            expected = f"expected at most {alarms.strangest:.1f}"
+            doubts.append(f"the net has seen nothing like it (strangeness {strange:.1f}, {expected})")
+        if not alarms.knows(source.cloth):
+            doubts.append("the net has seen no cloth of these sides and this thickness")
+    sentence = f"the estimate explains what was seen ({figures})"
+    if doubts:
+        sentence = f"{', and '.join(doubts)}: what follows from it can't be relied on"
+    known = len(doubts) == (not explains)
     return EstimateAgreement(silhouette, heights, explains, f"{source.file}: {sentence}", strange, known)
 
 

@@ -71,7 +71,7 @@ class Agreement(Part):
     strangeness: NotNegative | None = None
     """How unlike the data that the net was trained on the voxels are, about 1 for these; null if that is not known."""
     known: bool = True
-    """Whether the strangeness is as low as is usual."""
+    """Whether the net knows such voxels, and cloths of these sides and this thickness."""
 
 
 class Source(Part):

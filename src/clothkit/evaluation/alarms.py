@@ -70,4 +70,5 @@ def set_alarms(
         found = observe(truth, cloth, net, condition, camera, refinement, stored=[])
         seen = found.voxels.any((1, 2, 3))
         known.append(signs(net, support, found.voxels[seen], found.mesh[seen], cloth[seen]))
-    return chosen(known, support, share=settings.share)
+    cloths = np.stack([training.cloth.min(axis=0), training.cloth.max(axis=0)])
+    return chosen(known, support, cloths, share=settings.share)
