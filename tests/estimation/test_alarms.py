@@ -61,9 +61,8 @@ def test_known_cloths_are_those_within_a_margin() -> None:
 
 
 def test_what_is_read_is_what_was_written(tmp_path: Path) -> None:
-    alarms = Alarms(
-        AgreementConfig(silhouette=0.8, heights=0.6), 2.5, fit(np.random.default_rng(1).normal(size=(9, 3)))
-    )
+    support = fit(np.random.default_rng(1).normal(size=(9, 3)))
+    alarms = Alarms(AgreementConfig(silhouette=0.8, heights=0.6), 2.5, support, CLOTHS)
     for name in "ab":
         save(tmp_path / name, alarms)
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
