@@ -155,7 +155,7 @@ def starts(dataset: Dataset, sequences: Sequence[int], params: Params) -> Starts
     """Return the states from which predictions start: the refined estimates of all states of these sequences."""
     chosen = dataclasses.replace(dataset, evaluated=np.isin(np.arange(len(dataset)), sequences))
     vtm = net_store.load(DATA / "nets/vtm", "vtm")
-    found = estimation.estimates(chosen, vtm, params.stages.evaluate_estimation)
+    found = estimation.estimates(chosen, vtm, params.stages.evaluate_estimation, params.stages.plan.refine)
     return prediction.starts(chosen, found._asdict())
 
 

@@ -103,7 +103,9 @@ def write_data(folder: Path, params: Path) -> None:
     meshes.save(folder / "augmented.zarr", training, _about(given, "augment"))
     evaluations = folder / "evaluation"
     (evaluations / "planning").mkdir(parents=True)
-    found = estimation.estimates(dataset, store.load(folder / "nets/vtm"), given.stages.evaluate_estimation)
+    found = estimation.estimates(
+        dataset, store.load(folder / "nets/vtm"), given.stages.evaluate_estimation, given.stages.plan.refine
+    )
     about = _about(given, "evaluate_estimation")
     arrays.save(evaluations / "estimates.zarr", found.arrays(), about)
     write_rows(evaluations / "estimation.parquet", estimation.rows(dataset, found), about)

@@ -55,8 +55,9 @@ def forward() -> Ensemble:
 @pytest.fixture(scope="module")
 def estimates(dataset: Dataset) -> estimation.Estimates:
     config = VtMConfig(hidden=4)
-    settings = EvaluateEstimationConfig(refine=RefineConfig(iterations=3), batch=5)
-    return estimation.estimates(dataset, Net(config, vtm.initial(config, key=jax.random.key(0))), settings)
+    settings = EvaluateEstimationConfig(batch=5)
+    net = Net(config, vtm.initial(config, key=jax.random.key(0)))
+    return estimation.estimates(dataset, net, settings, RefineConfig(iterations=3))
 
 
 def test_estimates_are_of_the_states_of_evaluated_sequences(dataset: Dataset, estimates: estimation.Estimates) -> None:

@@ -124,7 +124,7 @@ def test_the_chain_runs_on_from_arcsims_runs(tmp_path: Path) -> None:
     trained = train_vtm(VTM, dataset.of_split("train"), validation, work=tmp_path / "vtm", key=jax.random.key(2))
     vtm, vtm_history = Net(VTM.net, trained.params), trained.history
 
-    found = estimation.estimates(dataset, vtm, EvaluateEstimationConfig(refine=REFINE, batch=4))
+    found = estimation.estimates(dataset, vtm, EvaluateEstimationConfig(batch=4), REFINE)
     arrays.save(tmp_path / "estimates.zarr", found.arrays(), {})
     estimates = arrays.load(tmp_path / "estimates.zarr", arrays.ESTIMATES)
     settings = EvaluatePredictionConfig(batch=4, stored=3)

@@ -10,6 +10,7 @@ from tqdm import tqdm
 from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.dataset.store import SPLITS, STATES, Dataset
 from clothkit.estimation.estimate import estimate
+from clothkit.estimation.refine import RefineConfig
 from clothkit.evaluation.arrays import NamedArray
 from clothkit.evaluation.errors import errors, labelled_errors, labels_of_truth, sigma_ratio
 from clothkit.evaluation.settings import EvaluateEstimationConfig
@@ -44,7 +45,7 @@ class Estimates(NamedTuple):
         }
 
 
-def estimates(dataset: Dataset, net: Net, settings: EvaluateEstimationConfig) -> Estimates:
+def estimates(dataset: Dataset, net: Net, settings: EvaluateEstimationConfig, refinement: RefineConfig) -> Estimates:
     """Return VtM's estimate and the refined mesh of every state of every evaluated sequence.
 
     VtM's input voxels are doubled, occluded and free of noise (design 6.14).
@@ -56,7 +57,7 @@ def estimates(dataset: Dataset, net: Net, settings: EvaluateEstimationConfig) ->
     for start in tqdm(range(0, len(truth), settings.batch), desc="estimates", unit="batch"):
         # The last batch is padded to the same size, which avoids another compilation.
         chosen = np.minimum(np.arange(start, start + settings.batch), len(truth) - 1)
-        estimated = estimate(net, seen_by(net, truth[chosen]), settings.refine, cloth=cloth[chosen])
+        estimated = estimate(net, seen_by(net, truth[chosen]), refinement, cloth=cloth[chosen])
         label = labels_of_truth(estimated.mesh, truth[chosen], cloth=cloth[chosen])
         kept = min(settings.batch, len(truth) - start)
         parts.append(tuple(np.asarray(a)[:kept] for a in (*estimated.probabilistic, estimated.mesh, label)))
