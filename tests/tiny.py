@@ -13,7 +13,7 @@ from ruamel.yaml import YAML
 
 from clothkit.app.output import write_mesh
 from clothkit.cloth import voxels
-from clothkit.cloth.topology import SQUARE
+from clothkit.cloth.topology import PAPERS_CLOTH, SQUARE
 from clothkit.dataset import store as meshes
 from clothkit.dataset.augment import augment
 from clothkit.dataset.regularise import regularise
@@ -21,6 +21,10 @@ from clothkit.dataset.rows import write_rows
 from clothkit.dataset.tasks import tasks_of
 from clothkit.episodes import record
 from clothkit.episodes.record import Sessions, Sizes, tasks_of_dataset
+from clothkit.estimation import alarms
+from clothkit.estimation.agreement import AgreementConfig
+from clothkit.estimation.alarms import Alarms
+from clothkit.estimation.support import fit
 from clothkit.evaluation import arrays, estimation, prediction
 from clothkit.evaluation.session_rows import rows
 from clothkit.models import emd_voxel, ensemble, pemd, store, vtm
@@ -70,6 +74,12 @@ def write_nets(folder: Path, members: Sequence[int] = MEMBERS) -> None:
         normalisation.save(folder / f"normalisation/{kind}.json", toy.normalisation(len(members)), {})
 
 
+def alarms_of(*, strangest: float) -> Alarms:
+    """Alarms of the nets of `write_nets`, for squares of 2 mm."""
+    support = fit(np.random.default_rng(0).normal(size=(40, 16)))
+    return Alarms(AgreementConfig(), strangest, support, np.stack([PAPERS_CLOTH, PAPERS_CLOTH]))
+
+
 def write_files(folder: Path) -> None:
     """A cloth as mesh, voxels and cloud, goals, and what tells the cloth from the table."""
     bent = folded(angle=0.3)
@@ -95,6 +105,7 @@ def write_data(folder: Path, params: Path) -> None:
     """Everything that stages leave under data/, as far as it is told of: nets included."""
     given = load_params(params)
     write_nets(folder)
+    alarms.save(folder / "nets/alarms.npz", alarms_of(strangest=10.0))
     tried = attempts()
     write_raw(folder / "raw", tried, [tried.states[tried.accepted]], seed=0, attributes=_about(given, "simulate"))
     dataset = regularise(folder / "raw", given.stages.regularise)

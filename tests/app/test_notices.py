@@ -1,5 +1,6 @@
 """What commands say of how they saw a file: which side is up, what is clamped, whether an estimate explains it."""
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from unittest import mock
@@ -26,6 +27,7 @@ from clothkit.runtime.errors import InputError
 from tests.app.conftest import run, succeed
 from tests.observation.scenes import SCALE, folded, turned
 from tests.observation.test_side import ABOVE, TOWEL
+from tests.tiny import alarms_of
 
 APP = AppConfig()
 
@@ -150,6 +152,38 @@ def one_of(*meshes: np.ndarray, probability: Sequence[float] = (1.0,)) -> Callab
     mean = np.stack(meshes)[None]
     found = Hypotheses(ProbabilisticMesh(mean, np.full_like(mean, 0.01)), jnp.array([probability]))
     return lambda *_: Alternatives(found, jnp.asarray(mean))
+
+
+def test_what_the_net_has_never_seen_is_told(here: Path) -> None:
+    np.save(here / "flat.npy", SQUARE.flat())
+    settings = load_settings(Path("data"))
+    assert settings.alarms is None
+    for strangest, thickness, doubts in (
+        (100.0, 0.002, ()),
+        (0.1, 0.002, ("the net has seen nothing like it (strangeness ",)),
+        (100.0, 0.02, ("the net has seen no cloth of these sides and this thickness",)),
+        (0.1, 0.02, ("strangeness", "and the net has seen no cloth of these")),
+    ):
+        seen = read_input("flat.npy", observation_options(APP, side=None, table=None, thickness=thickness))
+        known = settings._replace(alarms=alarms_of(strangest=strangest))
+        found = compare_estimate(seen, SQUARE.flat(), known)
+        assert found.explains
+        assert found.known == found.reliable == (not doubts)
+        assert ("can't be relied on" in found.sentence) == bool(doubts)
+        assert all(doubt in found.sentence for doubt in doubts)
+        assert found.strangeness is not None
+        assert 0.1 < found.strangeness < 100
+
+
+def test_thresholds_come_with_the_nets_and_may_be_overridden(here: Path, tmp_path: Path) -> None:
+    np.save(here / "flat.npy", SQUARE.flat())
+    settings = load_settings(Path("data"))
+    seen = read_input("flat.npy", observation_options(settings.app, side=None, table=None))
+    lower = SQUARE.flat() * np.float32([0.9, 1, 1])
+    strict = alarms_of(strangest=100.0)._replace(least=AgreementConfig(silhouette=0.97, heights=0.1))
+    assert not compare_estimate(seen, lower, settings._replace(alarms=strict)).explains
+    own = dataclasses.replace(settings.app, agreement=AgreementConfig(silhouette=0.5, heights=0.1))
+    assert compare_estimate(seen, lower, settings._replace(alarms=strict, app=own)).explains
 
 
 def test_the_least_agreement_is_a_setting(here: Path) -> None:

@@ -40,7 +40,7 @@ class Alarms(NamedTuple):
         # The order of the sides is not told to nets that know squares, and does not matter to others.
         sides, (low, high) = np.sort(cloth[..., :2], axis=-1), self.cloths
         of_ratio = sides[..., 0] >= min(low[:2]) / MARGIN
-        return of_ratio & (cloth[..., 2] >= low[2] / MARGIN) & (cloth[..., 2] <= high[2] * MARGIN)
+        return np.asarray(of_ratio & (cloth[..., 2] >= low[2] / MARGIN) & (cloth[..., 2] <= high[2] * MARGIN))
 
     def raised(self, signs: Signs) -> Bool[np.ndarray, " batch"]:
         """Whether an alarm is raised."""

@@ -32,4 +32,4 @@ def fit(units: Float[np.ndarray, "examples units"]) -> Support:
 
 def strangeness(units: Float[np.ndarray, "*batch units"], support: Support) -> Float[np.ndarray, "*batch"]:
     """The root mean square of the whitened units: about 1 for training examples."""
-    return np.sqrt(np.mean(((np.asarray(units) - support.mean) @ support.whitening) ** 2, axis=-1))
+    return np.asarray(np.sqrt(np.mean(((np.asarray(units) - support.mean) @ support.whitening) ** 2, axis=-1)))
