@@ -52,6 +52,6 @@ class SetAlarmsConfig:
     """Largest number of validation sequences whose states are observed and estimated."""
     examples: Annotated[int, Gt(0)] = 8192
     """Number of training examples that the net's support is made of."""
-    conditions: Annotated[tuple[Condition, ...], MinLen(1)] = (Condition(name="noise x1", tilt=0.35, noise=1.0),)
+    conditions: tuple[Condition, ...] = (Condition(name="noise x1", tilt=0.35, noise=1.0),)
     """The cameras, whose noise is that of `evaluate_camera.picture`."""
     seed: Annotated[int, Ge(0)] = 0
