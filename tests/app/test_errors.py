@@ -108,7 +108,7 @@ STATES: list[tuple[Callable[[], None], tuple[object, ...], str, str]] = [
     (raw("state.glb", b"glTF" + bytes(40)), ("state.glb",), "state.glb", "can't be read as GLB"),
     (raw("state.ply", "ply\nformat ascii 1.0\nelement vertex 9\n"), ("state.ply",), "state.ply", ""),
     (raw("state.obj", quads(400)), ("state.obj",), "state.obj", "spans 400"),
-    (raw("state.obj", quads(0.4)), ("state.obj", "--side", -1), "state.obj", "cloth side -1"),
+    (raw("state.obj", quads(0.4)), ("state.obj", "--side", -1), "--side: -1", "expected metres above 0"),
     (raw("state.npy", b"\x93NUMPY" + struct.pack("<4H", 1, 9, 9, 9)), ("state.npy",), "state.npy", "broken"),
     (array("state.npy", np.zeros((5, 5))), ("state.npy",), "state.npy", "has shape [5, 5]"),
     (array("state.npy", np.full((32, 32, 3), np.nan)), ("state.npy",), "state.npy", "not finite"),

@@ -322,7 +322,8 @@ def _sides(app: AppConfig, side: float | None, sides: tuple[float, float] | None
         raise InputError("--side, --sides: expected one of them, found both")
     found = sides or ((side, side) if side is not None else (app.side, app.shorter or app.side))
     if not (np.isfinite(found).all() and min(found) > 0):
-        raise InputError(f"--sides: {found[0]:g} x {found[1]:g}, expected metres above 0")
+        given = f"--sides: {found[0]:g} x {found[1]:g}" if side is None else f"--side: {side:g}"
+        raise InputError(f"{given}, expected metres above 0")
     longer, shorter = max(found), min(found)
     if longer > LARGEST_RATIO * shorter:
         raise InputError(f"--sides: {longer:g} x {shorter:g}, expected at most {LARGEST_RATIO:g} times the shorter one")

@@ -168,7 +168,7 @@ def hidden_units(
 
 def back(found: Hypotheses, k: int | Int[Array, "*batch"]) -> Hypotheses:
     """Estimates from voxels transformed by equivalent k, transformed back to the original orientation."""
-    mean, std = (turned_back(part, jnp.asarray(k)[..., None]) for part in found.mesh)
+    mean, std = (turned_back(part, k if isinstance(k, int) else k[..., None]) for part in found.mesh)
     return Hypotheses(ProbabilisticMesh(mean, jnp.abs(std)), found.probability)
 
 
