@@ -30,9 +30,8 @@ from clothkit.cloth import voxels
 from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.dataset import store
 from clothkit.dataset.store import STATES, Dataset
-from clothkit.estimation.alarms import Alarms, load
+from clothkit.estimation.alarms import Alarms, load, signs
 from clothkit.estimation.estimate import estimate
-from clothkit.evaluation.alarms import signs
 from clothkit.models import store as nets
 from clothkit.observation.coverage import centre
 from clothkit.params import load_params

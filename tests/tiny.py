@@ -34,6 +34,7 @@ from clothkit.observation.camera import back_project
 from clothkit.params import Params, load_params
 from clothkit.planning import normalisation
 from clothkit.simulation.attempts import Attempts
+from clothkit.simulation.material import Material
 from clothkit.simulation.records import write_raw
 from clothkit.simulation.settings import DRAWN
 from tests.observation.scenes import SCALE, SMALL, folded, image_of
@@ -153,7 +154,7 @@ def attempts(accepted: int = 10) -> Attempts:
         reached=np.full(count, 4),
         start=np.full(count, "flat"),
         sides=np.full((count, 2), 0.4),
-        material=np.full((count, len(DRAWN)), 0.002, np.float32),
+        material=np.tile(np.array([getattr(Material(), name) for name in DRAWN], np.float32), (count, 1)),
         states=states,
         manipulation=manipulation,
         hands=np.where(np.arange(count)[:, None] % 3 == 0, 1, 2) * np.ones((1, 3), int),

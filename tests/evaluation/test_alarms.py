@@ -6,13 +6,16 @@ import pytest
 
 from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.store import STATES, Dataset, papers_cloths
+from clothkit.estimation.alarms import signs
 from clothkit.estimation.refine import RefineConfig
-from clothkit.evaluation.alarms import set_alarms, signs, support_of
+from clothkit.estimation.support import fit
+from clothkit.evaluation.alarms import set_alarms
 from clothkit.evaluation.camera_settings import EvaluateCameraConfig, SetAlarmsConfig
 from clothkit.models.net import Net
 from clothkit.models.settings import VtMConfig
 from clothkit.models.vtm import SUPPORT_LAYER, hidden_units, initial, seen_by
 from clothkit.training.settings import TrainingConfig, TrainVtMConfig
+from clothkit.training.vtm import example_units
 from tests.observation.scenes import folded
 
 CONFIG = VtMConfig(hidden=6)
@@ -47,10 +50,10 @@ def test_hidden_units_are_those_of_the_layer_by_plain_products(dataset: Dataset)
 
 
 def test_validation_states_seldom_raise_an_alarm_and_other_things_do(dataset: Dataset) -> None:
-    settings = SetAlarmsConfig(share=0.2, sequences=4, examples=64, conditions=())
-    alarms = set_alarms(
-        NET, dataset, settings, trained=TRAINED, camera=EvaluateCameraConfig(), refinement=RefineConfig(iterations=0)
-    )
+    settings = SetAlarmsConfig(share=0.2, sequences=4, conditions=())
+    support = fit(example_units(NET, dataset.of_split("train"), TRAINED, examples=64, seed=0))
+    camera, refinement = EvaluateCameraConfig(), RefineConfig(iterations=0)
+    alarms = set_alarms(NET, dataset, settings, support=support, camera=camera, refinement=refinement)
     np.testing.assert_array_equal(alarms.cloths[0], dataset.of_split("train").cloth.min(axis=0))
     validation = dataset.of_split("validation")
     row, state = np.nonzero(np.arange(STATES) <= validation.length[:, None])
@@ -61,9 +64,10 @@ def test_validation_states_seldom_raise_an_alarm_and_other_things_do(dataset: Da
     assert alarms.raised(signs(NET, alarms.support, full, truth, cloth)).all()
 
 
-def test_the_support_is_of_so_many_training_examples(dataset: Dataset) -> None:
-    support = support_of(NET, dataset.of_split("train"), TRAINED, examples=20, seed=0)
-    assert support.mean.shape == (6,)
-    assert np.abs(support.mean).max() < 1  # Units are of a tanh.
-    other = support_of(NET, dataset.of_split("train"), TRAINED, examples=20, seed=1)
-    assert not np.array_equal(support.mean, other.mean)
+def test_units_are_of_so_many_random_examples(dataset: Dataset) -> None:
+    training = dataset.of_split("train")
+    units, other = (example_units(NET, training, TRAINED, examples=20, seed=seed) for seed in (0, 1))
+    assert units.shape == (20, 6)
+    assert np.abs(units).max() < 1  # They are of a tanh.
+    assert len(np.unique(units, axis=0)) > 10
+    assert not np.array_equal(units, other)

@@ -17,6 +17,7 @@ from clothkit.episodes.depth_camera import depth_camera
 from clothkit.episodes.evaluate import evaluate
 from clothkit.episodes.record import Sessions
 from clothkit.episodes.sensors import exact_sensor
+from clothkit.estimation.agreement import agreement
 from clothkit.estimation.estimate import estimate
 from clothkit.estimation.refine import RefineConfig
 from clothkit.evaluation import camera, camera_planning
@@ -31,8 +32,10 @@ from tests.episodes.test_sessions import dataset as toy_dataset
 from tests.evaluation import camera_rows
 from tests.observation.scenes import SMALL, folded
 from tests.planning import toy
+from tests.tiny import alarms_of
 
 REFINE = RefineConfig(iterations=5)
+ALARMS = alarms_of(strangest=10.0)
 PICTURE = PictureConfig(camera=SMALL)
 SETTINGS = EvaluateCameraConfig(
     conditions=(Condition(name="above"), Condition(name="noisy", tilt=0.3, noise=4.0)),
@@ -66,11 +69,15 @@ def dataset() -> Dataset:
 
 
 def test_states_are_seen_and_estimated_under_every_condition(dataset: Dataset, net: Net, tmp_path: Path) -> None:
-    found = camera.estimation(dataset, net, SETTINGS, REFINE, work=tmp_path)
+    found = camera.estimation(dataset, net, SETTINGS, REFINE, ALARMS, work=tmp_path)
     rows = found.rows
     assert rows["condition"].drop_duplicates().tolist() == ["voxels", "above", "noisy"]
     assert rows.groupby("condition").size().tolist() == [5, 5, 5]
     assert rows["seen"].all()
+    least, (mesh, seen) = ALARMS.least, (found.arrays[name].values[0] for name in ("mesh", "voxels"))
+    agrees = [agreement(mesh[i], seen[i]) for i in range(2)]
+    of_first = rows[(rows["sequence"] == 0) & (rows["state"] == 1) & (rows["condition"] != "voxels")]
+    assert all(of_first["alarm"].to_numpy() >= [not each.explains(least) for each in agrees])
     errors = rows.groupby("condition")["voxel_error"].mean()
     assert errors["voxels"] == 0
     assert 0 < errors["above"] < errors["noisy"] < 0.1
@@ -93,7 +100,7 @@ def test_states_are_seen_and_estimated_under_every_condition(dataset: Dataset, n
 
 
 def test_an_interrupted_estimation_goes_on_with_the_next_condition(dataset: Dataset, net: Net, tmp_path: Path) -> None:
-    whole = camera.estimation(dataset, net, SETTINGS, REFINE, work=tmp_path / "whole")
+    whole = camera.estimation(dataset, net, SETTINGS, REFINE, ALARMS, work=tmp_path / "whole")
     count = len(whole.rows) // 3
 
     def stopped(*arguments: object) -> Picture:
@@ -104,9 +111,9 @@ def test_an_interrupted_estimation_goes_on_with_the_next_condition(dataset: Data
 
     pictures: list[object] = []
     with mock.patch.object(camera, "take", stopped), pytest.raises(KeyboardInterrupt):
-        camera.estimation(dataset, net, SETTINGS, REFINE, work=tmp_path / "broken")
+        camera.estimation(dataset, net, SETTINGS, REFINE, ALARMS, work=tmp_path / "broken")
     with mock.patch.object(camera, "take", stopped):
-        resumed = camera.estimation(dataset, net, SETTINGS, REFINE, work=tmp_path / "broken")
+        resumed = camera.estimation(dataset, net, SETTINGS, REFINE, ALARMS, work=tmp_path / "broken")
     assert len(pictures) == count + 2 + count
     pd.testing.assert_frame_equal(resumed.rows, whole.rows)
     for name, array in whole.arrays.items():
@@ -117,7 +124,7 @@ def test_what_no_picture_shows_is_missing(dataset: Dataset, net: Net, tmp_path: 
     away = dataclasses.replace(PICTURE, camera=dataclasses.replace(SMALL, aim=(3.0, 0.0)), off=0.0)
     with mock.patch.object(camera, "take", lambda mesh, settings: take(mesh + np.float32([50, 0, 0]), settings)):
         settings = dataclasses.replace(SETTINGS, picture=away)
-        rows = camera.estimation(dataset, net, settings, REFINE, work=tmp_path).rows
+        rows = camera.estimation(dataset, net, settings, REFINE, ALARMS, work=tmp_path).rows
     before = rows[rows["condition"] != "voxels"]
     assert not before["seen"].any()
     assert before[["voxel_error", "centre_error", "iou", "error"]].isna().all(axis=None)

@@ -154,8 +154,10 @@ def test_cloths_of_all_ratios_become_grids_of_one_size(raw: Path) -> None:
     np.testing.assert_allclose(dataset.cloth, metres * (CLOTH_LENGTH / 0.4), rtol=1e-6)
     for axis, side in ((2, 0), (3, 1)):
         lines = np.linalg.norm(np.diff(dataset.vertices, axis=axis), axis=-1).sum(axis)
-        # Chords are shorter than the folded lines that they span.
-        np.testing.assert_allclose(np.median(lines, axis=(1, 2)), dataset.cloth[:, side], rtol=0.05)
+        # Chords are shorter than the folded lines that they span, on a grid of 16 vertices a side by up to a seventh.
+        longest = np.median(lines, axis=2).max(axis=1)
+        np.testing.assert_array_less(0.85 * dataset.cloth[:, side], longest)
+        np.testing.assert_array_less(longest, 1.03 * dataset.cloth[:, side])
 
 
 def test_a_recorded_fold_of_any_cloth_is_repeated_to_the_last_bit(raw: Path) -> None:

@@ -4,14 +4,20 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
-from clothkit.estimation.agreement import Agreement, AgreementConfig
-from clothkit.estimation.support import Support
+from clothkit.estimation.agreement import Agreement, AgreementConfig, agreement
+from clothkit.estimation.support import Support, strangeness
+from clothkit.models.net import Net
+from clothkit.models.vtm import hidden_units
 from clothkit.runtime.errors import InputError, system_error
 
 _QUANTILES = 41
+
+BATCH = 64
+"""So many observations are shown to a net at a time."""
 
 MARGIN = 1.5
 """Factor by which a cloth's thickness, and its shorter side, may be beyond those that the net learned from."""
@@ -22,6 +28,19 @@ class Signs(NamedTuple):
 
     agreement: Agreement
     strangeness: Float[np.ndarray, " batch"]
+
+
+def signs(
+    net: Net,
+    support: Support,
+    voxels: Bool[np.ndarray, "batch x y z"],
+    mesh: Float[np.ndarray, "batch u v 3"],
+    cloth: Float[np.ndarray, "batch 3"],
+) -> Signs:
+    """The signs of observed voxels and the refined meshes that are estimated from them."""
+    units = [_units(net, voxels[i : i + BATCH], cloth[i : i + BATCH]) for i in range(0, len(voxels), BATCH)]
+    agrees = agreement(mesh, voxels, viewport=net.config.viewport)
+    return Signs(agrees, strangeness(np.concatenate([np.asarray(part) for part in units]), support))
 
 
 class Alarms(NamedTuple):
@@ -95,3 +114,6 @@ def load(path: Path, *, units: int) -> Alarms:
     except ValueError as error:
         raise InputError(f"{path}: expected thresholds from 0 to 1, found {thresholds[:2]}") from error
     return Alarms(least, float(thresholds[2]), Support(mean, whitening), cloths)
+
+
+_units = jax.jit(hidden_units)

@@ -14,6 +14,7 @@ from clothkit.cloth import voxels
 from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.dataset.store import STATES, Dataset
 from clothkit.episodes.depth_camera import with_viewport
+from clothkit.estimation.alarms import Alarms, signs
 from clothkit.estimation.estimate import estimate
 from clothkit.estimation.refine import RefineConfig
 from clothkit.evaluation.arrays import NamedArray
@@ -125,14 +126,21 @@ def _height(picture: Picture) -> Float[np.ndarray, "row column"]:
 
 
 def estimation(
-    dataset: Dataset, vtm: Net, settings: EvaluateCameraConfig, refinement: RefineConfig, *, work: Path
+    dataset: Dataset,
+    vtm: Net,
+    settings: EvaluateCameraConfig,
+    refinement: RefineConfig,
+    alarms: Alarms,
+    *,
+    work: Path,
 ) -> Estimation:
     """Estimate every state except the flat one of the first test sequences, under every condition and without a camera.
 
     Columns of the tidy rows: condition, tilt [rad], noise, sequence, state, seen (whether a picture showed a cloth),
     voxel_error (mean difference to the noise-free voxels), centre_error [cloth length], iou (of the points' silhouette
-    and the true one), error (of the refined estimate [cloth length], not aligned beyond the centring). The last four
-    are NaN where seen is false. `work` stores the conditions that are finished, from which an interrupted run resumes.
+    and the true one), error (of the refined estimate [cloth length], not aligned beyond the centring). These four
+    are NaN where seen is false. alarm: whether a state that is seen raises an alarm. `work` stores the conditions that
+    are finished, from which an interrupted run resumes.
     """
     chosen = dataset.indices("test", evaluated=True)[: settings.estimated]
     place = [(s, state) for s in chosen.tolist() for state in range(1, min(STATES, int(dataset.length[s]) + 1))]
@@ -168,6 +176,7 @@ def estimation(
         columns: dict[str, Any] = {"condition": condition.name, "tilt": condition.tilt, "noise": condition.noise}
         columns |= {"sequence": sequence, "state": state, "seen": seen}
         columns |= {name: np.where(seen, values, np.nan) for name, values in measures.items()}
+        columns["alarm"] = seen & alarms.raised(signs(vtm, alarms.support, observed.voxels, observed.mesh, cloth))
         rows.append(pd.DataFrame(columns))
     views = [(observed.height, observed.voxels[stored], observed.mesh[stored]) for observed in observations[1:]]
     height, occupied, meshes = (np.stack(parts, axis=1) for parts in zip(*views, strict=True))

@@ -24,8 +24,9 @@ from clothkit.manipulation.turns import turn_mesh
 from clothkit.models.canonical import lies_along_y
 from clothkit.models.hypotheses import Hypotheses, most_probable, ordered
 from clothkit.models.layers import run
+from clothkit.models.net import Net
 from clothkit.models.settings import VtMConfig
-from clothkit.models.vtm import VtM, initial, turned
+from clothkit.models.vtm import VtM, hidden_units, initial, turned
 from clothkit.runtime.errors import InputError
 from clothkit.simulation.settings import STARTS
 from clothkit.training.augment import random_turns
@@ -289,3 +290,18 @@ def train_vtm(
     chosen = taken(data, settings)
     trained = train(problem(settings, validation, chosen), data, settings.training, work=work, key=key)
     return dataclasses.replace(trained, params=widened(trained.params, chosen))
+
+
+def example_units(
+    net: Net, training: Dataset, settings: TrainVtMConfig, *, examples: int, seed: int
+) -> Float[np.ndarray, "examples units"]:
+    """The net's hidden units (`vtm.hidden_units`) for examples like those that it was trained on."""
+    data = states(training)
+
+    @jax.jit
+    def units(key: PRNGKeyArray) -> Float[Array, "batch units"]:
+        _, seen, cloth = drawn(data, settings, key=key)
+        return hidden_units(net, seen, cloth)
+
+    keys = jax.random.split(jax.random.key(seed), -(-examples // settings.training.batch))
+    return np.concatenate([np.asarray(units(key)) for key in keys])[:examples]
