@@ -2,7 +2,8 @@
 
 FOLDER holds scenes NAME.conf.json with NAME.start.obj (frame 0) and NAME.obj (the last frame). The hand motions are
 replayed on a 32 x 32 grid with a material like ARCSim's gray-interlock and with the default material. Distances are
-between equal material points; `aligned` distances are computed after subtracting the mean translation. --vary changes
+between equal material points; `aligned` distances are computed after subtracting the mean translation. `crease xy` and
+`crease z` tell how wavy the fold line is: the rms distances of its outermost vertices from a parabola. --vary changes
 the material one setting at a time. The CPU seconds of ARCSim, MuJoCo and Newton were measured once, on another day, so
 only their ratios are meaningful.
 """
@@ -35,7 +36,7 @@ PEERS = {  # mean distance [mm], CPU seconds of one core
 VARIED: dict[str, tuple[float, ...]] = {
     "table_friction": (0.2, 0.5, 0.7),
     "cloth_friction": (0.3,),
-    "shear_stiffness": (0.05, 1.0, 5.0, 100.0),
+    "shear_stiffness": (0.1, 1.0, 5.0, 100.0),
     "stretch_stiffness": (500.0, 20000.0),
     "bending_stiffness": (1e-5, 5e-5),
     "bending_limit": (20.0,),
@@ -63,10 +64,37 @@ def compare(ours: str, scene: Scene, got: Replay) -> dict:
         "aligned": round(float(aligned.mean()), 1),
         "p95": round(float(np.percentile(distance, 95)), 1),
         "crest": round(float(got.final[..., 2].max()) * 1e3, 1),
+        **waves(scene, got.final),
         **_edges("let go", got.states[release], scene),
         **_edges("end", got.final, scene),
         "CPU s": round(got.cpu_seconds, 2),
     }
+
+
+def waves(scene: Scene, cloth: np.ndarray) -> dict:
+    """Return the rms distances [mm], across the fold line and in height, of the crease from the parabola along it.
+
+    The crease has a vertex per strip along the fold: the outermost one. The fold line is that of the hands' mean
+    motion, and only strips that it folds count, up to the distance of one vertex from its ends.
+    """
+    motion = scene.motion
+    hands = np.flatnonzero(motion.held[0, :, 0] >= 0)
+    start, end = (motion.path[0, hands, time, :2].mean(0) for time in (0, -1))
+    normal = (end - start) / np.linalg.norm(end - start)
+    along = np.array([-normal[1], normal[0]])
+    spacing = np.linalg.norm(scene.start[1, 0] - scene.start[0, 0])
+    folded = (scene.start[..., :2] - (start + end) / 2) @ normal < -spacing
+    strip = np.rint(cloth[..., :2] @ along / spacing).astype(int)
+    wanted = np.unique(np.rint(scene.start[folded][:, :2] @ along / spacing).astype(int))[1:-1]
+    crease = []
+    for number in wanted:
+        vertices = cloth[strip == number]
+        if len(vertices):
+            crease.append(vertices[np.argmin(vertices[:, :2] @ normal)])
+    x, y, z = (np.array(crease) @ axis for axis in (np.append(along, 0), np.append(normal, 0), [0, 0, 1]))
+    left = [values - np.polyval(np.polyfit(x, values, 2), x) for values in (y, z)]
+    across, height = (round(float(np.sqrt((part**2).mean())) * 1e3, 2) for part in left)
+    return {"crease xy": across, "crease z": height}
 
 
 def _edges(when: str, state: np.ndarray, scene: Scene) -> dict:
@@ -83,7 +111,8 @@ def peers(scene: Scene) -> list[dict]:
     for name, (distance, seconds) in PEERS.get(scene.name, {}).items():
         row: dict = {"solver": name, "mean mm": distance, "CPU s": seconds}
         if name.startswith("ARCSim"):
-            row |= {"crest": round(float(scene.final[..., 2].max()) * 1e3, 1), **_edges("end", scene.final, scene)}
+            crest = round(float(scene.final[..., 2].max()) * 1e3, 1)
+            row |= {"crest": crest, **waves(scene, scene.final), **_edges("end", scene.final, scene)}
         rows.append(row)
     return rows
 

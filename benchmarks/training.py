@@ -24,7 +24,7 @@ from tables import show
 from timed import in_a_row, least
 
 from clothkit.cloth.topology import SQUARE
-from clothkit.dataset.store import STATES, STEPS, Dataset
+from clothkit.dataset.store import STATES, STEPS, Dataset, papers_cloths
 from clothkit.params import load_params
 from clothkit.training import pemd as pemd_training
 from clothkit.training import vtm as vtm_training
@@ -49,6 +49,7 @@ def made_up() -> Dataset:
         length=np.full(SEQUENCES, STEPS, np.int8),
         split=np.zeros(SEQUENCES, np.int8),
         evaluated=np.zeros(SEQUENCES, bool),
+        **papers_cloths(SEQUENCES)._asdict(),
     )
 
 

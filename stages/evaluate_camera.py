@@ -7,6 +7,7 @@ from pathlib import Path
 from clothkit.dataset import store
 from clothkit.dataset.rows import write_rows
 from clothkit.episodes import record
+from clothkit.estimation.alarms import load as load_alarms
 from clothkit.evaluation import arrays, camera, camera_planning
 from clothkit.models.store import load
 from clothkit.planning.objective import Weights
@@ -17,6 +18,7 @@ from clothkit.simulation.executor import end_workers, execute
 
 DATA = Path("data")
 MESHES, SESSIONS = DATA / "meshes.zarr", DATA / "evaluation/planning/sessions_main.zarr"
+ALARMS = DATA / "nets/alarms.npz"
 OUT = DATA / "evaluation/camera"
 
 
@@ -26,15 +28,15 @@ def main() -> None:
         system = SYSTEMS["main"]
         members = s.shared.ensemble.members
         found = artifacts(system, DATA, members)
-        work = s.work(inputs=[MESHES, SESSIONS, *found.values()])
+        work = s.work(inputs=[MESHES, SESSIONS, ALARMS, *found.values()])
         weights = Weights(s.shared.alpha, s.shared.beta, s.shared.gamma)
         plan, simulate = s.shared.stages.plan, s.shared.stages.simulate
         dataset = store.load(MESHES)
+        vtm = load(found["vtm"], "vtm")
+        alarms = load_alarms(ALARMS, units=vtm.config.hidden)
         # The name contains a hash, so that pieces of a run with other weights or another simulator are not reused.
         pieces = work / hashlib.sha256(repr((weights, plan, simulate)).encode()).hexdigest()[:16]
-        estimation = camera.estimation(
-            dataset, load(found["vtm"], "vtm"), s.params, plan.refine, work=pieces / "states"
-        )
+        estimation = camera.estimation(dataset, vtm, s.params, plan.refine, alarms, work=pieces / "states")
         planner = assemble(system, DATA, weights, plan, simulate.candidates, members)
         simulator = partial(execute, settings=simulate.simulation, workers=simulate.workers)
         baseline = record.load(SESSIONS)

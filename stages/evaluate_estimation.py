@@ -15,7 +15,7 @@ def main() -> None:
         meshes, vtm = Path("data/meshes.zarr"), Path("data/nets/vtm")
         work = s.work(inputs=[meshes, vtm])
         dataset = store.load(meshes)
-        found = estimation.estimates(dataset, load(vtm, "vtm"), s.params)
+        found = estimation.estimates(dataset, load(vtm, "vtm"), s.params, s.shared.stages.plan.refine)
         write_rows(work / "estimation.parquet", estimation.rows(dataset, found), s.attributes)
         arrays.save(work / "estimates.zarr", found.arrays(), s.attributes)
         s.publish(work / "estimates.zarr", "data/evaluation/estimates.zarr")

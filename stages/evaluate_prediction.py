@@ -9,7 +9,7 @@ from clothkit.dataset.rows import write_rows
 from clothkit.evaluation import arrays, calibration, comparisons, prediction, voxel_prediction
 from clothkit.models.ensemble import folders, load
 from clothkit.models.store import Kind
-from clothkit.runtime.stage import stage
+from clothkit.runtime.stage import is_left_out, stage
 
 MESHES, ESTIMATES = Path("data/meshes.zarr"), Path("data/evaluation/estimates.zarr")
 NETS = Path("data/nets")
@@ -20,15 +20,19 @@ def main() -> None:
     """Write prediction.parquet, comparisons.parquet, calibration.parquet and predictions.zarr in data/evaluation."""
     with stage("evaluate_prediction") as s:
         members = s.shared.ensemble.members
-        paths = [path for kind in KINDS for path in folders(NETS, kind, members).values()]
+        of_kind = {kind: list(folders(NETS, kind, members).values()) for kind in KINDS}
+        kinds = [kind for kind, found in of_kind.items() if not any(map(is_left_out, found))]
+        paths = [path for kind in kinds for path in of_kind[kind]]
         work = s.work(inputs=[MESHES, ESTIMATES, *paths])
         dataset = store.load(MESHES)
         estimates = arrays.load(ESTIMATES, arrays.ESTIMATES)
         given = prediction.starts(dataset, estimates)
-        nets, voxel_nets = (load(NETS, kind, members) for kind in KINDS)
-        of_meshes = prediction.rows(dataset, given, nets, s.params)
-        of_voxels = voxel_prediction.rows(dataset, given.sequence, voxel_nets, s.params)
-        rows = pd.concat([of_meshes, of_voxels], ignore_index=True)
+        nets = load(NETS, "pemd", members)
+        found = [prediction.rows(dataset, given, nets, s.params)]
+        if "emd_voxel" in kinds:
+            voxel_nets = load(NETS, "emd_voxel", members)
+            found.append(voxel_prediction.rows(dataset, given.sequence, voxel_nets, s.params))
+        rows = pd.concat(found, ignore_index=True)
         write_rows(work / "prediction.parquet", rows, s.attributes)
         coverage = calibration.rows(dataset, given, nets.best_net, estimates, s.params)
         write_rows(work / "calibration.parquet", coverage, s.attributes)

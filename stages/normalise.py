@@ -10,7 +10,7 @@ from clothkit.planning.mesh_representation import MESH
 from clothkit.planning.normalisation import normalise, save
 from clothkit.planning.representation import Representation
 from clothkit.planning.voxel_representation import VOXEL
-from clothkit.runtime.stage import stage
+from clothkit.runtime.stage import is_left_out, stage
 
 MESHES, NETS = Path("data/meshes.zarr"), Path("data/nets")
 KINDS: dict[str, tuple[Kind, Representation]] = {"mesh": ("pemd", MESH), "voxel": ("emd_voxel", VOXEL)}
@@ -21,6 +21,9 @@ def main(kind: str) -> None:
     net, representation = KINDS[kind]
     with stage("normalise", kind) as s:
         members = s.shared.ensemble.members
+        if any(map(is_left_out, folders(NETS, net, members).values())):
+            s.leave_out(f"data/normalisation/{kind}.json")
+            return
         work = s.work(inputs=[MESHES, *folders(NETS, net, members).values()])
         ensemble = load(NETS, net, members)
         validation = store.load(MESHES).of_split("validation")

@@ -27,6 +27,10 @@ def main(name: str) -> None:
     """Write data/evaluation/planning/<system>.parquet and sessions_<system>.zarr."""
     system = SYSTEMS[name]
     with stage("plan", name) as s:
+        outs = (f"data/evaluation/planning/sessions_{name}.zarr", f"data/evaluation/planning/{name}.parquet")
+        if name not in s.params.systems:
+            s.leave_out(*outs)
+            return
         members = s.shared.ensemble.members
         work = s.work(inputs=[MESHES, *artifacts(system, DATA, members).values()])
         weights = Weights(s.shared.alpha, s.shared.beta, s.shared.gamma)
@@ -44,8 +48,8 @@ def main(name: str) -> None:
         save(work / "sessions.zarr", sessions, attributes)
         found = pd.concat([rows(piece, name) for piece in sessions], ignore_index=True)
         write_rows(work / "rows.parquet", found, attributes)
-        s.publish(work / "sessions.zarr", f"data/evaluation/planning/sessions_{name}.zarr")
-        s.publish(work / "rows.parquet", f"data/evaluation/planning/{name}.parquet")
+        for file, out in zip(("sessions.zarr", "rows.parquet"), outs, strict=True):
+            s.publish(work / file, out)
 
 
 if __name__ == "__main__":

@@ -9,11 +9,11 @@ from clothkit.simulation.arcsim_runs import files, read_runs
 from clothkit.simulation.generation import generate
 
 RAW = Path("data/raw")
-PARTS = ("states", "manipulations.parquet", "attempts.parquet", "topologies.parquet")
+PARTS = ("states", "manipulations.parquet", "attempts.parquet", "topologies.parquet", "cloths.parquet")
 
 
 def main() -> None:
-    """Simulate or import, and publish the four raw artifacts."""
+    """Simulate or import, and publish the five raw artifacts."""
     with stage("simulate") as s:
         sequences = read_runs(s.params.runs, s.params.sequences) if s.params.source == "arcsim" else []
         work = s.work(inputs=files(sequences))

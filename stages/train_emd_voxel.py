@@ -16,9 +16,12 @@ NETS = Path("data/nets")
 
 
 def main(name: str) -> None:
-    """Write data/nets/emd_voxel/<member>."""
+    """Write data/nets/emd_voxel/<member>, or a note where params.yaml has null for train_emd_voxel."""
     with stage("train_emd_voxel", name) as s:
         member = member_named(name, s.shared.ensemble.members)
+        if s.params is None:
+            s.leave_out(folder(NETS, "emd_voxel", member))
+            return
         training, meshes = Path("data/augmented.zarr"), Path("data/meshes.zarr")
         work = s.work(inputs=[training, meshes])
         key = jax.random.fold_in(jax.random.key(s.params.training.seed), member)

@@ -155,7 +155,7 @@ def starts(dataset: Dataset, sequences: Sequence[int], params: Params) -> Starts
     """Return the states from which predictions start: the refined estimates of all states of these sequences."""
     chosen = dataclasses.replace(dataset, evaluated=np.isin(np.arange(len(dataset)), sequences))
     vtm = net_store.load(DATA / "nets/vtm", "vtm")
-    found = estimation.estimates(chosen, vtm, params.stages.evaluate_estimation)
+    found = estimation.estimates(chosen, vtm, params.stages.evaluate_estimation, params.stages.plan.refine)
     return prediction.starts(chosen, found._asdict())
 
 
@@ -167,11 +167,11 @@ def predicted(dataset: Dataset, initial: Starts, nets: Sequence[Net], batch: int
         sequence, meshes = initial.sequence[long], initial.meshes["main"][long, start]
         if not len(sequence):
             continue
-        manipulations = dataset.manipulation[sequence, start : start + length]
+        manipulations, cloth = dataset.manipulation[sequence, start : start + length], dataset.cloth[sequence]
         truth = dataset.vertices[sequence, start + length]
-        means = [prediction.predict(net, meshes, manipulations, batch)[0].mean[-1] for net in nets]
-        single = np.mean([errors(mean, truth) for mean in means], axis=0)
-        of_all = np.asarray(errors(np.mean(means, axis=0), truth))
+        means = [prediction.predict(net, meshes, manipulations, batch, cloth)[0].mean[-1] for net in nets]
+        single = np.mean([errors(mean, truth, cloth=cloth) for mean in means], axis=0)
+        of_all = np.asarray(errors(np.mean(means, axis=0), truth, cloth=cloth))
         of_task = {"prediction_error": of_all, "prediction_error_single": single}
         found.append(pd.DataFrame({"sequence": sequence, "start": start, "length": length, **of_task}))
     return pd.concat(found, ignore_index=True)

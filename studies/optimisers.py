@@ -75,6 +75,7 @@ from clothkit.report.figures.studies import optimisers as draw
 from clothkit.runtime.cache import ensure_jax_cache
 from clothkit.runtime.publish import unfinished
 from clothkit.runtime.resumable import array_storage, load_piece
+from clothkit.simulation.cloths import Cloths
 from clothkit.simulation.executor import execute
 
 LENGTHS = tuple(range(1, STEPS + 1))
@@ -229,14 +230,14 @@ def pose(planner: Planner, dataset: Dataset, sequences: list[int]) -> list[Posed
             continue
         tasks = tasks_of_dataset(dataset, chosen, "validation")
         goals = representation.of_meshes(np.asarray(tasks.goal, np.float32))
-        memory = agent.begin(planner, goals, np.full(len(chosen), length))
+        memory = agent.begin(planner, goals, np.full(len(chosen), length), tasks.cloths.cloth)
         observation, _ = exact_sensor(planner.perception)(np.asarray(tasks.start, np.float32), None)
         state, candidates = agent.perceive(planner, observation, memory)
         problems = agent.pose(planner, state, candidates, memory, length)
         keys = search_keys(tasks, np.arange(len(chosen)), 0, planner.settings.seed)
-        labels = labels_of_estimates(representation, state, tasks.start)
+        labels = labels_of_estimates(representation, state, tasks.start, tasks.cloths.cloth)
         recorded = recorded_plans(representation, tasks.recorded or [], labels)
-        loss = planning_losses(planner, state, goals, recorded)
+        loss = planning_losses(planner, state, goals, recorded, tasks.cloths.cloth)
         found.append(Posed(length, tasks, candidates, problems, keys, loss))
     return found
 
@@ -251,7 +252,7 @@ def only(posed: list[Posed], sequences: set[int]) -> list[Posed]:
             tasks = Tasks(
                 [some.task[row] for row in rows],
                 [some.split[row] for row in rows],
-                *(part[rows] for part in (some.start, some.centre, some.goal)),
+                *take((some.start, some.centre, some.goal, some.cloths), rows),
             )
             candidates, problems, keys, loss = take(
                 (each.candidates, each.problems, each.keys, each.loss_recorded), rows
@@ -318,10 +319,11 @@ def rows_of(plans: Plans, posed: list[Posed], simulator: Execute | None) -> pd.D
     start, centre, goal = (
         np.concatenate([getattr(each.tasks, name) for each in posed]) for name in ("start", "centre", "goal")
     )
+    cloths = Cloths(*(np.concatenate(parts) for parts in zip(*(each.tasks.cloths for each in posed), strict=True)))
     error = np.full(len(goal), np.nan)
     if simulator:
-        outcome = execute_plans(start, centre, plans.manipulation, plans.position, simulator)
-        error = np.asarray(errors(outcome, goal, aligned=True))
+        outcome = execute_plans(start, centre, plans.manipulation, plans.position, simulator, cloths)
+        error = np.asarray(errors(outcome, goal, aligned=True, cloth=cloths.cloth))
     recorded = np.concatenate([each.loss_recorded for each in posed])
     return pd.DataFrame(
         {

@@ -3,7 +3,7 @@
 import numpy as np
 
 from clothkit.cloth.topology import SQUARE
-from clothkit.dataset.store import Dataset
+from clothkit.dataset.store import Dataset, papers_cloths
 
 
 def crumpled(count: int, seed: int) -> Dataset:
@@ -25,4 +25,5 @@ def crumpled(count: int, seed: int) -> Dataset:
         length=np.full(count, 3, np.int8),
         split=np.zeros(count, np.int8),
         evaluated=np.zeros(count, bool),
+        **papers_cloths(count)._asdict(),
     )

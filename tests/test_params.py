@@ -36,7 +36,7 @@ def write(folder: Path, **changes: Any) -> Path:
 
 def test_every_scale_of_the_repository_is_valid(tmp_path: Path) -> None:
     params = load_params(write(tmp_path))
-    assert set(params.scales) == {"smoke", "laptop", "overnight", "paper"}
+    assert set(params.scales) == {"smoke", "laptop", "overnight", "paper", "household"}
     assert hash(params.stages.plan) == hash(params.stages.plan)
     assert params.section("regularise")["train"] == params.stages.regularise.train
 
@@ -68,8 +68,12 @@ def test_an_ensemble_is_the_papers_two_nets_unless_told(tmp_path: Path) -> None:
         ({"alpha": -1.0}, "alpha: input should be greater than or equal to 0"),
         ({"app.side": -0.4}, "app.side: input should be greater than 0, found -0.4"),
         ({"app.reach": {"low": [0.0, 0.0, 0.0]}}, "app.reach.high is missing"),
-        ({"scale": "huge"}, "scale: input should be 'smoke', 'laptop', 'overnight' or 'paper'"),
+        ({"scale": "huge"}, "scale: input should be 'smoke', 'laptop', 'overnight', 'paper' or 'household'"),
         ({"scales.paper.regularise": ...}, "scales.paper.regularise is missing"),
+        ({"scales.paper.plan.systems": ["b9"]}, "systems has 'b9', expected some of main, b1"),
+        ({"scales.paper.plan.systems": ["main"]}, "evaluate_planning.systems has b1, which plan.systems leaves out"),
+        ({"scales.paper.train_emd_voxel": None}, "plan.systems has b4, which plans in voxels, but train_emd_voxel is"),
+        ({"scales.paper.train_vtm": None}, "scales.paper.train_vtm: is empty, expected a value"),
     ],
 )
 def test_bad_params_are_refused_by_name(tmp_path: Path, changes: dict[str, Any], sentence: str) -> None:

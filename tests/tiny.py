@@ -13,7 +13,7 @@ from ruamel.yaml import YAML
 
 from clothkit.app.output import write_mesh
 from clothkit.cloth import voxels
-from clothkit.cloth.topology import SQUARE
+from clothkit.cloth.topology import PAPERS_CLOTH, SQUARE
 from clothkit.dataset import store as meshes
 from clothkit.dataset.augment import augment
 from clothkit.dataset.regularise import regularise
@@ -21,6 +21,10 @@ from clothkit.dataset.rows import write_rows
 from clothkit.dataset.tasks import tasks_of
 from clothkit.episodes import record
 from clothkit.episodes.record import Sessions, Sizes, tasks_of_dataset
+from clothkit.estimation import alarms
+from clothkit.estimation.agreement import AgreementConfig
+from clothkit.estimation.alarms import Alarms
+from clothkit.estimation.support import fit
 from clothkit.evaluation import arrays, estimation, prediction
 from clothkit.evaluation.session_rows import rows
 from clothkit.models import emd_voxel, ensemble, pemd, store, vtm
@@ -30,7 +34,9 @@ from clothkit.observation.camera import back_project
 from clothkit.params import Params, load_params
 from clothkit.planning import normalisation
 from clothkit.simulation.attempts import Attempts
+from clothkit.simulation.material import Material
 from clothkit.simulation.records import write_raw
+from clothkit.simulation.settings import DRAWN
 from tests.observation.scenes import SCALE, SMALL, folded, image_of
 from tests.planning import toy
 
@@ -69,6 +75,12 @@ def write_nets(folder: Path, members: Sequence[int] = MEMBERS) -> None:
         normalisation.save(folder / f"normalisation/{kind}.json", toy.normalisation(len(members)), {})
 
 
+def alarms_of(*, strangest: float) -> Alarms:
+    """Alarms of the nets of `write_nets`, for squares of 2 mm."""
+    support = fit(np.random.default_rng(0).normal(size=(40, 16)))
+    return Alarms(AgreementConfig(), strangest, support, np.stack([PAPERS_CLOTH, PAPERS_CLOTH]))
+
+
 def write_files(folder: Path) -> None:
     """A cloth as mesh, voxels and cloud, goals, and what tells the cloth from the table."""
     bent = folded(angle=0.3)
@@ -94,18 +106,18 @@ def write_data(folder: Path, params: Path) -> None:
     """Everything that stages leave under data/, as far as it is told of: nets included."""
     given = load_params(params)
     write_nets(folder)
-    simulation = given.stages.simulate.simulation
+    alarms.save(folder / "nets/alarms.npz", alarms_of(strangest=10.0))
     tried = attempts()
-    write_raw(
-        folder / "raw", tried, [tried.states[tried.accepted]], simulation, seed=0, attributes=_about(given, "simulate")
-    )
+    write_raw(folder / "raw", tried, [tried.states[tried.accepted]], seed=0, attributes=_about(given, "simulate"))
     dataset = regularise(folder / "raw", given.stages.regularise)
     meshes.save(folder / "meshes.zarr", dataset, _about(given, "regularise"))
     training = augment(dataset.of_split("train"), given.stages.augment)
     meshes.save(folder / "augmented.zarr", training, _about(given, "augment"))
     evaluations = folder / "evaluation"
     (evaluations / "planning").mkdir(parents=True)
-    found = estimation.estimates(dataset, store.load(folder / "nets/vtm"), given.stages.evaluate_estimation)
+    found = estimation.estimates(
+        dataset, store.load(folder / "nets/vtm"), given.stages.evaluate_estimation, given.stages.plan.refine
+    )
     about = _about(given, "evaluate_estimation")
     arrays.save(evaluations / "estimates.zarr", found.arrays(), about)
     write_rows(evaluations / "estimation.parquet", estimation.rows(dataset, found), about)
@@ -140,6 +152,9 @@ def attempts(accepted: int = 10) -> Attempts:
         accepted=np.arange(count) < accepted,
         reason=np.array([""] * accepted + ["height"]),
         reached=np.full(count, 4),
+        start=np.full(count, "flat"),
+        sides=np.full((count, 2), 0.4),
+        material=np.tile(np.array([getattr(Material(), name) for name in DRAWN], np.float32), (count, 1)),
         states=states,
         manipulation=manipulation,
         hands=np.where(np.arange(count)[:, None] % 3 == 0, 1, 2) * np.ones((1, 3), int),

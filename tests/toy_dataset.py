@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from clothkit.cloth.silhouette import centred
-from clothkit.dataset.store import SPLITS, Dataset
+from clothkit.dataset.store import SPLITS, Dataset, papers_cloths
 from tests.planning import toy
 
 MANIPULATIONS = np.array([[-1, -1, -1, -1, 0.6, 0.5], [1, 1, 1, 1, -0.7, -0.3], [-1, 1, -1, 1, 0.5, -0.6]], np.float32)
@@ -30,4 +30,5 @@ def dataset(sequences: int = 2) -> Dataset:
         3 * every,
         np.full(sequences, SPLITS.index("test"), np.int8),
         every.astype(bool),
+        *papers_cloths(sequences),
     )

@@ -4,6 +4,7 @@ import datetime
 import json
 import math
 import warnings
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -16,17 +17,18 @@ from ruamel.yaml.error import MarkedYAMLError, ReusedAnchorWarning
 from clothkit.app.settings import AppConfig
 from clothkit.dataset.augment import AugmentConfig
 from clothkit.dataset.regularise import RegulariseConfig
-from clothkit.evaluation.camera_settings import EvaluateCameraConfig
+from clothkit.evaluation.camera_settings import EvaluateCameraConfig, SetAlarmsConfig
 from clothkit.evaluation.settings import EvaluateEstimationConfig, EvaluatePlanningConfig, EvaluatePredictionConfig
 from clothkit.models.settings import EnsembleConfig
 from clothkit.planning.settings import NormaliseConfig, PlanConfig
+from clothkit.planning.systems import SYSTEMS
 from clothkit.report.card.settings import CardConfig
 from clothkit.report.settings import ReportConfig
 from clothkit.runtime.errors import InputError, system_error
 from clothkit.simulation.settings import SimulateConfig
 from clothkit.training.settings import TrainEMDVoxelConfig, TrainPEMDConfig, TrainVtMConfig
 
-Scale = Literal["smoke", "laptop", "overnight", "paper"]
+Scale = Literal["smoke", "laptop", "overnight", "paper", "household"]
 
 
 class StageParams(pydantic.BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
@@ -37,8 +39,9 @@ class StageParams(pydantic.BaseModel, frozen=True, extra="forbid", allow_inf_nan
     regularise: RegulariseConfig
     augment: AugmentConfig
     train_pemd: TrainPEMDConfig
-    train_emd_voxel: TrainEMDVoxelConfig
+    train_emd_voxel: TrainEMDVoxelConfig | None  # null: no voxel baseline at this scale
     train_vtm: TrainVtMConfig
+    set_alarms: SetAlarmsConfig
     normalise: NormaliseConfig
     evaluate_estimation: EvaluateEstimationConfig
     evaluate_prediction: EvaluatePredictionConfig
@@ -46,6 +49,18 @@ class StageParams(pydantic.BaseModel, frozen=True, extra="forbid", allow_inf_nan
     evaluate_camera: EvaluateCameraConfig
     evaluate_planning: EvaluatePlanningConfig
     report: ReportConfig
+
+    @pydantic.model_validator(mode="after")
+    def _agrees(self) -> "StageParams":
+        lists = {"plan.systems": self.plan.systems, "evaluate_planning.systems": self.evaluate_planning.systems}
+        lists["report.planners"] = self.report.planners
+        for (whole, some), (part, chosen) in pairwise(lists.items()):
+            if missing := [system for system in chosen if system not in some]:
+                raise ValueError(f"{part} has {missing[0]}, which {whole} leaves out")
+        voxels = [system for system in self.plan.systems if SYSTEMS[system].voxels]
+        if self.train_emd_voxel is None and voxels:
+            raise ValueError(f"plan.systems has {voxels[0]}, which plans in voxels, but train_emd_voxel is null")
+        return self
 
 
 class Params(pydantic.BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):

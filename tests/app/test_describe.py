@@ -13,7 +13,7 @@ from clothkit.app.planner import Planned
 from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.cloth.silhouette import centred, iou, silhouette
 from clothkit.cloth.symmetry import relabel
-from clothkit.cloth.topology import SQUARE
+from clothkit.cloth.topology import PAPERS_CLOTH, SQUARE
 from clothkit.observation.observe import observe
 from clothkit.observation.pose import Pose
 from clothkit.observation.states import MeshState, PointCloud
@@ -77,8 +77,9 @@ def planned(nets: int = 2) -> Planned:
 def request(goal: np.ndarray, frame: str = "camera") -> PlanRequest:
     mesh = MeshState(SQUARE.flat(), np.zeros(2, np.float32), SCALE)
     seen = observe(mesh, cloth_side=SIDE)
-    state = Input("start.obj", mesh, dataclasses.replace(seen, pose=POSE))
-    return PlanRequest(state, Input("goal.obj", mesh, seen), goal, None, SIDE, 7, frame)
+    state = Input("start.obj", mesh, dataclasses.replace(seen, pose=POSE), PAPERS_CLOTH)
+    goal_input = Input("goal.obj", mesh, seen, PAPERS_CLOTH)
+    return PlanRequest(state, goal_input, goal, None, (SIDE, SIDE), 0.002, 7, frame)
 
 
 def described(frame: str = "camera", **changes: object) -> Plan:

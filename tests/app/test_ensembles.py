@@ -12,7 +12,7 @@ from clothkit.app.plan_arrays import check_nets, memory_of, traces_before
 from clothkit.app.plan_file import read_plan, write_plan
 from clothkit.app.planner import Planned, begin, decide, load_planner
 from clothkit.app.settings import AppConfig
-from clothkit.cloth.topology import SQUARE
+from clothkit.cloth.topology import PAPERS_CLOTH, SQUARE
 from clothkit.dataset import tables
 from clothkit.dataset.rows import write_rows
 from clothkit.dataset.tasks import Task
@@ -124,10 +124,15 @@ def decided(planner: Planner) -> tuple[Planned, Memory, Memory]:
 def test_a_plan_file_says_all_that_a_later_plan_needs(planner: Planner, folder: Path, tmp_path: Path) -> None:
     planned, later, before = decided(planner)
     mesh = MeshState(SQUARE.flat(), np.zeros(2, np.float32), SIDE / 1.4)
-    source = Input("start.obj", mesh, observe(mesh, cloth_side=SIDE))
+    source = Input("start.obj", mesh, observe(mesh, cloth_side=SIDE), PAPERS_CLOTH)
     paths = paths_of(planner, planned, source.pose, MotionConfig())
     path = tmp_path / "plan.json"
-    write_plan(path, describe(planner, planned, paths, PlanRequest(source, source, toy.bent(), None, SIDE, 3, "table")))
+    write_plan(
+        path,
+        describe(
+            planner, planned, paths, PlanRequest(source, source, toy.bent(), None, (SIDE, SIDE), 0.002, 3, "table")
+        ),
+    )
     plan = read_plan(path)
     assert tuple(prediction.net for prediction in plan.steps[0].predictions) == planner.members
     assert (plan.expected.epistemic_uncertainty is None) == (len(planner.members) == 1)

@@ -44,6 +44,8 @@ def raw(tmp_path_factory: pytest.TempPathFactory) -> Path:
     pd.DataFrame(steps, columns=names).to_parquet(folder / "manipulations.parquet")
     lists = {"material": [m.ravel() for m in MATERIALS], "triangles": [t.ravel() for t in TRIANGLES]}
     pd.DataFrame({"topology": [0, 1], **lists}).to_parquet(folder / "topologies.parquet")
+    cloths = {"sequence": [3, 5, 8], "start": "flat", "side_u": 0.4, "side_v": 0.4, "thickness": 0.002}
+    pd.DataFrame(cloths).to_parquet(folder / "cloths.parquet")
     return folder
 
 

@@ -1,8 +1,11 @@
 """What commands say of how they saw a file: which side is up, what is clamped, whether an estimate explains it."""
 
+import dataclasses
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from unittest import mock
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -17,12 +20,14 @@ from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.cloth.silhouette import centre
 from clothkit.cloth.topology import SQUARE
 from clothkit.estimation.agreement import AgreementConfig
-from clothkit.estimation.estimate import Estimate
+from clothkit.estimation.estimate import Alternatives
+from clothkit.models.hypotheses import Hypotheses
 from clothkit.observation.side import Stated
 from clothkit.runtime.errors import InputError
 from tests.app.conftest import run, succeed
 from tests.observation.scenes import SCALE, folded, turned
 from tests.observation.test_side import ABOVE, TOWEL
+from tests.tiny import alarms_of
 
 APP = AppConfig()
 
@@ -104,21 +109,18 @@ def test_what_is_clamped_is_said_and_stands_in_the_plan(here: Path) -> None:
     assert "% of the cloth lies higher than nets see, whose viewport ends 36 mm above the table" in notice
     seen = read_input("thick.obj", observation_options(APP, side=None, table=None))
     unknown = EstimateAgreement(0.2, 0.1, False, "thick.obj: the estimate does not explain what was seen")
-    request = PlanRequest(seen, seen, SQUARE.flat(), None, 0.4, 0, "table", (unknown, None))
+    request = PlanRequest(seen, seen, SQUARE.flat(), None, (0.4, 0.4), 0.002, 0, "table", (unknown, None))
     # Once, although state and goal are one file.
     assert notices(request) == [notice.removeprefix("notice: "), unknown.sentence]
 
 
 def test_estimate_tells_what_it_covers_and_whether_it_explains(here: Path, files: Path) -> None:
     half = folded(along=0.0)
-    mean = half[None]
-
-    def perfect(*_: object) -> Estimate:
-        return Estimate(ProbabilisticMesh(mean, np.full_like(mean, 0.01)), mean)
+    perfect = one_of(half)
 
     np.save(here / "half.npy", np.asarray(voxels.observe(half)))
     write_mesh(here / "across.obj", turned(half, np.pi / 2).astype(float) * SCALE)
-    with mock.patch.object(estimate_command, "estimate_mesh", perfect):
+    with mock.patch.object(estimate_command, "alternatives_of", perfect):
         first, second = succeed("estimate", "half.npy", "--out", "mesh.obj").splitlines()
         wrong = succeed("estimate", "across.obj", "--out", "mesh.obj").splitlines()
     # Half of 40 x 40 cm, and a little for the bend and for pixels at the border; voxels are counted whole.
@@ -131,10 +133,63 @@ def test_estimate_tells_what_it_covers_and_whether_it_explains(here: Path, files
     assert "expected at least 0." in wrong[1]
 
 
+def test_all_shapes_that_may_be_seen_are_written_with_their_probabilities(here: Path, files: Path) -> None:
+    half, other = folded(along=0.0), folded(along=0.0) * np.float32([1, -1, 1])
+    np.save(here / "half.npy", np.asarray(voxels.observe(half)))
+    several = one_of(half, other, SQUARE.flat(), probability=(0.7, 0.26, 0.04))
+    with mock.patch.object(estimate_command, "alternatives_of", several):
+        said = succeed("estimate", "half.npy", "--out", "mesh.ply").splitlines()
+    assert said[0] == "half.npy: may show 2 shapes, which have the probabilities 70 %, 26 %"
+    assert [line.split(":")[0] for line in said[1:3]] == ["mesh.ply", "mesh.2.ply"]
+    for name, mesh in (("mesh", half), ("mesh.2", other)):
+        with np.load(here / f"{name}.sigma.npz") as arrays:
+            np.testing.assert_allclose(centre(arrays["mesh"] / SCALE), centre(mesh), atol=1e-5)
+    assert not (here / "mesh.3.ply").exists()
+
+
+def one_of(*meshes: np.ndarray, probability: Sequence[float] = (1.0,)) -> Callable[..., Alternatives]:
+    """An estimator that always answers with these shapes, and is sure to a hundredth."""
+    mean = np.stack(meshes)[None]
+    found = Hypotheses(ProbabilisticMesh(mean, np.full_like(mean, 0.01)), jnp.array([probability]))
+    return lambda *_: Alternatives(found, jnp.asarray(mean))
+
+
+def test_what_the_net_has_never_seen_is_told(here: Path) -> None:
+    np.save(here / "flat.npy", SQUARE.flat())
+    settings = load_settings(Path("data"))
+    assert settings.alarms is None
+    for strangest, thickness, doubts in (
+        (100.0, 0.002, ()),
+        (0.1, 0.002, ("the net has seen nothing like it (strangeness ",)),
+        (100.0, 0.02, ("the net has seen no cloth of these sides and this thickness",)),
+        (0.1, 0.02, ("strangeness", "and the net has seen no cloth of these")),
+    ):
+        seen = read_input("flat.npy", observation_options(APP, side=None, table=None, thickness=thickness))
+        known = settings._replace(alarms=alarms_of(strangest=strangest))
+        found = compare_estimate(seen, SQUARE.flat(), known)
+        assert found.explains
+        assert found.known == found.reliable == (not doubts)
+        assert ("can't be relied on" in found.sentence) == bool(doubts)
+        assert all(doubt in found.sentence for doubt in doubts)
+        assert found.strangeness is not None
+        assert 0.1 < found.strangeness < 100
+
+
+def test_thresholds_come_with_the_nets_and_may_be_overridden(here: Path, tmp_path: Path) -> None:
+    np.save(here / "flat.npy", SQUARE.flat())
+    settings = load_settings(Path("data"))
+    seen = read_input("flat.npy", observation_options(settings.app, side=None, table=None))
+    lower = SQUARE.flat() * np.float32([0.9, 1, 1])
+    strict = alarms_of(strangest=100.0)._replace(least=AgreementConfig(silhouette=0.97, heights=0.1))
+    assert not compare_estimate(seen, lower, settings._replace(alarms=strict)).explains
+    own = dataclasses.replace(settings.app, agreement=AgreementConfig(silhouette=0.5, heights=0.1))
+    assert compare_estimate(seen, lower, settings._replace(alarms=strict, app=own)).explains
+
+
 def test_the_least_agreement_is_a_setting(here: Path) -> None:
     np.save(here / "flat.npy", SQUARE.flat())
     assert np.abs(centre(SQUARE.flat())).max() < 0.01
-    settings = load_settings()
+    settings = load_settings(Path("data"))
     seen = read_input("flat.npy", observation_options(settings.app, side=None, table=None))
     lower = SQUARE.flat() * np.float32([0.9, 1, 1])
     found = compare_estimate(seen, lower, settings)

@@ -21,7 +21,8 @@ def test_a_half_fold_in_metres_away_from_the_origin(here: Path, files: Path, fra
     said = succeed("simulate", "--state", files / "start.obj", "--plan", "plan.json", "--goal", files / "goal.glb")
     outcome = read(here / "mesh.glb")
     metres = outcome.pose.normalised_to_table(outcome.mesh.astype(float))  # type: ignore[union-attr]
-    np.testing.assert_allclose(metres.min((0, 1))[:2], [AT[0] - 0.2, AT[1] - 0.2], atol=0.015)
+    # Let go at the other edge, the edge slides on by 3 cm, as it does in ARCSim (benchmarks/likeness.py, half fold).
+    np.testing.assert_allclose(metres.min((0, 1))[:2], [AT[0] - 0.23, AT[1] - 0.2], atol=0.015)
     np.testing.assert_allclose(metres.max((0, 1))[:2], [AT[0], AT[1] + 0.2], atol=0.03)
     iou = float(said.split("silhouette IoU ")[1].split(",")[0])
     assert iou > 0.85

@@ -322,10 +322,10 @@ def test_a_search_in_lots_tells_how_far_it_is_and_can_be_stopped() -> None:
 def under_way(folder: Path, monkeypatch: pytest.MonkeyPatch) -> live.Live:
     """A live session of the toy world, before its first plan."""
     monkeypatch.chdir(folder)  # without params.yaml
-    how = observation_options(load_settings().app, side=None, table=None, table_colour=None, box=None)
+    how = observation_options(load_settings(folder).app, side=None, table=None, table_colour=None, box=None)
     start, goal = (read_input(f"{folder}/meshes.zarr:0/{state}", how) for state in (0, 2))
     return live.begin(
-        for_one_cloth(toy.planner("b1")), start, goal, 2, title="toy", data=folder, settings=load_settings()
+        for_one_cloth(toy.planner("b1")), start, goal, 2, title="toy", data=folder, settings=load_settings(folder)
     )
 
 

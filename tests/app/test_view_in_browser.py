@@ -38,7 +38,7 @@ def address(here: Path, data: Path, tmp_path: Path) -> Iterator[str]:
     uploads = tmp_path / "uploads"
     uploads.mkdir()
     folder = played.fill(tmp_path / "played", data)
-    settings = load_settings()
+    settings = load_settings(Path("data"))
     options = observation_options(settings.app, side=None, table=None, table_colour=None, box=None)
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     try:

@@ -2,11 +2,15 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from clothkit.cloth.mesh import best_label, error
 from clothkit.cloth.symmetry import (
+    equal_labellings,
+    equivalent_cloths,
     equivalents,
     equivalents_of_manipulation,
     relabel,
     relabel_batch,
+    relabel_cloth,
     relabel_manipulation,
     relabel_manipulation_batch,
 )
@@ -79,3 +83,36 @@ def test_the_squares_symmetries_are_in_order_of_their_bits() -> None:
         expected = expected[:, ::-1] if k & 4 else expected
         np.testing.assert_array_equal(relabel(mesh, k), expected)
     assert SQUARE.symmetries == tuple(range(8))
+
+
+@given(st.floats(0.3, 1.4), st.floats(0.3, 1.4), st.integers(0, 7))
+def test_a_relabelled_cloth_has_the_sides_of_its_relabelled_mesh(along_u: float, along_v: float, k: int) -> None:
+    cloth = np.array([along_u, along_v, 0.01], np.float32)
+    u, v = np.meshgrid(np.linspace(0, along_u, 5), np.linspace(0, along_v, 5), indexing="ij")
+    moved = np.asarray(relabel(np.stack([u, v, 0 * u], -1).astype(np.float32), k, square(5)))
+    sides = [np.linalg.norm(moved[-1, 0] - moved[0, 0]), np.linalg.norm(moved[0, -1] - moved[0, 0])]
+    np.testing.assert_allclose(relabel_cloth(cloth, k), [*sides, 0.01], rtol=1e-5)
+    # Which labellings keep the sides is what these say.
+    kept = np.allclose(relabel_cloth(cloth, k), cloth, atol=1e-3)
+    assert bool(equal_labellings(cloth)[k]) == kept
+    np.testing.assert_array_equal(equivalent_cloths(cloth)[k], relabel_cloth(cloth, k))
+
+
+def test_only_labellings_that_keep_the_sides_count_as_the_same_cloth() -> None:
+    flat = rectangle(1.6, shape=(6, 6)).flat()
+    cloth = np.array([1.4, 1.4 / 1.6, 0.01], np.float32)
+    swapped = np.swapaxes(flat, 0, 1)
+    # A square's swapped labelling is its equal, a rectangle's is another cloth.
+    assert float(error(swapped, flat)) == 0
+    assert float(error(swapped, flat, cloth=cloth)) > 0.2
+    assert float(error(np.asarray(flat)[::-1], flat, cloth=cloth)) == 0
+    batch = np.stack([swapped, swapped])
+    cloths = np.stack([cloth, [1.4, 1.4, 0.01]]).astype(np.float32)
+    expected = [True, False]
+    np.testing.assert_array_equal(error(batch, np.stack([flat, flat]), cloth=cloths) > 0.2, expected)
+    # One cloth counts for a whole batch, and each cloth for every outcome of its own.
+    np.testing.assert_array_equal(error(batch, np.stack([flat, flat]), cloth=cloth) > 0.2, [True, True])
+    outcomes = np.tile(batch, (3, 1, 1, 1, 1))
+    np.testing.assert_array_equal(error(outcomes, np.tile(flat, (3, 2, 1, 1, 1)), cloth=cloths) > 0.2, [expected] * 3)
+    assert int(best_label(swapped, flat)) == SWAP
+    assert not int(best_label(swapped, flat, cloth=cloth)) & SWAP

@@ -28,6 +28,8 @@ def write_raw(folder: Path, count: int = 4) -> Path:
     pd.DataFrame(steps, columns=names).to_parquet(folder / "manipulations.parquet")
     topology = {"topology": [0], "material": [material.ravel()], "triangles": [SQUARE.triangles().ravel()]}
     pd.DataFrame(topology).to_parquet(folder / "topologies.parquet")
+    cloths = {"sequence": range(count), "start": "flat", "side_u": 0.4, "side_v": 0.4, "thickness": 0.002}
+    pd.DataFrame(cloths).to_parquet(folder / "cloths.parquet")
     return folder
 
 
@@ -76,6 +78,25 @@ def test_too_few_sequences_and_bad_rows_are_refused_by_name(tmp_path: Path) -> N
     file.write_bytes(file.read_bytes()[:100])
     with pytest.raises(InputError, match=r"manipulations\.parquet: can't be read as parquet"):
         regularise(tmp_path / "other", SETTINGS)
+
+
+@pytest.mark.parametrize(
+    ("row", "column", "value", "sentence"),
+    [
+        (2, "sequence", 7, "has no row for sequence 2, expected one for each"),
+        (1, "side_u", 400.0, "side_u"),
+        (1, "side_v", np.nan, "side_v"),
+        (3, "thickness", -0.002, "thickness"),
+        (0, "start", "thrown", r"expected text \(flat, dragged, dropped\) or nothing, found .thrown."),
+    ],
+)
+def test_faulty_cloths_are_refused_by_name(tmp_path: Path, row: int, column: str, value: object, sentence: str) -> None:
+    raw = write_raw(tmp_path / "raw")
+    cloths = pd.read_parquet(raw / "cloths.parquet")
+    cloths.loc[row, column] = value
+    cloths.to_parquet(raw / "cloths.parquet")
+    with pytest.raises(InputError, match=rf"cloths\.parquet.*{sentence}"):
+        regularise(raw, SETTINGS)
 
 
 def test_splits_have_their_sizes_and_come_from_the_seed() -> None:

@@ -6,7 +6,7 @@ import pytest
 import zarr
 
 from clothkit.cloth.topology import SQUARE
-from clothkit.dataset.store import Dataset, load, save
+from clothkit.dataset.store import Dataset, load, papers_cloths, save
 from clothkit.dataset.tasks import tasks_of
 from clothkit.runtime.errors import InputError
 
@@ -21,6 +21,7 @@ def make(count: int = 5, seed: int = 0) -> Dataset:
         length=np.full(count, 3, np.int8),
         split=np.array([0, 0, 1, 2, 2], np.int8)[:count],
         evaluated=np.array([True, False, False, True, True])[:count],
+        **papers_cloths(count)._asdict(),
     )
 
 

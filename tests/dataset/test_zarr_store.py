@@ -122,6 +122,11 @@ FAULTS: dict[str, tuple[Callable[[Path], Any], str]] = {
         rewritten("centre", np.full((5, 4, 2), 4e5, np.float32), "sequence", "state", "xy"),
         "centre of sequence 0, state 0 is beyond 1000",
     ),
+    "cloth in metres": (
+        rewritten("cloth", np.full((5, 3), 40, np.float32), "sequence", "measure"),
+        r"cloth of sequence 0, measure 0 is not above 0 and at most 1\.4",
+    ),
+    "start 3": (rewritten("start", np.full(5, 3, np.int8), "sequence"), r"start of sequence 0.* is not from 0 to 2"),
 }
 
 
@@ -137,7 +142,7 @@ def test_a_fault_is_one_sentence(store: Path, damage: Callable[[Path], Any], sen
 
 def test_no_file_of_a_store_can_be_lost_unseen(healthy: Path, tmp_path: Path) -> None:
     files = [path.relative_to(healthy) for path in sorted(healthy.rglob("*")) if path.is_file()]
-    assert len(files) == 1 + 2 * 7
+    assert len(files) == 1 + 2 * 10
     for number, file in enumerate(files):
         store = shutil.copytree(healthy, tmp_path / str(number))
         (store / file).unlink()

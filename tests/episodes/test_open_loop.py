@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from clothkit.cloth.silhouette import centred
+from clothkit.dataset.store import papers_cloths
 from clothkit.episodes.open_loop import execute_plans, grasp_positions
 from clothkit.planning.types import Plan
 from clothkit.runtime.errors import InputError
+from clothkit.simulation.cloths import Cloths
 from tests.episodes.test_sessions import MANIPULATIONS
 from tests.planning import toy
 
@@ -53,7 +55,7 @@ def test_a_plan_whose_predictions_come_true_ends_where_it_says(best: int) -> Non
         return toy.execute(*arguments)
 
     start, centre = (part[None] for part in centred(states[0]))
-    outcome = execute_plans(start, centre, plan.manipulations, positions, execute)
+    outcome = execute_plans(start, centre, plan.manipulations, positions, execute, papers_cloths(1))
     np.testing.assert_allclose(outcome[0], centred(states[3])[0], atol=2e-3)
     # A corner is grasped where the corner lies then.
     np.testing.assert_allclose(executed[0][1][0], np.repeat(states[0][:1, 0, :2], 2, axis=0), atol=1e-5)
@@ -70,15 +72,24 @@ def test_null_manipulations_and_steps_after_the_end_are_not_executed() -> None:
     assert np.isfinite(positions[0, :2]).all()
     calls = []
 
-    def execute(meshes: np.ndarray, grasps: np.ndarray, displacement: np.ndarray, single: np.ndarray) -> np.ndarray:
+    def execute(
+        meshes: np.ndarray, grasps: np.ndarray, displacement: np.ndarray, single: np.ndarray, own: Cloths
+    ) -> np.ndarray:
         calls.append(displacement)
+        np.testing.assert_array_equal(own.cloth, cloths.cloth[:1])
         return meshes + np.float32([0.4, 0, 0.1])
 
     start = np.repeat(centred(states[0])[0][None], 2, axis=0)
     plans = np.concatenate([plan.manipulations, np.full((1, 3, 6), np.nan)])
-    outcome = execute_plans(start, np.zeros((2, 2), np.float32), plans, np.repeat(positions, 2, axis=0), execute)
+    cloths = papers_cloths(2)
+    cloths = cloths._replace(cloth=cloths.cloth * np.float32([[1, 0.5, 1], [1, 1, 1]]))
+    outcome = execute_plans(
+        start, np.zeros((2, 2), np.float32), plans, np.repeat(positions, 2, axis=0), execute, cloths
+    )
     np.testing.assert_array_equal(calls, [MANIPULATIONS[None, 0, 4:]])
     # Outcomes are centred on the table, not in height.
     np.testing.assert_allclose(outcome - start, [np.broadcast_to([0, 0, z], (32, 32, 3)) for z in (0.1, 0)], atol=1e-3)
     with pytest.raises(InputError, match="manipulation 1 of a plan"):
-        execute_plans(start[:1], CENTRE[None], plans[:1], positions, lambda meshes, *_: meshes * np.nan)
+        execute_plans(
+            start[:1], CENTRE[None], plans[:1], positions, lambda meshes, *_: meshes * np.nan, papers_cloths(1)
+        )

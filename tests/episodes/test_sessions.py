@@ -16,7 +16,7 @@ from clothkit.cloth.mesh import distance_aligned, error
 from clothkit.cloth.silhouette import centred
 from clothkit.cloth.symmetry import relabel
 from clothkit.cloth.topology import SQUARE
-from clothkit.dataset.store import SPLITS, Dataset
+from clothkit.dataset.store import SPLITS, Dataset, papers_cloths
 from clothkit.dataset.tasks import Task
 from clothkit.episodes import record
 from clothkit.episodes.evaluate import TIMED_SESSIONS, cost, evaluate
@@ -55,6 +55,7 @@ def dataset(sequences: int = 2) -> Dataset:
         3 * every,
         np.full(sequences, SPLITS.index("test"), np.int8),
         every.astype(bool),
+        *papers_cloths(sequences),
     )
 
 
@@ -234,8 +235,11 @@ def test_the_next_state_is_expected_after_the_manipulation_that_is_executed() ->
     given = tasks(Task(0, 0, 2))._replace(recorded=None)
     told = []
 
-    def perceive(perception: KnownMeshes, observation: Observation, expected: np.ndarray | None) -> np.ndarray:
+    def perceive(
+        perception: KnownMeshes, observation: Observation, expected: np.ndarray | None, cloth: np.ndarray
+    ) -> np.ndarray:
         told.append(expected)
+        np.testing.assert_array_equal(cloth, given.cloths.cloth)
         return observation.meshes
 
     with finding(MANIPULATIONS[:2]), mock.patch.object(KnownMeshes, "__call__", perceive):

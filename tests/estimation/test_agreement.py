@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from clothkit.cloth.topology import SQUARE
-from clothkit.cloth.voxels import HEIGHT, observe
-from clothkit.estimation.agreement import Agreement, AgreementConfig, agreement, proposed
+from clothkit.cloth.voxels import HEIGHT, Viewport, observe
+from clothkit.estimation.agreement import Agreement, AgreementConfig, agreement
 
 VOXEL = HEIGHT / 16
 
@@ -45,7 +45,11 @@ def test_columns_that_only_one_of_them_has_count_against_it() -> None:
 
 def test_heights_above_the_viewport_are_clamped_in_both() -> None:
     assert agreement(raised(40), np.asarray(observe(raised(15)))).heights == 1
-    low = agreement(raised(1), np.asarray(observe(raised(1), height=4 * HEIGHT)), height=4 * HEIGHT)
+    low = agreement(
+        raised(1),
+        np.asarray(observe(raised(1), viewport=Viewport(height=4 * HEIGHT))),
+        viewport=Viewport(height=4 * HEIGHT),
+    )
     assert low.heights == 1
 
 
@@ -54,19 +58,3 @@ def test_both_have_to_be_high_enough() -> None:
     pairs = [(0.6, 0.3), (0.59, 0.9), (0.9, 0.29), (1.0, 1.0)]
     found = Agreement(*(np.array(values) for values in zip(*pairs, strict=True)))
     np.testing.assert_array_equal(found.explains(least), [True, False, False, True])
-
-
-def test_proposed_thresholds_raise_as_few_alarms_as_asked_for() -> None:
-    random = np.random.default_rng(0)
-    usual = Agreement(random.uniform(0.5, 1, 1000), random.uniform(0.2, 1, 1000))
-    least = proposed([usual], alarms=0.02)
-    share = (~usual.explains(least)).mean()
-    # Two independent measures, each at half the share; thresholds are whole hundredths, of which one holds 2 %.
-    assert 0.005 < share <= 0.02
-    assert least.silhouette == pytest.approx(0.5, abs=0.011)
-    worse = Agreement(usual.silhouette - 0.3, usual.heights)
-    both = proposed([usual, worse], alarms=0.02)
-    assert (~worse.explains(both)).mean() <= 0.02
-    assert both.silhouette == pytest.approx(least.silhouette - 0.3, abs=0.011)
-    none = Agreement(np.zeros(10), np.ones(10))
-    assert proposed([none], alarms=0.0) == AgreementConfig(silhouette=0.0, heights=1.0)

@@ -17,7 +17,7 @@ def estimation() -> pd.DataFrame:
             measured = {"voxel_error": 0.01 * place, "centre_error": 0.0, "iou": 0.9, "error": 0.02 * state}
             told = {name: value if seen else np.nan for name, value in measured.items()}
             row = {"condition": condition, "tilt": tilt, "noise": noise, "sequence": 0, "state": state, "seen": seen}
-            rows.append({**row, **told})
+            rows.append({**row, **told, "alarm": seen and place == 1})
     return pd.DataFrame(rows)
 
 

@@ -10,7 +10,7 @@ import pytest
 from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.cloth.symmetry import relabel_batch
 from clothkit.cloth.topology import SQUARE
-from clothkit.dataset.store import Dataset
+from clothkit.dataset.store import Dataset, papers_cloths
 from clothkit.evaluation import calibration
 from clothkit.evaluation.errors import deviations
 from clothkit.evaluation.prediction import Starts
@@ -75,6 +75,7 @@ def test_rows_count_the_states_that_there_are() -> None:
         np.array([3, 2], np.int8),
         np.array([0, 2], np.int8),
         np.ones(2, bool),
+        *papers_cloths(2),
     )
     config = PEMDConfig(latent=4, encoder=(8,), manipulation=6, decoder=(8,))
     net = Net(config, pemd.initial(config, key=jax.random.key(0)))

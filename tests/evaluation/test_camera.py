@@ -10,12 +10,14 @@ import pandas as pd
 import pytest
 
 from clothkit.cloth import voxels
-from clothkit.cloth.topology import SQUARE
-from clothkit.dataset.store import SPLITS, Dataset
+from clothkit.cloth.topology import PAPERS_CLOTH, SQUARE
+from clothkit.cloth.voxels import Viewport
+from clothkit.dataset.store import SPLITS, Dataset, papers_cloths
 from clothkit.episodes.depth_camera import depth_camera
 from clothkit.episodes.evaluate import evaluate
 from clothkit.episodes.record import Sessions
 from clothkit.episodes.sensors import exact_sensor
+from clothkit.estimation.agreement import agreement
 from clothkit.estimation.estimate import estimate
 from clothkit.estimation.refine import RefineConfig
 from clothkit.evaluation import camera, camera_planning
@@ -30,8 +32,10 @@ from tests.episodes.test_sessions import dataset as toy_dataset
 from tests.evaluation import camera_rows
 from tests.observation.scenes import SMALL, folded
 from tests.planning import toy
+from tests.tiny import alarms_of
 
 REFINE = RefineConfig(iterations=5)
+ALARMS = alarms_of(strangest=10.0)
 PICTURE = PictureConfig(camera=SMALL)
 SETTINGS = EvaluateCameraConfig(
     conditions=(Condition(name="above"), Condition(name="noisy", tilt=0.3, noise=4.0)),
@@ -60,15 +64,20 @@ def dataset() -> Dataset:
         np.array([3, 2, 3], np.int8),
         np.full(3, SPLITS.index("test"), np.int8),
         np.array([True, True, False]),
+        *papers_cloths(3),
     )
 
 
 def test_states_are_seen_and_estimated_under_every_condition(dataset: Dataset, net: Net, tmp_path: Path) -> None:
-    found = camera.estimation(dataset, net, SETTINGS, REFINE, work=tmp_path)
+    found = camera.estimation(dataset, net, SETTINGS, REFINE, ALARMS, work=tmp_path)
     rows = found.rows
     assert rows["condition"].drop_duplicates().tolist() == ["voxels", "above", "noisy"]
     assert rows.groupby("condition").size().tolist() == [5, 5, 5]
     assert rows["seen"].all()
+    least, (mesh, seen) = ALARMS.least, (found.arrays[name].values[0] for name in ("mesh", "voxels"))
+    agrees = [agreement(mesh[i], seen[i]) for i in range(2)]
+    of_first = rows[(rows["sequence"] == 0) & (rows["state"] == 1) & (rows["condition"] != "voxels")]
+    assert all(of_first["alarm"].to_numpy() >= [not each.explains(least) for each in agrees])
     errors = rows.groupby("condition")["voxel_error"].mean()
     assert errors["voxels"] == 0
     assert 0 < errors["above"] < errors["noisy"] < 0.1
@@ -91,7 +100,7 @@ def test_states_are_seen_and_estimated_under_every_condition(dataset: Dataset, n
 
 
 def test_an_interrupted_estimation_goes_on_with_the_next_condition(dataset: Dataset, net: Net, tmp_path: Path) -> None:
-    whole = camera.estimation(dataset, net, SETTINGS, REFINE, work=tmp_path / "whole")
+    whole = camera.estimation(dataset, net, SETTINGS, REFINE, ALARMS, work=tmp_path / "whole")
     count = len(whole.rows) // 3
 
     def stopped(*arguments: object) -> Picture:
@@ -102,9 +111,9 @@ def test_an_interrupted_estimation_goes_on_with_the_next_condition(dataset: Data
 
     pictures: list[object] = []
     with mock.patch.object(camera, "take", stopped), pytest.raises(KeyboardInterrupt):
-        camera.estimation(dataset, net, SETTINGS, REFINE, work=tmp_path / "broken")
+        camera.estimation(dataset, net, SETTINGS, REFINE, ALARMS, work=tmp_path / "broken")
     with mock.patch.object(camera, "take", stopped):
-        resumed = camera.estimation(dataset, net, SETTINGS, REFINE, work=tmp_path / "broken")
+        resumed = camera.estimation(dataset, net, SETTINGS, REFINE, ALARMS, work=tmp_path / "broken")
     assert len(pictures) == count + 2 + count
     pd.testing.assert_frame_equal(resumed.rows, whole.rows)
     for name, array in whole.arrays.items():
@@ -115,7 +124,7 @@ def test_what_no_picture_shows_is_missing(dataset: Dataset, net: Net, tmp_path: 
     away = dataclasses.replace(PICTURE, camera=dataclasses.replace(SMALL, aim=(3.0, 0.0)), off=0.0)
     with mock.patch.object(camera, "take", lambda mesh, settings: take(mesh + np.float32([50, 0, 0]), settings)):
         settings = dataclasses.replace(SETTINGS, picture=away)
-        rows = camera.estimation(dataset, net, settings, REFINE, work=tmp_path).rows
+        rows = camera.estimation(dataset, net, settings, REFINE, ALARMS, work=tmp_path).rows
     before = rows[rows["condition"] != "voxels"]
     assert not before["seen"].any()
     assert before[["voxel_error", "centre_error", "iou", "error"]].isna().all(axis=None)
@@ -137,17 +146,19 @@ def test_a_camera_gives_the_voxels_and_shifts_of_its_pictures(net: Net) -> None:
 
 
 def test_sensors_see_as_high_as_the_net_knows(net: Net) -> None:
-    perception = Estimation(Net(VtMConfig(hidden=16, height=0.25), net.params), REFINE)
+    perception = Estimation(Net(VtMConfig(hidden=16, viewport=Viewport(height=0.25)), net.params), REFINE)
     truth = folded()[None] * np.array([1, 1, 4], np.float32)
-    seen = voxels.observe(truth, height=0.25)
+    seen = voxels.observe(truth, viewport=Viewport(height=0.25))
     assert (seen != voxels.observe(truth)).any()
     observation = exact_sensor(perception)(truth, None).observation
     np.testing.assert_array_equal(observation.voxels, seen)
-    np.testing.assert_allclose(perception(observation, None), estimate(perception.vtm, seen, REFINE).mesh, atol=1e-5)
+    np.testing.assert_allclose(
+        perception(observation, None, PAPERS_CLOTH[None]), estimate(perception.vtm, seen, REFINE).mesh, atol=1e-5
+    )
     pictures = []
     with mock.patch("clothkit.episodes.depth_camera.take", lambda mesh, how: pictures.append(how) or take(mesh, how)):
         depth_camera(PICTURE, perception)(truth, None)
-    assert [how.cloud.height for how in pictures] == [0.25]
+    assert [how.cloud.viewport.height for how in pictures] == [0.25]
 
 
 def test_sessions_before_a_camera_are_held_against_those_without(tmp_path: Path) -> None:

@@ -10,11 +10,11 @@ from clothkit.cloth import voxels
 from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.cloth.symmetry import relabel
 from clothkit.cloth.topology import SQUARE
-from clothkit.dataset.store import Dataset
+from clothkit.dataset.store import Dataset, papers_cloths
 from clothkit.dataset.tasks import TASKS
 from clothkit.estimation.refine import RefineConfig
 from clothkit.evaluation import arrays, estimation, prediction
-from clothkit.evaluation.occupancy import occluded_occupancy, occupancy
+from clothkit.evaluation.occupancy import TALL, occluded_occupancy, occupancy
 from clothkit.evaluation.settings import EvaluateEstimationConfig, EvaluatePredictionConfig
 from clothkit.models import pemd, vtm
 from clothkit.models.ensemble import Ensemble
@@ -42,6 +42,7 @@ def dataset() -> Dataset:
         np.array([3, 3, 3, 2, 3], np.int8),
         np.array([0, 2, 2, 2, 1], np.int8),
         np.array([True, True, True, True, False]),
+        *papers_cloths(SEQUENCES),
     )
 
 
@@ -54,8 +55,9 @@ def forward() -> Ensemble:
 @pytest.fixture(scope="module")
 def estimates(dataset: Dataset) -> estimation.Estimates:
     config = VtMConfig(hidden=4)
-    settings = EvaluateEstimationConfig(refine=RefineConfig(iterations=3), batch=5)
-    return estimation.estimates(dataset, Net(config, vtm.initial(config, key=jax.random.key(0))), settings)
+    settings = EvaluateEstimationConfig(batch=5)
+    net = Net(config, vtm.initial(config, key=jax.random.key(0)))
+    return estimation.estimates(dataset, net, settings, RefineConfig(iterations=3))
 
 
 def test_estimates_are_of_the_states_of_evaluated_sequences(dataset: Dataset, estimates: estimation.Estimates) -> None:
@@ -108,10 +110,10 @@ def test_prediction_rows(dataset: Dataset, forward: Ensemble, estimates: estimat
         ProbabilisticMesh(*(np.asarray(part)[1] for part in made)), draws=256, key=jax.random.key(9)
     )
     assert row["voxel_error"] == pytest.approx(np.abs(np.asarray(expected)[0] - views[1]).mean(), rel=0.05)
-    tall = [np.asarray(voxels.observe(dataset.vertices[2, i], height=0.25)) for i in (1, 3)]
+    tall = [np.asarray(voxels.observe(dataset.vertices[2, i], viewport=TALL)) for i in (1, 3)]
     assert row["voxel_error_025_no_action"] == pytest.approx(np.mean(tall[0] != tall[1]), rel=1e-4)
     expected = occluded_occupancy(
-        ProbabilisticMesh(*(np.asarray(part)[1] for part in made)), draws=32, height=0.25, key=jax.random.key(9)
+        ProbabilisticMesh(*(np.asarray(part)[1] for part in made)), draws=32, viewport=TALL, key=jax.random.key(9)
     )
     assert row["voxel_error_025"] == pytest.approx(np.abs(np.asarray(expected)[0] - tall[1]).mean(), rel=0.05)
     assert (tidy.loc[tidy["sequence"] == 3, ["start", "length"]].sum(axis=1) <= 2).all()
@@ -134,8 +136,8 @@ def test_prediction_rows(dataset: Dataset, forward: Ensemble, estimates: estimat
     assert row["voxel_error"] == pytest.approx(expected, rel=1e-4)
     start = np.asarray(voxels.of_mesh(dataset.vertices[2, 1]))
     assert row["voxel_error_no_action"] == pytest.approx(np.mean(start != truth), rel=1e-4)
-    truth, start = (np.asarray(voxels.of_mesh(dataset.vertices[2, i], height=0.25)) for i in (3, 1))
-    expected = np.abs(np.asarray(occupancy(last, height=0.25))[0] - truth).mean()
+    truth, start = (np.asarray(voxels.of_mesh(dataset.vertices[2, i], viewport=TALL)) for i in (3, 1))
+    expected = np.abs(np.asarray(occupancy(last, viewport=TALL))[0] - truth).mean()
     assert row["voxel_error_025"] == pytest.approx(expected, rel=1e-4)
     assert row["voxel_error_025_no_action"] == pytest.approx(np.mean(start != truth), rel=1e-4)
 

@@ -10,6 +10,7 @@ from scipy.stats import norm
 from clothkit.cloth import voxels
 from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.cloth.topology import SQUARE
+from clothkit.cloth.voxels import Viewport
 from clothkit.evaluation.occupancy import TALL, differences, occluded_occupancy, occupancy
 
 
@@ -103,5 +104,5 @@ def test_differences_by_hand() -> None:
 
 def test_the_high_viewport_is_four_times_finer_in_z() -> None:
     """Height 0.25 in 16 voxels, width 2 in 32: what the paper's text says of the ratio."""
-    assert TALL == 0.25
-    assert (2 / 32) / (TALL / 16) == 4
+    assert Viewport(height=0.25) == TALL
+    assert (2 / 32) / (TALL.height / 16) == 4

@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from clothkit.cloth.topology import SQUARE
+from clothkit.dataset.store import papers_cloths
 from clothkit.dataset.tasks import Task
 from clothkit.episodes.record import Sizes, Tasks, record
 from clothkit.evaluation import viewport
@@ -23,7 +24,12 @@ def test_outcomes_in_the_high_viewport() -> None:
     meshes = [SQUARE.flat() * 0.99 + rng.uniform(0, (0.01, 0.01, 0.24), (32, 32, 3)) for _ in range(3)]
     start, goal, outcome = np.array(meshes, np.float32)
     tasks = Tasks(
-        [Task(7, 1, 2), Task(8, 0, 1)], ["test", "train"], np.stack([start] * 2), np.zeros((2, 2)), np.stack([goal] * 2)
+        [Task(7, 1, 2), Task(8, 0, 1)],
+        ["test", "train"],
+        np.stack([start] * 2),
+        np.zeros((2, 2)),
+        np.stack([goal] * 2),
+        papers_cloths(2),
     )
     sessions = record(tasks, [], Sizes((32, 32, 3), True, 1, 2, 1))
     sessions.state[0, 2], sessions.state[1, 1] = outcome, goal

@@ -8,6 +8,7 @@ from clothkit.cloth import voxels
 from clothkit.dataset.store import Dataset
 from clothkit.dataset.tasks import TASKS
 from clothkit.evaluation import voxel_prediction
+from clothkit.evaluation.occupancy import TALL
 from clothkit.evaluation.settings import EvaluatePredictionConfig
 from clothkit.models import emd_voxel
 from clothkit.models.ensemble import Ensemble
@@ -54,7 +55,7 @@ def test_rows_of_the_voxel_baseline(dataset: Dataset) -> None:
     tall = np.zeros((32, 32, 16))
     for z in range(8):
         tall[..., z] = np.asarray(predicted[-1])[..., 2 * z : 2 * z + 2].max(-1)
-    views = [np.asarray(voxels.observe(dataset.vertices[1, state], height=0.25)) for state in (1, 3)]
+    views = [np.asarray(voxels.observe(dataset.vertices[1, state], viewport=TALL)) for state in (1, 3)]
     assert row["voxel_error_025"] == pytest.approx(np.abs(tall - views[1]).mean(), rel=1e-4)
     assert row["voxel_error_025_no_action"] == pytest.approx(np.mean(views[0] != views[1]), rel=1e-4)
     moved = dataset.centre[1, 3] - dataset.centre[1, 1]

@@ -72,8 +72,8 @@ def _write_tables(data: Path, params: Params) -> None:
     def about(stage: str) -> dict[str, object]:
         return {"stage": stage, "scale": params.scale, "params": params.section(stage)}
 
-    tried, simulation = attempts(), params.stages.simulate.simulation
-    write_raw(data / "raw", tried, [tried.states[tried.accepted]], simulation, seed=0, attributes=about("simulate"))
+    tried = attempts()
+    write_raw(data / "raw", tried, [tried.states[tried.accepted]], seed=0, attributes=about("simulate"))
     dataset = regularise(data / "raw", params.stages.regularise)
     store.save(data / "meshes.zarr", dataset, about("regularise"))
     planning = data / "evaluation/planning"

@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 
 from clothkit.cloth import mesh as meshes
 from clothkit.cloth import voxels
-from clothkit.cloth.symmetry import equivalents, relabel, relabel_manipulation
+from clothkit.cloth.symmetry import equivalents, relabel, relabel_cloth, relabel_manipulation
 from clothkit.cloth.topology import SQUARE, thinned
 from clothkit.dataset.tasks import TASKS
 from clothkit.manipulation.turns import planar, turn, turn_manipulation, turn_mesh
 from clothkit.models import emd_voxel, pemd, vtm
 from clothkit.models.canonical import axes, described, fit, frame, lies_along_y, voxel_frame, voxels_described
-from clothkit.models.forward import forward_model
+from clothkit.models.forward import forward_model, predict
 from clothkit.models.net import Net
 from clothkit.models.pemd import PEMD
 from clothkit.models.settings import EMDVoxelConfig, PEMDConfig, Start, VtMConfig
@@ -103,6 +103,47 @@ def test_predictions_turn_with_the_cloth(isometry):
     again, turned = predicted_by(NET, changed(MESHES), planned(PLAN))
     np.testing.assert_allclose(again.mean, changed(predicted.mean), atol=1e-4)
     np.testing.assert_allclose(turned.shifts, turn(found.shifts, matrix), atol=1e-4)
+
+
+TOLD = Net(replace(CONFIG, told=True), pemd.initial(replace(CONFIG, told=True), Start(), key=jax.random.key(4)))
+RECTANGLE = np.array([1.4, 0.9, 0.02], np.float32)
+
+
+@given(ISOMETRIES)
+@settings(deadline=None, max_examples=10)
+def test_predictions_for_a_rectangle_turn_with_it_and_its_sides(isometry):
+    matrix, changed, planned = other(*isometry)
+    model, longish = forward_model(TOLD.config), MESHES * np.array([1, 0.9 / 1.4, 1], np.float32)
+
+    def of(meshes, plan, cloth):
+        found, rolled = predict(model, TOLD.params, meshes, plan, cloth=np.tile(cloth, (len(meshes), 1)))
+        return found.mean, rolled.shifts
+
+    mean, shifts = of(longish, PLAN, RECTANGLE)
+    again, turned = of(changed(longish), planned(PLAN), relabel_cloth(RECTANGLE, isometry[2]))
+    np.testing.assert_allclose(again, changed(mean), atol=1e-4)
+    np.testing.assert_allclose(turned, turn(shifts, matrix), atol=1e-4)
+
+
+def test_a_net_that_is_told_of_a_cloth_knows_its_thickness_and_sides_and_another_does_not():
+    for net, told in ((TOLD, True), (NET, False)):
+        model = forward_model(net.config)
+        first, *others = (
+            model.encode(net.params, MESHES[0], np.array(cloth, np.float32))[:5]
+            for cloth in ((1.4, 1.4, 0.007), (1.4, 1.4, 0.03), (1.4, 1.2, 0.007))
+        )
+        assert [bool(np.abs(first - one).max() > 1e-3) for one in others] == [told, told]
+
+
+@pytest.mark.parametrize("ratio", [1.3, 1.8])
+def test_a_flat_rectangle_is_described_as_it_is(ratio):
+    cloth = np.array([1.4, 1.4 / ratio, 0.01], np.float32)
+    flat = SQUARE.flat() * np.array([1, 1 / ratio, 1], np.float32)
+    found = frame(flat, cloth)
+    np.testing.assert_allclose(described(flat, found), flat, atol=1e-5)
+    matrix = planar(jnp.float32(0.7), jnp.array(False))
+    turned = turn_mesh(jnp.asarray(flat), matrix)
+    np.testing.assert_allclose(described(turned, frame(turned, cloth)), flat, atol=1e-5)
 
 
 def test_a_net_that_is_not_canonical_does_not_know_direction():

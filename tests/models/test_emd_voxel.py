@@ -10,7 +10,7 @@ import pytest
 from flax.traverse_util import flatten_dict
 
 from clothkit.cloth import voxels
-from clothkit.cloth.symmetry import equivalents, equivalents_of_manipulation
+from clothkit.cloth.symmetry import equivalent_cloths, equivalents, equivalents_of_manipulation
 from clothkit.cloth.topology import SQUARE
 from clothkit.manipulation.turns import planar
 from clothkit.models import emd_voxel, pemd, store
@@ -250,6 +250,7 @@ def test_voxel_examples_have_no_labels():
         manipulations=equivalents_of_manipulation(one.manipulations)[:, 0],
         outcomes=equivalents(one.outcomes)[:, 0],
         shifts=jnp.repeat(one.shifts, 8, axis=0),
+        cloth=equivalent_cloths(one.cloth)[:, 0],
     )
     found = voxelised(all_eight, noise=0.0, noise_z=0.0, key=jax.random.key(0))
     np.testing.assert_allclose(found.manipulations, jnp.repeat(found.manipulations[:1], 8, axis=0), atol=1e-5)

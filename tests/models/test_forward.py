@@ -33,7 +33,7 @@ def model_of(kind: str, canonical: bool) -> tuple[ForwardModel, Any, Any]:
 class Adding:
     """A model whose states are numbers: a manipulation adds its first component, and the trace counts."""
 
-    def encode(self, params: Any, state: Any) -> Any:
+    def encode(self, params: Any, state: Any, cloth: Any = None) -> Any:
         return jnp.asarray(state)[..., None] * params
 
     def step(self, params: Any, latent: Any, trace: Any, manipulation: Any) -> tuple[Any, Any, Any]:

@@ -121,6 +121,7 @@ def meshes(tmp_path_factory: pytest.TempPathFactory) -> Path:
         small + np.int8(1),
         small,
         small > 0,
+        *store.papers_cloths(2),
     )
     store.save(path, dataset, {})
     return path

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE
-from clothkit.cloth.voxels import HEIGHT
+from clothkit.cloth.voxels import HEIGHT, VIEWPORT, Viewport
 from clothkit.observation.cloud import observe_cloud
 from clothkit.observation.heights import check_above, check_lying, clamped, notices_of_points
 from clothkit.observation.observe import observe
@@ -69,16 +69,16 @@ def test_voxels_that_reach_the_top_are_told_and_a_wall_is_refused() -> None:
 def test_more_than_two_in_a_hundred_points_above_the_viewport_are_told() -> None:
     points = np.zeros((1000, 3))
     points[:20, 2] = HEIGHT + 0.01
-    assert clamped(points, height=HEIGHT) == 0.02
-    assert not notices_of_points("towel", points, height=HEIGHT, metres=SCALE)
+    assert clamped(points, viewport=VIEWPORT) == 0.02
+    assert not notices_of_points("towel", points, viewport=VIEWPORT, metres=SCALE)
     points[:30, 2] = HEIGHT
-    (notice,) = notices_of_points("towel", points, height=HEIGHT, metres=SCALE)
+    (notice,) = notices_of_points("towel", points, viewport=VIEWPORT, metres=SCALE)
     # 0.125 of a unit of 0.4 / 1.4 m.
     assert notice.startswith("towel: 3% of the cloth lies higher than nets see, whose viewport ends 36 mm above")
-    assert not notices_of_points("towel", points, height=2 * HEIGHT, metres=SCALE)
+    assert not notices_of_points("towel", points, viewport=Viewport(height=2 * HEIGHT), metres=SCALE)
     points[:, 2] = 0
     points[:200, 2] = -HEIGHT / 16 - 0.001
-    (notice,) = notices_of_points("towel", points, height=HEIGHT, metres=SCALE)
+    (notice,) = notices_of_points("towel", points, viewport=VIEWPORT, metres=SCALE)
     assert notice.startswith("towel: 20% of the cloth lies below the table")
 
 

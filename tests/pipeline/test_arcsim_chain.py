@@ -13,6 +13,7 @@ from clothkit.dataset.regularise import RegulariseConfig, assign_splits, regular
 from clothkit.episodes import record
 from clothkit.episodes.evaluate import evaluate
 from clothkit.estimation.refine import RefineConfig
+from clothkit.estimation.support import fit
 from clothkit.evaluation import (
     arrays,
     calibration,
@@ -24,7 +25,8 @@ from clothkit.evaluation import (
     viewport,
     voxel_prediction,
 )
-from clothkit.evaluation.camera_settings import Condition, EvaluateCameraConfig
+from clothkit.evaluation.alarms import set_alarms
+from clothkit.evaluation.camera_settings import Condition, EvaluateCameraConfig, SetAlarmsConfig
 from clothkit.evaluation.comparisons import of_predictions
 from clothkit.evaluation.diagnosis import diagnosed
 from clothkit.evaluation.session_rows import rows
@@ -51,7 +53,7 @@ from clothkit.simulation.arcsim_runs import read_runs
 from clothkit.training.emd_voxel import train_emd_voxel
 from clothkit.training.pemd import train_pemd
 from clothkit.training.settings import TrainEMDVoxelConfig, TrainingConfig, TrainPEMDConfig, TrainVtMConfig
-from clothkit.training.vtm import train_vtm
+from clothkit.training.vtm import example_units, train_vtm
 from tests.observation.scenes import SMALL
 from tests.planning import toy
 from tests.simulation import arcsim_runs as runs
@@ -124,7 +126,7 @@ def test_the_chain_runs_on_from_arcsims_runs(tmp_path: Path) -> None:
     trained = train_vtm(VTM, dataset.of_split("train"), validation, work=tmp_path / "vtm", key=jax.random.key(2))
     vtm, vtm_history = Net(VTM.net, trained.params), trained.history
 
-    found = estimation.estimates(dataset, vtm, EvaluateEstimationConfig(refine=REFINE, batch=4))
+    found = estimation.estimates(dataset, vtm, EvaluateEstimationConfig(batch=4), REFINE)
     arrays.save(tmp_path / "estimates.zarr", found.arrays(), {})
     estimates = arrays.load(tmp_path / "estimates.zarr", arrays.ESTIMATES)
     settings = EvaluatePredictionConfig(batch=4, stored=3)
@@ -147,7 +149,9 @@ def test_the_chain_runs_on_from_arcsims_runs(tmp_path: Path) -> None:
     pieces, _ = evaluate(dataset, planner, toy.execute, work=tmp_path / "plan", annotate=annotate)
     sessions = pieces.whole()
 
-    seen = camera.estimation(dataset, vtm, CAMERA, REFINE, work=tmp_path / "states")
+    support = fit(example_units(vtm, dataset.of_split("train"), VTM, examples=32, seed=0))
+    raised = set_alarms(vtm, dataset, SetAlarmsConfig(), support=support, camera=CAMERA, refinement=REFINE)
+    seen = camera.estimation(dataset, vtm, CAMERA, REFINE, raised, work=tmp_path / "states")
     arrays.save(tmp_path / "pictures.zarr", seen.arrays, {})
     before = camera_planning.planning(dataset, planner, toy.execute, sessions, CAMERA, work=tmp_path / "camera")
 

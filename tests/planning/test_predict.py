@@ -7,7 +7,7 @@ import numpy as np
 
 from clothkit.cloth.mesh import whiten_probabilistic
 from clothkit.cloth.symmetry import relabel_manipulation
-from clothkit.cloth.topology import SQUARE
+from clothkit.cloth.topology import PAPERS_CLOTH, SQUARE
 from clothkit.planning import predict as prediction
 from clothkit.planning.mesh_representation import MESH
 from clothkit.planning.predict import differences, predict
@@ -32,7 +32,7 @@ def test_expectations_are_those_of_the_plan_after_what_is_remembered() -> None:
     counts = np.array([np.arange(SQUARE.count), 2.0 * np.arange(SQUARE.count)])[:, None] + np.array([0, 10])[:, None]
     traces = tuple(np.repeat(count[..., None], 3072, axis=-1).astype(np.float32) for count in counts)
     plans = np.stack([PLAN, -PLAN])
-    found = predict(NOTING, MESH, toy.NETS, states, traces, plans, common)
+    found = predict(NOTING, MESH, toy.NETS, states, traces, plans, common, np.tile(PAPERS_CLOTH, (2, 1)))
     for net, expected, count in zip(toy.NETS, found, counts, strict=True):
         assert expected.states.mean.shape == (2, 2, 32, 32, 3)
         for task in range(2):
@@ -50,7 +50,7 @@ def test_one_program_serves_all_nets_and_lengths() -> None:
     """A shorter plan's predictions are the first of a longer one's, bit for bit."""
     inputs = (NOTING, MESH, toy.NETS, toy.bent()[None], (np.ones((1, SQUARE.count, 3072), np.float32),) * 2)
     prediction._predict.clear_cache()
-    longer, shorter = (predict(*inputs, PLAN[None, :length], np.array([3])) for length in (2, 1))
+    longer, shorter = (predict(*inputs, PLAN[None, :length], np.array([3]), PAPERS_CLOTH[None]) for length in (2, 1))
     assert prediction._predict._cache_size() == 1
     for whole, part in zip(longer, shorter, strict=True):
         assert part.states.mean.shape == (1, 1, 32, 32, 3)
@@ -63,7 +63,7 @@ def test_differences_are_means_over_all_pairs_of_nets() -> None:
     state, plans = toy.bent()[None], PLAN[None]
     nets = tuple(jnp.float32(strength) for strength in (1.0, 1.1, 0.7))
     traces = tuple(np.zeros((1, SQUARE.count, 3072), np.float32) for _ in nets)
-    found = predict(toy.MODEL, MESH, nets, state, traces, plans, np.array([0]))
+    found = predict(toy.MODEL, MESH, nets, state, traces, plans, np.array([0]), PAPERS_CLOTH[None])
     apart = differences(MESH, found)
     whitened = [whiten_probabilistic(of_net.states) for of_net in found]
     pairs = [

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from clothkit.cloth.mesh import ProbabilisticMesh, error, nll, whiten, whiten_probabilistic
 from clothkit.cloth.silhouette import pixel_centres
-from clothkit.cloth.symmetry import equivalents, relabel, relabel_manipulation
+from clothkit.cloth.symmetry import equal_labellings, equivalents, relabel, relabel_manipulation
 from clothkit.cloth.topology import SQUARE
 from clothkit.manipulation.geometry import release_points, to_cartesian
 from clothkit.manipulation.vector import is_null
@@ -138,6 +138,7 @@ def test_the_loss_is_the_same_in_every_common_equivalent() -> None:
         # Net a remembers three manipulations, net b five.
         tuple(jnp.full((SQUARE.count, 3072), count) for count in (3.0, 5.0)),
         equivalents(goal),
+        jnp.ones(SQUARE.count, bool),
     )
     labels = jnp.arange(SQUARE.count)
     plans = jnp.stack([relabel_manipulation(plan, k) for k in range(SQUARE.count)])
@@ -165,8 +166,20 @@ def test_the_loss_is_the_same_in_every_common_equivalent() -> None:
     best, _, relative = loss_of(jnp.full(8, UNKNOWN))
     assert (relative == int(np.argmin(least))).all()
     np.testing.assert_allclose(best, min(map(float, least)) + 0.25 * u, rtol=1e-3)
+    # Of a rectangle, among the labellings that keep its sides.
+    keeping = equal_labellings(np.array([1.4, 1.0, 0.007], np.float32))
+    of_sides = jax.jit(
+        lambda same: evaluate(
+            objective, toy.MODEL, MESH, toy.NETS, fixed._replace(same=same), plans, labels, jnp.full(8, UNKNOWN)
+        )
+    )
+    best, _, relative = of_sides(keeping)
+    allowed = np.where(keeping, least, np.inf)
+    assert np.argmin(allowed) != np.argmin(least)
+    assert (relative == int(np.argmin(allowed))).all()
+    np.testing.assert_allclose(best, allowed.min() + 0.25 * u, rtol=1e-3)
     # One net plans with the plain NLL.
-    one = Fixed(fixed.latents[:1], fixed.traces[:1], fixed.goals)
+    one = Fixed(fixed.latents[:1], fixed.traces[:1], fixed.goals, fixed.same)
     plain = objective_of(1, reference, toy.WEIGHTS)
     alone = evaluate(plain, toy.MODEL, MESH, toy.NETS[:1], one, plans, labels, jnp.full(8, SQUARE.inverses[3]))
     np.testing.assert_allclose(alone.loss, nll(aimed, whiten_probabilistic(outcomes[0])), rtol=1e-3)
@@ -179,7 +192,9 @@ def test_a_goal_that_is_foreseen_exactly_is_not_missed_by_thinned_vertices_eithe
     net = toy.NETS[:1]
     outcome = jax.tree.map(lambda part: part[0], toy.decode(net[0], _chain(net[0], mesh, plan), 4))
     whole = toy.decode(net[0], _chain(net[0], mesh, plan), 1).mean[0]
-    fixed = Fixed((toy.encode(net[0], equivalents(mesh)),), (jnp.zeros((SQUARE.count, 3072)),), equivalents(whole))
+    every = jnp.ones(SQUARE.count, bool)
+    latents, traces = toy.encode(net[0], equivalents(mesh)), jnp.zeros((SQUARE.count, 3072))
+    fixed = Fixed((latents,), (traces,), equivalents(whole), every)
     plain, first = Objective(Accuracy(()), {}), jnp.array([0])
     loss = evaluate(plain, toy.MODEL, MESH, net, fixed, plan[None], first, first, stride=4).loss
     std = np.asarray(outcome.std / jnp.maximum(outcome.mean.std((0, 1)), 0.005))

@@ -47,7 +47,7 @@ def dragged(mesh: Array, manipulation: Array, strength: Array | float = 1.0) -> 
     return mesh + strength * near[..., None] * jnp.concatenate([d, lift], axis=-1)
 
 
-def encode(net: Array, mesh: Array) -> Array:
+def encode(net: Array, mesh: Array, cloth: Any = None) -> Array:
     mesh = jnp.asarray(mesh)
     return mesh.reshape(*mesh.shape[:-3], -1)
 
@@ -80,7 +80,9 @@ def bent(k: int = 0) -> np.ndarray:
     return np.asarray(relabel(mesh, k))
 
 
-def execute(meshes: np.ndarray, grasps: np.ndarray, displacement: np.ndarray, single: np.ndarray) -> np.ndarray:
+def execute(
+    meshes: np.ndarray, grasps: np.ndarray, displacement: np.ndarray, single: np.ndarray, cloths: Any = None
+) -> np.ndarray:
     """The toy world as a simulator: hands take the nearest vertices."""
     uv = np.stack([to_geodesic(mesh, pair) for mesh, pair in zip(meshes, grasps, strict=True)])
     manipulation = np.concatenate([uv.reshape(-1, 4), displacement], axis=-1)

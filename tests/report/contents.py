@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pandas as pd
 
-from clothkit.dataset.store import Dataset
+from clothkit.dataset.store import Dataset, papers_cloths
 from clothkit.dataset.tasks import TASKS
 from clothkit.evaluation import camera_planning, planning
 from clothkit.evaluation.comparisons import of_predictions
@@ -85,6 +85,7 @@ def dataset() -> Dataset:
         np.array([3, 2, 1], np.int8),
         np.array([0, 1, 2], np.int8),
         np.ones(3, bool),
+        *papers_cloths(3),
     )
 
 

@@ -74,6 +74,8 @@ def raw(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write(folder / "manipulations.parquet", pd.DataFrame(steps))
     topology = {"topology": [0], "material": [material.ravel()], "triangles": [SQUARE.triangles().ravel()]}
     write(folder / "topologies.parquet", pd.DataFrame(topology))
+    cloths = {"sequence": range(3), "start": "flat", "side_u": 0.4, "side_v": 0.4, "thickness": 0.002}
+    write(folder / "cloths.parquet", pd.DataFrame(cloths))
     return folder
 
 

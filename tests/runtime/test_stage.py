@@ -15,7 +15,7 @@ import pytest
 import clothkit.runtime.stage
 from clothkit.runtime.cache import ensure_jax_cache, writable
 from clothkit.runtime.errors import InputError
-from clothkit.runtime.stage import WORK, Stage, stage
+from clothkit.runtime.stage import WORK, Stage, is_left_out, stage
 from tests.killed import name_of, write
 from tests.tiny import write_params
 
@@ -42,6 +42,19 @@ def test_outputs_are_published_and_work_is_dropped(here: Path) -> None:
     assert name_of(Path("data/meshes.zarr")) == "new folder"
     assert not work.exists()
     assert json.loads((WORK / "timings/regularise.json").read_text())["stage"] == "regularise"
+
+
+def test_what_a_scale_leaves_out_is_a_note_in_its_place(here: Path) -> None:
+    folder, file = Path("data/nets/emd_voxel/0"), Path("data/normalisation/voxel.json")
+    write(folder, "old folder")
+    with stage("train_emd_voxel", "0") as run:
+        run.leave_out(folder, file)
+    assert folder.read_bytes() == file.read_bytes() == b"left out of scale smoke\n"
+    assert is_left_out(folder)
+    assert is_left_out(file)
+    assert not is_left_out(Path("params.yaml"))
+    assert not is_left_out(Path("data"))
+    assert not is_left_out(Path("data/nothing"))
 
 
 def test_what_a_killed_run_set_aside_is_back_before_the_next_begins(here: Path) -> None:

@@ -143,10 +143,11 @@ def test_execution_does_not_depend_on_workers(raw: Path) -> None:
     corners = np.array([[[-0.7, -0.7], [-0.7, 0.7]], [[-0.7, -0.7]] * 2, [[0.7, 0.7]] * 2, [[0.7, -0.7], [0.7, 0.7]]])
     moves = np.array([[1.3, 0.0], [0.7, 0.7], [-0.6, -0.7], [-1.0, 0.1]])
     single = np.array([False, True, True, False])
-    one = execute(meshes, corners, moves, single, SIMULATION, workers=1)
-    two = execute(meshes, corners, moves, single, SIMULATION, workers=2)
+    one = execute(meshes, corners, moves, single, settings=SIMULATION, workers=1)
+    two = execute(meshes, corners, moves, single, settings=SIMULATION, workers=2)
     np.testing.assert_array_equal(one, two)
-    np.testing.assert_array_equal(execute(meshes[2:3], corners[2:3], moves[2:3], single[2:3], SIMULATION)[0], one[2])
+    third = execute(meshes[2:3], corners[2:3], moves[2:3], single[2:3], settings=SIMULATION)
+    np.testing.assert_array_equal(third[0], one[2])
     # Section 4.2.2: one hand is let go at the grasp point plus the displacement, close to where the corner then lies.
     np.testing.assert_allclose(one[1, 0, 0, :2], [0.0, 0.0], atol=0.12)
 

@@ -142,3 +142,29 @@ def test_strains_are_those_of_each_direction_of_a_rectangle() -> None:
     mesh[-1, :, 0] -= 0.005
     mesh[:, 0, 1] -= 0.003
     assert measure(mesh[None], SETTINGS, topology).strain_worst[0] == pytest.approx(0.003 / (0.2 / 10), rel=1e-4)
+
+
+def strip(angle: float, *, within: bool) -> np.ndarray:
+    """A strip of cloth of five edges along u, bent by an angle: within the middle edge, or at the vertex before it."""
+    spacing = SETTINGS.cloth_side / 5
+    turns = np.array([0, 0, 0.5, 1, 1]) if within else np.array([0, 0, 1, 1, 1])
+    directions = np.stack([np.cos(angle * turns), 0 * turns, np.sin(angle * turns)], axis=-1)
+    lengths = np.array([1, 1, np.cos(angle / 2) if within else 1, 1, 1])
+    line = np.concatenate([np.zeros((1, 3)), np.cumsum(spacing * lengths[:, None] * directions, axis=0)])
+    across = np.linspace(0, SETTINGS.cloth_side, 8)
+    return (line[:, None] + across[:, None] * [0, 1, 0]).astype(np.float32)
+
+
+@pytest.mark.parametrize("angle", [0.3, 1.2, 2.4])
+@pytest.mark.parametrize("within", [True, False])
+def test_a_bent_thread_is_not_strained(angle: float, within: bool) -> None:
+    mesh = strip(angle, within=within)
+    found = measure(mesh[None], SETTINGS, rectangle(1.0, shape=mesh.shape[:2]))
+    np.testing.assert_allclose(found.strain_worst, 0, atol=1e-5)
+
+
+def test_a_shortened_straight_edge_is_strained() -> None:
+    mesh = strip(0.0, within=True)
+    mesh[3:, :, 0] -= 0.05 * SETTINGS.cloth_side / 5
+    found = measure(mesh[None], SETTINGS, rectangle(1.0, shape=mesh.shape[:2]))
+    np.testing.assert_allclose(found.strain_worst, 0.05, rtol=1e-4)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from clothkit.cloth.silhouette import silhouette
 from clothkit.cloth.topology import CLOTH_LENGTH, REVERSE_V, Topology, rectangle
+from clothkit.dataset.store import papers_cloths
 from clothkit.simulation.executor import execute, layers_below, place_hands
 from clothkit.simulation.kernels.state import PATH
 from clothkit.simulation.quality import measure, reason
@@ -102,6 +103,15 @@ def test_half_fold_lies_in_two_layers(folded: Outcome) -> None:
     upper, lower = state[1:11, :, 2], state[:-12:-1, :, 2][1:]
     assert (upper - lower).mean() == pytest.approx(THICKNESS, rel=0.1)
     np.testing.assert_allclose(lower, THICKNESS / 2, atol=1e-4)
+
+
+def test_fold_line_is_straight_and_low(folded: Outcome) -> None:
+    """Not a row of upright grid edges, which lean to either side and are five times as high as two layers."""
+    state = folded.states[0]
+    outermost = state[state[..., 0].argmin(0), np.arange(state.shape[1])]
+    assert outermost[:, 0].std() < 1e-3
+    assert outermost[:, 2].std() < 1e-3
+    assert state[..., 2].max() < 3 * THICKNESS
 
 
 def test_half_fold_is_clean(folded: Outcome) -> None:
@@ -351,7 +361,7 @@ def test_a_grid_with_two_spacings_folds_as_one_with_equal_spacings() -> None:
     """Stretch, shear, bending, mass and viscosity of a cloth do not depend on how it is divided into quads."""
     ratio = 23 / 12
     even, uneven = (fold_across(rectangle(ratio, shape=shape), 0).states[0] for shape in ((24, 13), (24, 25)))
-    assert distance(even, uneven[:, ::2]) < 1e-3
+    assert distance(even, uneven[:, ::2]) < 2e-3
 
 
 def test_u_and_v_are_alike() -> None:
@@ -367,8 +377,16 @@ def test_a_rectangle_is_executed_by_its_grasp_points_on_workers_as_here() -> Non
     grasps = np.repeat(np.array([[[-0.7, -0.7 / 1.6], [-0.7, 0.7 / 1.6]]]), 4, axis=0)
     moves = np.array([[1.2, 0.0], [0.6, 0.0], [0.8, 0.1], [1.0, -0.1]])
     single = np.zeros(4, bool)
-    found = [execute(meshes, grasps, moves, single, SETTINGS, workers=workers, topology=topology) for workers in (1, 2)]
+    cloths = papers_cloths(4)._replace(cloth=np.tile(np.array([1.4, 1.4 / 1.6, 0.007], np.float32), (4, 1)))
+    settings = replace(SETTINGS, side=16)
+    found = [execute(meshes, grasps, moves, single, cloths, settings=settings, workers=workers) for workers in (1, 2)]
     np.testing.assert_array_equal(*found)
-    # The edge is let go where eq. (1) says, close to where it then lies.
-    np.testing.assert_allclose(found[0][0, 0, [0, -1], 0], 0.5, atol=0.1)
+    # The edge is let go where eq. (1) says; when the loop behind it falls flat, it slides on a little.
+    np.testing.assert_allclose(found[0][0, 0, [0, -1], 0], 0.6, atol=0.1)
     np.testing.assert_allclose(found[0][0, -1], topology.flat()[-1], atol=0.02)
+
+
+def test_states_of_another_grid_are_refused() -> None:
+    meshes, still = rectangle(1.6, shape=(16, 16)).flat()[None], np.zeros((1, 2))
+    with pytest.raises(ValueError, match=r"states of \(16, 16\) vertices for worlds of \(32, 32\)"):
+        execute(meshes, np.zeros((1, 2, 2)), still, np.zeros(1, bool), papers_cloths(1), settings=SETTINGS, workers=1)

@@ -120,7 +120,9 @@ def test_errors_of_an_ensemble_and_of_its_nets(study: ModuleType, monkeypatch: p
     dataset = replace(dataset, length=np.array([3, 1, 3], np.int8))
     meshes = dataset.vertices[[0, 1]].copy()
 
-    def predict(net: float, mesh: np.ndarray, manipulations: np.ndarray, batch: int) -> tuple[Any, None]:
+    def predict(
+        net: float, mesh: np.ndarray, manipulations: np.ndarray, batch: int, cloth: np.ndarray
+    ) -> tuple[Any, None]:
         """The truth, by a net's height too high."""
         step = manipulations.shape[1]
         means = [
@@ -195,7 +197,9 @@ def test_only_what_is_missing_is_computed(study: ModuleType, params: Params, mon
         if not study.is_trained(found, current):
             store.save(found, Net(NET, WEIGHTS), HISTORY, {"validation_score": 0.3, study.COLUMN: current})
 
-    def predict(net: Net, mesh: np.ndarray, manipulations: np.ndarray, batch: int) -> tuple[ProbabilisticMesh, None]:
+    def predict(
+        net: Net, mesh: np.ndarray, manipulations: np.ndarray, batch: int, cloth: np.ndarray
+    ) -> tuple[ProbabilisticMesh, None]:
         return ProbabilisticMesh(mesh[None], mesh[None]), None
 
     def run(*arguments: str) -> list[tuple[tuple[int, ...], int, list[int]]]:

@@ -36,13 +36,13 @@ def test_a_narrowed_net_is_the_whole_one_with_weights_of_zero():
     narrow = narrowed(initial(SETTINGS.net, key=jax.random.key(1)), chosen)
     of_chosen = run(VtM(SETTINGS.net), narrow, among(chosen, seen))
     whole = run(VtM(SETTINGS.net), widened(narrow, chosen), seen)
-    np.testing.assert_allclose(of_chosen.mean, whole.mean, atol=1e-5)
-    np.testing.assert_allclose(of_chosen.std, whole.std, atol=1e-5)
+    np.testing.assert_allclose(of_chosen.mesh.mean, whole.mesh.mean, atol=1e-5)
+    np.testing.assert_allclose(of_chosen.mesh.std, whole.mesh.std, atol=1e-5)
 
 
 def test_voxels_that_are_never_occupied_change_no_gradient(dataset):
     data, key = states(dataset), jax.random.key(3)
-    batch = draw(data, SETTINGS, key=jax.random.split(key)[0])
+    batch, _ = draw(data, SETTINGS, key=jax.random.split(key)[0])
     chosen = np.flatnonzero(jnp.any(voxels.observe(batch), axis=0))
     assert 0.05 < len(chosen) / len(EVERY) < 0.7
     whole, narrow = problem(SETTINGS, dataset), problem(SETTINGS, dataset, chosen)

@@ -6,38 +6,60 @@ import click
 import numpy as np
 
 from clothkit.app.inputs import Input, Settings
-from clothkit.app.planner import State, mesh_of
-from clothkit.estimation.agreement import agreement
+from clothkit.app.planner import State, load_vtm, mesh_of
+from clothkit.estimation.agreement import AgreementConfig, agreement
+from clothkit.estimation.support import strangeness
+from clothkit.models.vtm import hidden_units
 from clothkit.planning.systems import System
 
 
 class EstimateAgreement(NamedTuple):
-    """Agreement of an estimate with its observation, and a sentence that states it."""
+    """Agreement of an estimate with its observation, whether the net knows the latter, and a sentence on both."""
 
     silhouette_iou: float
     """Intersection over union of the voxel columns that hold cloth."""
     height_iou: float
     """Intersection over union of the occluded voxels, which fill the columns up to the surface."""
     explains: bool
-    """Whether both reach the thresholds of `app.agreement`."""
+    """Whether both reach their thresholds."""
     sentence: str
+    strangeness: float | None = None
+    """How unlike the training data the voxels are; None if the nets come without alarms."""
+    known: bool = True
+    """Whether the net knows such voxels, and cloths of these sides and this thickness."""
+
+    @property
+    def reliable(self) -> bool:
+        """Whether nothing speaks against the estimate."""
+        return self.explains and self.known
 
 
 def compare_estimate(source: Input, mesh: State, settings: Settings) -> EstimateAgreement:
-    """Compare an estimated mesh [normalised, centred] with the voxels that it was estimated from."""
-    found = agreement(mesh.astype(np.float32), source.observation.voxels, height=settings.app.cloud.height)
-    least = settings.app.agreement
-    silhouette, heights = float(found.silhouette), float(found.heights)
-    figures = f"silhouette IoU {silhouette:.2f}, height IoU {heights:.2f}"
-    if found.explains(least):
-        sentence = f"{source.file}: the estimate explains what was seen ({figures})"
-        return EstimateAgreement(silhouette, heights, True, sentence)
-    sentence = (
-        f"{source.file}: the estimate does not explain what was seen ({figures}, expected at least "
-        f"{least.silhouette:.2f} and {least.heights:.2f}): the net doesn't know such a state, and what follows from it "
-        "can't be relied on"
-    )
-    return EstimateAgreement(silhouette, heights, False, sentence)
+    """Compare an estimated mesh [normalised, centred] with the voxels that it was estimated from.
+
+    Thresholds are those of `app.agreement`, else those that came with the nets (`set_alarms`), else the defaults.
+    """
+    alarms, voxels = settings.alarms, source.observation.voxels
+    agrees = agreement(mesh.astype(np.float32), voxels, viewport=settings.app.cloud.viewport)
+    least = settings.app.agreement or (alarms.least if alarms else AgreementConfig())
+    silhouette, heights, explains = float(agrees.silhouette), float(agrees.heights), bool(agrees.explains(least))
+    figures, doubts, strange = f"silhouette IoU {silhouette:.2f}, height IoU {heights:.2f}", [], None
+    if not explains:
+        expected = f"expected at least {least.silhouette:.2f} and {least.heights:.2f}"
+        doubts.append(f"the estimate does not explain what was seen ({figures}, {expected})")
+    if alarms:
+        units = hidden_units(load_vtm(settings.data), voxels[None], source.cloth[None])
+        strange = float(strangeness(np.asarray(units), alarms.support)[0])
+        if strange > alarms.strangest:
+            expected = f"expected at most {alarms.strangest:.1f}"
+            doubts.append(f"the net has seen nothing like it (strangeness {strange:.1f}, {expected})")
+        if not alarms.knows(source.cloth):
+            doubts.append("the net has seen no cloth of these sides and this thickness")
+    sentence = f"the estimate explains what was seen ({figures})"
+    if doubts:
+        sentence = f"{', and '.join(doubts)}: what follows from it can't be relied on"
+    known = len(doubts) == (not explains)
+    return EstimateAgreement(silhouette, heights, explains, f"{source.file}: {sentence}", strange, known)
 
 
 def compare_state(system: System, source: Input, estimate: State, settings: Settings) -> EstimateAgreement | None:
@@ -54,6 +76,6 @@ def compare_goal(system: System, source: Input, estimate: State, settings: Setti
 
 
 def warn(found: EstimateAgreement | None) -> None:
-    """Print a warning on stderr if an estimate does not explain its observation."""
-    if found is not None and not found.explains:
+    """Print a warning on stderr if something speaks against an estimate."""
+    if found is not None and not found.reliable:
         click.echo(f"warning: {found.sentence}", err=True)

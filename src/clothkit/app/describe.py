@@ -35,12 +35,19 @@ class PlanRequest(NamedTuple):
     """The goal of the search, in the system's representation; turned if the plan was turned."""
     matrix: Float[np.ndarray, "2 2"] | None
     """The matrix that the goal was turned or mirrored by; None: it was not."""
-    side: float
-    """Side of the flat cloth [m]."""
+    sides: tuple[float, float]
+    """Sides of the flat cloth, the longer one first [m]."""
+    thickness: float
+    """Distance of the middles of two layers that touch [m]."""
     seed: int
     frame: Frame
     agreements: tuple[EstimateAgreement | None, EstimateAgreement | None] = (None, None)
     """Agreement of the estimates of state and goal with their observations; None: not estimated."""
+
+    @property
+    def side(self) -> float:
+        """The longer side [m]."""
+        return self.sides[0]
 
 
 def frame_of(source: Input, wanted: Frame) -> Frame:
@@ -105,6 +112,8 @@ def describe(planner: Planner, planned: Planned, paths: list[HandPaths], request
         "goal": _source(planner, request.goal, request.agreements[1], goal=True),
         "turned": None if request.matrix is None else rounded(request.matrix, 9),
         "side_m": request.side,
+        "sides_m": None if request.sides[0] == request.sides[1] else request.sides,
+        "thickness_m": request.thickness,
         "metres_per_normalised": pose.scale,
         "table": {"axes": pose.rotation.tolist(), "origin_m": pose.origin.tolist()},
         "start": {"state": _state(planned.state, None, pose), "centre_m": _centre(pose)},
@@ -127,7 +136,7 @@ def describe(planner: Planner, planned: Planned, paths: list[HandPaths], request
 def notices(request: PlanRequest) -> list[str]:
     """Return sentences on how state and goal were read and observed, and on estimates that do not explain them."""
     sentences = [*request.state.notices, *request.goal.notices]
-    sentences += [found.sentence for found in request.agreements if found is not None and not found.explains]
+    sentences += [found.sentence for found in request.agreements if found is not None and not found.reliable]
     # State and goal may be one file.
     return list(dict.fromkeys(sentences))
 
@@ -173,6 +182,8 @@ def _source(planner: Planner, source: Input, found: EstimateAgreement | None, *,
             "silhouette_iou": round(found.silhouette_iou, 4),
             "height_iou": round(found.height_iou, 4),
             "explains": found.explains,
+            "strangeness": None if found.strangeness is None else round(found.strangeness, 4),
+            "known": found.known,
         }
     usage = usage_of(planner.system, source, goal=goal)
     return {"file": source.file, "kind": source.kind, "taken": usage, "agreement": agreement}

@@ -8,10 +8,14 @@ from typing import Any, Literal, NamedTuple
 
 import click
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from clothkit.app.settings import AppConfig
+from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE, Topology
+from clothkit.estimation import alarms
+from clothkit.estimation.alarms import Alarms
 from clothkit.manipulation.candidates import CandidateConfig
+from clothkit.models import store
 from clothkit.observation.cloud import Observation
 from clothkit.observation.files import State, read
 from clothkit.observation.observe import observe
@@ -26,10 +30,14 @@ from clothkit.planning.objective import Weights
 from clothkit.planning.settings import PlanConfig
 from clothkit.runtime.cache import ensure_jax_cache
 from clothkit.runtime.errors import InputError, system_error
+from clothkit.simulation.cloths import topology_of
 from clothkit.simulation.settings import SimulationConfig
 
 PARAMS = Path("params.yaml")
 _WEIGHTS = Weights(alpha=0.01, beta=5.0, gamma=1.25)
+
+LARGEST_RATIO = 4.0
+"""Largest accepted ratio of a cloth's sides; nets know less (`simulate.variation.ratio`)."""
 
 Kind = Literal["mesh", "voxels", "points"]
 Usage = Literal["as it is", "estimated"]
@@ -45,13 +53,29 @@ class Settings(NamedTuple):
     simulation: SimulationConfig
     members: tuple[int, ...]
     """The members of the ensemble of forward models."""
+    data: Path = Path("data")
+    """The folder of the nets."""
+    alarms: Alarms | None = None
+    """From which signs on an observation is unknown to the net that estimates meshes; None: not set."""
 
 
-def load_settings() -> Settings:
+def load_settings(data: Path) -> Settings:
     """Read params.yaml in the current directory, at its selected scale; without such a file return the defaults.
 
-    Raises InputError if the file is invalid.
+    Voxels are those that the net under `data` that estimates meshes takes, if there is one, and alarms are its own.
+    Raises InputError if a file is invalid.
     """
+    settings = _settings()._replace(data=data)
+    vtm, set_alarms = data / "nets/vtm", data / "nets/alarms.npz"
+    if not vtm.exists():
+        return settings
+    net = store.configuration(vtm, "vtm")
+    cloud = dataclasses.replace(settings.app.cloud, viewport=net.viewport)
+    known = alarms.load(set_alarms, units=net.hidden) if set_alarms.exists() else None
+    return settings._replace(app=dataclasses.replace(settings.app, cloud=cloud), alarms=known)
+
+
+def _settings() -> Settings:
     # lexists, because a broken or circular link must be reported and not replaced by the defaults.
     if not os.path.lexists(PARAMS):
         return Settings(AppConfig(), PlanConfig(), _WEIGHTS, CandidateConfig(), SimulationConfig(), (0, 1))
@@ -72,8 +96,10 @@ def keep_compiled_programs() -> None:
 class ObservationOptions(NamedTuple):
     """How files are read and observed."""
 
-    side: float
-    """Side of the flat cloth [m]."""
+    sides: tuple[float, float]
+    """Sides of the flat cloth, the longer one first [m]."""
+    thickness: float
+    """Distance of the middles of two layers that touch [m]."""
     cloud: CloudConfig
     table: Plane | None
     stated: Stated = Stated()
@@ -83,6 +109,21 @@ class ObservationOptions(NamedTuple):
     as_points: bool = False
     """Whether the vertices of a mesh that is no 32 x 32 grid are used as a measured point cloud."""
 
+    @property
+    def side(self) -> float:
+        """The longer side of the flat cloth [m]."""
+        return self.sides[0]
+
+    @property
+    def cloth(self) -> Float[np.ndarray, "3"]:
+        """The cloth's sides along u, the longer one, and along v, and its thickness [normalised]."""
+        return np.array([*self.sides, self.thickness], np.float32) * np.float32(CLOTH_LENGTH / self.side)
+
+    @property
+    def topology(self) -> Topology:
+        """The grid of a mesh of this cloth."""
+        return topology_of(SQUARE.shape[0], (CLOTH_LENGTH, float(self.cloth[1])))
+
 
 @dataclasses.dataclass(frozen=True)
 class Input:
@@ -91,6 +132,8 @@ class Input:
     file: str
     state: State
     observation: Observation
+    cloth: Float[np.ndarray, "3"]
+    """The cloth's sides along u and along v and its thickness [normalised]."""
 
     @property
     def kind(self) -> Kind:
@@ -115,7 +158,9 @@ def read_input(file: str, options: ObservationOptions, *, mask: str | None = Non
 
     `mask` names an NPY file [points] that marks the points of the cloth in a cloud. Raises InputError.
     """
-    state = read(file, cloth_side=options.side, y_up=options.y_up, as_points=options.as_points)
+    state = read(
+        file, cloth_side=options.side, y_up=options.y_up, as_points=options.as_points, topology=options.topology
+    )
     for notice in state.notices:
         click.echo(f"notice: {notice}", err=True)
     if mask is not None:
@@ -129,7 +174,7 @@ def read_input(file: str, options: ObservationOptions, *, mask: str | None = Non
     observation = observe(state, cloth_side=options.side, settings=cloud, table=table, stated=stated, name=file)
     for notice in observation.notices:
         click.echo(f"notice: {notice}", err=True)
-    return Input(file, state, observation)
+    return Input(file, state, observation, options.cloth)
 
 
 def _read_mask(path: Path, count: int) -> Bool[np.ndarray, " points"]:
@@ -155,7 +200,17 @@ def with_observation_options(command: Callable[..., Any]) -> Callable[..., Any]:
                 "--side",
                 type=float,
                 metavar="METRES",
-                help="Side of the flat cloth. [default: a given plan's, else app.side]",
+                help="Side of the flat cloth, if it is a square. [default: a given plan's, else app.side]",
+            ),
+            click.option(
+                "--sides", type=float, nargs=2, metavar="METRES METRES", help="Both sides, if it is no square."
+            ),
+            click.option(
+                "--thickness",
+                type=float,
+                metavar="METRES",
+                help="Distance of the middles of two layers that touch: half the height of the cloth, folded once and "
+                "pressed flat. [default: a given plan's, else app.thickness]",
             ),
             click.option(
                 "--mask", metavar="FILE", help="NPY [n] of 0 and 1: which points of the state's cloud are the cloth's."
@@ -220,6 +275,8 @@ def observation_options(
     app: AppConfig,
     *,
     side: float | None,
+    sides: tuple[float, float] | None = None,
+    thickness: float | None = None,
     table: tuple[float, ...] | None,
     table_colour: tuple[int, ...] | None = None,
     box: tuple[float, ...] | None = None,
@@ -249,13 +306,35 @@ def observation_options(
     if up is not None and not any(up):
         raise InputError("--up: expected a direction, found 0 0 0")
     return ObservationOptions(
-        app.side if side is None else side,
+        _sides(app, side, sides),
+        _thickness(app, thickness),
         cloud,
         plane_of(plane) if plane else None,
         Stated(up, camera),
         turned,
         as_points,
     )
+
+
+def _sides(app: AppConfig, side: float | None, sides: tuple[float, float] | None) -> tuple[float, float]:
+    """The sides of the flat cloth, the longer one first, by option values and else by settings."""
+    if side is not None and sides is not None:
+        raise InputError("--side, --sides: expected one of them, found both")
+    found = sides or ((side, side) if side is not None else (app.side, app.shorter or app.side))
+    if not (np.isfinite(found).all() and min(found) > 0):
+        given = f"--sides: {found[0]:g} x {found[1]:g}" if side is None else f"--side: {side:g}"
+        raise InputError(f"{given}, expected metres above 0")
+    longer, shorter = max(found), min(found)
+    if longer > LARGEST_RATIO * shorter:
+        raise InputError(f"--sides: {longer:g} x {shorter:g}, expected at most {LARGEST_RATIO:g} times the shorter one")
+    return longer, shorter
+
+
+def _thickness(app: AppConfig, thickness: float | None) -> float:
+    found = app.thickness if thickness is None else thickness
+    if not (np.isfinite(found) and found > 0):
+        raise InputError(f"--thickness: {found:g}, expected metres above 0")
+    return found
 
 
 def reach_of(app: AppConfig, box: tuple[float, ...] | None) -> ReachConfig | None:

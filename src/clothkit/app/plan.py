@@ -19,7 +19,7 @@ from clothkit.app.inputs import (
     with_observation_options,
 )
 from clothkit.app.output import check_target, part
-from clothkit.app.plan_arrays import check_nets, check_steps_left, memory_of, side_of, traces_before
+from clothkit.app.plan_arrays import check_nets, check_steps_left, cloth_of, memory_of, traces_before
 from clothkit.app.plan_file import Plan, Source, read_plan, write_plan
 from clothkit.app.planner import (
     Planned,
@@ -122,14 +122,14 @@ def command(
     clothkit plan --state cloud.ply --goal goal.obj --steps 2 --table 0 0 -1 -0.8
     clothkit plan --state cloud2.ply --goal goal.obj --after plan.json --out plan2.json --table 0 0 -1 -0.8
     """
-    settings = load_settings()
+    settings = load_settings(data)
     check_target(out, ("json",))
     # Path.resolve fails where links lead in a circle.
     if after and os.path.realpath(out) == os.path.realpath(after):
         raise InputError(f"--out: {out} is what --after reads, expected another file")
     previous = read_plan(after) if after else None
     if previous and after:
-        values["side"] = side_of(previous, values["side"], after)
+        values |= cloth_of(previous, values, after)
     options, box = observation_options(settings.app, **values), reach_of(settings.app, reach)
     length = _length(steps, previous, after)
     keep_compiled_programs()
@@ -149,7 +149,7 @@ def command(
         if previous and previous.turned and not chosen.voxels:
             matrix = np.array(previous.turned)
             target = turned_goal(target, matrix)
-        memory = begin(planner, target, length)
+        memory = begin(planner, target, length, start.cloth)
         if previous and after:
             memory = memory_of(previous, planner, memory, traces)
     with part(f"search by {optimiser_of(planner.settings.search.optimiser).name}"):
@@ -160,7 +160,17 @@ def command(
             target, matrix = turned_goal(target, turn), turn if matrix is None else turn @ matrix
     for estimate in found:
         warn(estimate)
-    request = PlanRequest(start, goal_input, target, matrix, options.side, seed, frame_of(start, frame), found)
+    request = PlanRequest(
+        start,
+        goal_input,
+        target,
+        matrix,
+        options.sides,
+        options.thickness,
+        seed,
+        frame_of(start, frame),
+        found,
+    )
     plan = describe(planner, planned, paths, request)
     write_plan(out, plan)
     click.echo(summary(plan, out))
@@ -226,6 +236,7 @@ def summary(plan: Plan, path: Path) -> str:
                 f"the {what}'s estimate {'explains' if source.agreement.explains else 'does not explain'} what was "
                 f"seen: silhouette IoU {source.agreement.silhouette_iou:.2f}, height IoU "
                 f"{source.agreement.height_iou:.2f}"
+                f"{'' if source.agreement.known else '; the net has seen nothing like this'}"
             )
     expected = plan.expected
     if expected.error_m is not None and expected.error_no_action_m is not None:

@@ -1,6 +1,7 @@
 """Convert the content of a plan file to the inputs of planning: arrays, normalised and centred."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -30,11 +31,21 @@ def placed_state(plan: Plan, placed: Placed) -> State:
     return pose.camera_to_normalised(np.array(placed.state.vertices_m, float)).astype(np.float32)
 
 
-def side_of(plan: Plan, side: float | None, name: Path) -> float:
-    """Return the cloth's side [m] that a plan was made for. Raises InputError if `side` is given and differs."""
-    if side is not None and abs(side / plan.side_m - 1) > _SAME:
-        raise InputError(f"--side: expected {plan.side_m:g}, for which {name} was planned, found {side:g}")
-    return plan.side_m
+def cloth_of(plan: Plan, values: dict[str, Any], name: Path) -> dict[str, Any]:
+    """Return the options `side`, `sides` and `thickness` of the cloth that a plan was made for.
+
+    `values` are the options that were given. Raises InputError if one of them differs.
+    """
+    sides, thickness = plan.sides_m or (plan.side_m, plan.side_m), plan.thickness_m
+    of_plan = {"side": (plan.side_m,), "sides": sides, "thickness": None if thickness is None else (thickness,)}
+    for option, planned in of_plan.items():
+        if (given := values.get(option)) is None or planned is None:
+            continue
+        found = sorted(given) if isinstance(given, tuple) else [given]
+        if not np.allclose(found, sorted(planned), rtol=_SAME, atol=0):
+            wanted, told = (" x ".join(f"{v:g}" for v in numbers) for numbers in (planned, found))
+            raise InputError(f"--{option}: expected {wanted}, for which {name} was planned, found {told}")
+    return {"side": None, "sides": sides, "thickness": values.get("thickness") if thickness is None else thickness}
 
 
 def check_nets(plan: Plan, planner: Planner, data: Path, name: Path) -> None:
@@ -82,7 +93,8 @@ def memory_of(plan: Plan, planner: Planner, blank: Memory, traces: Traces) -> Me
     if not first.null:
         placed = Placed(state=first.predictions[plan.memory.best].state, centre_m=first.centre_m)
         expected = placed_state(plan, placed)
-        traces = traces_after(planner, start, steps, common=plan.memory.common, traces=traces)
+        cloth = blank.cloth[0]
+        traces = traces_after(planner, start, steps, common=plan.memory.common, traces=traces, cloth=cloth)
     rest = np.full_like(blank.rest, np.nan)
     rest[0, : len(steps) - 1] = steps[1:]
     return blank._replace(

@@ -68,6 +68,10 @@ class Agreement(Part):
     """Of the occluded voxels: of all that lies below the surface."""
     explains: bool
     """Whether both are as high as is usual for estimates that can be relied on."""
+    strangeness: NotNegative | None = None
+    """How unlike the data that the net was trained on the voxels are, about 1 for these; null if that is not known."""
+    known: bool = True
+    """Whether the net knows such voxels, and cloths of these sides and this thickness."""
 
 
 class Source(Part):
@@ -234,7 +238,11 @@ class Plan(Part):
     turned: tuple[tuple[float, float], tuple[float, float]] | None
     """The matrix in the table's plane that the goal was turned or mirrored by for the hands to reach all waypoints."""
     side_m: Annotated[float, Ge(0.01), Le(10)]
-    """Of the flat cloth."""
+    """Of the flat cloth; the longer one if it is no square."""
+    sides_m: tuple[Annotated[float, Ge(0.01), Le(10)], Annotated[float, Ge(0.01), Le(10)]] | None = None
+    """Both sides, the longer one first; null: a square, or the file is of an older version."""
+    thickness_m: Annotated[float, Gt(0), Le(1)] | None = None
+    """Distance of the middles of two layers that touch; null: the file is of an older version."""
     metres_per_normalised: Annotated[float, Gt(0)]
     """side_m / 1.4."""
     table: Table

@@ -10,10 +10,10 @@ import numpy as np
 from jaxtyping import Float, Shaped
 
 from clothkit.app.inputs import Input, Settings, Usage
-from clothkit.cloth.mesh import distance
-from clothkit.cloth.symmetry import relabel, relabel_manipulation
-from clothkit.cloth.topology import SQUARE
-from clothkit.estimation.estimate import Estimate, estimate
+from clothkit.cloth.mesh import best_label
+from clothkit.cloth.symmetry import relabel_manipulation
+from clothkit.cloth.topology import PAPERS_CLOTH, SQUARE
+from clothkit.estimation.estimate import Alternatives, Estimate, alternatives, estimate
 from clothkit.manipulation.turns import turn_manipulation, turn_mesh
 from clothkit.manipulation.vector import is_null
 from clothkit.models import store
@@ -58,6 +58,8 @@ class Planned(NamedTuple):
     """diff of eq. (15) after each manipulation; None if there is only one net."""
     traces: Traces
     """Each net's memory traces before the plan."""
+    cloth: Float[np.ndarray, "3"] = PAPERS_CLOTH
+    """Sides and thickness of the cloth, in the labels of the state [normalised]."""
     loss: float = np.nan
     expected: float = np.nan
     """Distance of the nets' mean predicted outcome from the goal, in the labelling that was found and the measure of
@@ -105,39 +107,39 @@ def for_one_cloth(planner: Planner) -> Planner:
     return dataclasses.replace(planner, perception=perception, settings=one, labelled=planner.system.voxels)
 
 
-def load_vtm(data: Path, settings: Settings) -> Net:
+def load_vtm(data: Path) -> Net:
     """Load VtM, the net that estimates meshes from voxels.
 
-    Raises InputError if it is missing or broken, or if its voxels have another height than `app.cloud.height`.
+    Raises InputError if it is missing or broken.
     """
     path = data / VTM
     if not path.exists():
         raise InputError(f"{path}: not found, it sees meshes in voxels; dvc repro makes it")
-    vtm = store.load(path, "vtm")
-    _check_height(path, vtm, settings)
-    return vtm
-
-
-def _check_height(path: Path, vtm: Net, settings: Settings) -> None:
-    height = settings.app.cloud.height
-    if height != vtm.config.height:
-        raise InputError(f"app.cloud.height: is {height}, but {path} knows voxels up to {vtm.config.height}")
+    return store.load(path, "vtm")
 
 
 def estimate_mesh(vtm: Net, source: Input, settings: Settings) -> Estimate:
     """Estimate the mesh of one cloth of which nothing is expected yet, as a batch of one."""
-    return estimate(vtm, source.observation.voxels[None], settings.plan.refine)
+    return estimate(vtm, source.observation.voxels[None], settings.plan.refine, cloth=source.cloth[None])
+
+
+def alternatives_of(vtm: Net, source: Input, settings: Settings) -> Alternatives:
+    """All shapes that an observation may show, as a batch of one."""
+    return alternatives(vtm, source.observation.voxels[None], settings.plan.refine, cloth=source.cloth[None])
 
 
 def observation_of(planner: Planner, source: Input, data: Path, settings: Settings) -> Observation:
     """What a planner observes of a file's content, as a batch of one.
 
-    Raises InputError when its system needs a mesh and the file holds none, and when its net in `data` that estimates
-    meshes takes voxels of another height than `app.cloud.height`.
+    Raises InputError when its system needs a mesh and the file holds none, and when it takes voxels of another viewport
+    than the net in `data` that estimates meshes.
     """
-    system, perception = planner.system, planner.perception
-    if isinstance(perception, Estimation):
-        _check_height(data / VTM, perception.vtm, settings)
+    system, viewport = planner.system, planner.perception.viewport
+    if viewport not in (None, settings.app.cloud.viewport):
+        raise InputError(
+            f"{data / VTM}: knows voxels up to {settings.app.cloud.viewport.height:g}, system {system.name} plans with "
+            f"nets that know them up to {viewport.height:g}"
+        )
     if not system.true_meshes:
         return Observation(voxels=source.observation.voxels[None])
     mesh = mesh_of(source)
@@ -154,7 +156,7 @@ def goal_of(system: System, source: Input, data: Path, settings: Settings) -> St
     if system.voxels:
         return source.observation.voxels
     mesh = mesh_of(source)
-    return np.asarray(estimate_mesh(load_vtm(data, settings), source, settings).mesh[0]) if mesh is None else mesh
+    return np.asarray(estimate_mesh(load_vtm(data), source, settings).mesh[0]) if mesh is None else mesh
 
 
 def usage_of(system: System, source: Input, *, goal: bool = False) -> Usage:
@@ -168,9 +170,12 @@ def mesh_of(source: Input) -> Float[np.ndarray, "u v 3"] | None:
     return getattr(source.state, "mesh", None)
 
 
-def begin(planner: Planner, goal: State, length: int) -> Memory:
-    """The memory before the first decision, a batch of one. For every system a goal is reached in any of its labels."""
-    return agent.begin(planner, goal[None], np.array([length]))
+def begin(planner: Planner, goal: State, length: int, cloth: Float[np.ndarray, "3"] = PAPERS_CLOTH) -> Memory:
+    """The memory before the first decision, a batch of one. For every system a goal is reached in any of its labels.
+
+    `cloth` are the cloth's sides and thickness [normalised].
+    """
+    return agent.begin(planner, goal[None], np.array([length]), cloth[None])
 
 
 def decide(planner: Planner, observation: Observation, memory: Memory, *, seed: int) -> tuple[Planned, Memory]:
@@ -196,6 +201,7 @@ def planned_of(planner: Planner, plan: Plan, memory: Memory) -> Planned:
         shifts=one.shifts[:n, planner.best],
         differences=None if one.differences is None else one.differences[:n],
         traces=take(memory.traces, 0),
+        cloth=memory.cloth[0],
         loss=float(one.loss),
         expected=float(one.expected),
         expected_no_action=float(planner.representation.distance(plan.state, goal)[0]),
@@ -204,10 +210,16 @@ def planned_of(planner: Planner, plan: Plan, memory: Memory) -> Planned:
 
 
 def predict_plan(
-    planner: Planner, state: State, plan: Float[np.ndarray, "n 6"], *, common: int, traces: Traces
+    planner: Planner,
+    state: State,
+    plan: Float[np.ndarray, "n 6"],
+    *,
+    common: int,
+    traces: Traces,
+    cloth: Float[np.ndarray, "3"] = PAPERS_CLOTH,
 ) -> Planned:
     """Predict the states after each manipulation of a plan, whatever its goal: `relative` is 0, losses are NaN."""
-    found = _predictions(planner, state, plan, common, traces)
+    found = _predictions(planner, state, plan, common, traces, cloth)
     representation = planner.representation
     stds = [std for of_net in found if (std := representation.std(of_net.states)) is not None]
     apart = differences(representation, found)
@@ -221,23 +233,44 @@ def predict_plan(
         shifts=np.asarray(found[planner.best].shifts[0]),
         differences=None if apart is None else np.asarray(apart[0]),
         traces=traces,
+        cloth=cloth,
     )
 
 
 def traces_after(
-    planner: Planner, state: State, plan: Float[np.ndarray, "n 6"], *, common: int, traces: Traces
+    planner: Planner,
+    state: State,
+    plan: Float[np.ndarray, "n 6"],
+    *,
+    common: int,
+    traces: Traces,
+    cloth: Float[np.ndarray, "3"] = PAPERS_CLOTH,
 ) -> Traces:
     """Return each net's memory traces after the first manipulation of a plan."""
-    found = _predictions(planner, state, plan, common, traces)
+    found = _predictions(planner, state, plan, common, traces, cloth)
     return tuple(np.asarray(of_net.traces[0]) for of_net in found)
 
 
 def _predictions(
-    planner: Planner, state: State, plan: Float[np.ndarray, "n 6"], common: int, traces: Traces
+    planner: Planner,
+    state: State,
+    plan: Float[np.ndarray, "n 6"],
+    common: int,
+    traces: Traces,
+    cloth: Float[np.ndarray, "3"],
 ) -> tuple[Prediction, ...]:
     each = tuple(trace[None] for trace in traces)
     start = np.asarray(state, np.float32)[None]
-    return predict(planner.model, planner.representation, planner.nets, start, each, plan[None], np.array([common]))
+    return predict(
+        planner.model,
+        planner.representation,
+        planner.nets,
+        start,
+        each,
+        plan[None],
+        np.array([common]),
+        cloth[None],
+    )
 
 
 def epistemic_uncertainty(planner: Planner, planned: Planned) -> float | None:
@@ -259,11 +292,13 @@ def turned_plan(planner: Planner, planned: Planned, goal: State, matrix: Float[n
     turn = jnp.asarray(matrix, jnp.float32)
     turns = jnp.broadcast_to(turn, (len(planned.plan), 2, 2))
     turned = turn_mesh(jnp.asarray(planned.state), turn)
-    k = int(jnp.argmin(jnp.stack([distance(turned, relabel(planned.state, k)) for k in range(SQUARE.count)])))
+    k = int(best_label(turned, planned.state, cloth=planned.cloth))
     back = int(SQUARE.inverses[k])
     plan = relabel_manipulation(turn_manipulation(jnp.asarray(planned.plan), turns), back)
     common = int(SQUARE.composed[k, planned.common])
-    found = predict_plan(planner, planned.state, np.asarray(plan), common=common, traces=planned.traces)
+    found = predict_plan(
+        planner, planned.state, np.asarray(plan), common=common, traces=planned.traces, cloth=planned.cloth
+    )
     relative, representation = int(SQUARE.composed[planned.relative, back]), planner.representation
     labelled = representation.relabel(turned_goal(goal, matrix)[None], np.array([relative]))
     expected, no_action = (

@@ -16,7 +16,7 @@ from clothkit.app.inputs import (
     with_observation_options,
 )
 from clothkit.app.output import check_target, part, write_arrays, write_mesh
-from clothkit.app.plan_arrays import check_nets, manipulations, placed_state, side_of, traces_before
+from clothkit.app.plan_arrays import check_nets, cloth_of, manipulations, placed_state, traces_before
 from clothkit.app.plan_file import read_plan
 from clothkit.app.planner import begin, load_planner, observation_of, predict_plan
 from clothkit.cloth.mesh import distance_aligned
@@ -44,9 +44,9 @@ def command(*, state: str, source: Path, out: Path, data: Path, mask: str | None
     \b
     clothkit predict --state start.obj --plan plan.json --out predicted
     """
-    settings = load_settings()
+    settings = load_settings(data)
     plan = read_plan(source)
-    values["side"] = side_of(plan, values["side"], source)
+    values |= cloth_of(plan, values, source)
     options = observation_options(settings.app, **values)
     chosen = system(plan.system)
     nets = [prediction.net for prediction in plan.steps[0].predictions]
@@ -61,13 +61,20 @@ def command(*, state: str, source: Path, out: Path, data: Path, mask: str | None
     with part("predict"):
         start = placed_state(plan, plan.start)
         # The plan's grasp points are in the labels of its start, so the state needs the same labels.
-        memory = begin(planner, start, len(plan.steps))
+        memory = begin(planner, start, len(plan.steps), start_input.cloth)
         if not chosen.voxels:
             memory = memory._replace(planned=np.ones(1, bool), expected=start[None].astype(np.float32))
         observation = observation_of(planner, start_input, data, settings)
         cloth = agent.perceive(planner, observation, memory)[0][0]
         estimate = compare_state(chosen, start_input, cloth, settings)
-        found = predict_plan(planner, cloth, manipulations(plan), common=plan.memory.common, traces=traces)
+        found = predict_plan(
+            planner,
+            cloth,
+            manipulations(plan),
+            common=plan.memory.common,
+            traces=traces,
+            cloth=start_input.cloth,
+        )
     warn(estimate)
     with unfinished_files(out) as unfinished:
         for step, pose in enumerate(poses_of(found, start_input.pose)[1:]):

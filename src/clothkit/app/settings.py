@@ -16,7 +16,11 @@ class AppConfig:
     """Settings of the command line, the same at every scale; a command's options override them."""
 
     side: Annotated[float, Gt(0)] = SimulationConfig().cloth_side
-    """Side of the flat cloth [m]."""
+    """Side of the flat cloth, the longer one if it is no square [m]."""
+    shorter: Annotated[float, Gt(0)] | None = None
+    """Its shorter side [m]; None: it is a square."""
+    thickness: Annotated[float, Gt(0)] = SimulationConfig().material.thickness
+    """Distance of the middles of two layers that touch, such as half the height of a cloth folded once [m]."""
     table: tuple[float, float, float, float] | None = None
     """a, b, c, d of the table's plane a x + b y + c z = d [m] in the clouds' frame, (a, b, c) up; None: fitted."""
     up: Triple | None = None
@@ -26,8 +30,8 @@ class AppConfig:
     y_up: bool = False
     """Whether y, and not z, is up in OBJ and PLY meshes, and in clouds if table, up and viewpoint are not given."""
     cloud: CloudConfig = CloudConfig()
-    agreement: AgreementConfig = AgreementConfig()
-    """Thresholds of agreement from which an estimate counts as explaining its observation."""
+    agreement: AgreementConfig | None = None
+    """Thresholds of agreement from which an estimate counts as explaining its observation; None: the nets' own."""
     motion: MotionConfig = MotionConfig()
     reach: ReachConfig | None = None
     """The box that the hands reach; None: no limit."""

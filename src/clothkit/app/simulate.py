@@ -18,18 +18,19 @@ from clothkit.app.inputs import (
     with_observation_options,
 )
 from clothkit.app.output import check_target, part, write_mesh
-from clothkit.app.plan_arrays import placed_state, side_of
+from clothkit.app.plan_arrays import cloth_of, placed_state
 from clothkit.app.plan_file import Plan, Step, read_plan
 from clothkit.app.planner import estimate_mesh, load_vtm, mesh_of
 from clothkit.cloth.mesh import error
 from clothkit.cloth.silhouette import centred, iou, silhouette
-from clothkit.cloth.topology import CLOTH_LENGTH
+from clothkit.cloth.topology import CLOTH_LENGTH, PAPERS_CLOTH
 from clothkit.dataset.export import FORMATS
 from clothkit.manipulation.turns import turn_mesh
 from clothkit.observation.coverage import goal_iou
 from clothkit.observation.pose import Pose
 from clothkit.observation.surfaces import check_grid
 from clothkit.runtime.errors import InputError
+from clothkit.simulation.cloths import simulated_cloths
 from clothkit.simulation.executor import execute
 from clothkit.simulation.settings import SimulationConfig
 
@@ -91,11 +92,13 @@ def command(
     \b
     clothkit simulate --state start.obj --plan plan.json --goal goal.obj --out outcome.glb
     """
-    settings = load_settings()
+    settings = load_settings(data)
     plan = read_plan(source)
     if steps and steps > len(plan.steps):
         raise InputError(f"--steps: {source} has {len(plan.steps)}, found {steps}")
-    values["side"] = side_of(plan, values["side"], source)
+    # A thicker cloth than that of the plan may be tried; one of other sides would begin stretched.
+    thickness = values.pop("thickness")
+    values |= cloth_of(plan, values, source) | ({} if thickness is None else {"thickness": thickness})
     options = observation_options(settings.app, **values)
     check_target(out, FORMATS)
     keep_compiled_programs()
@@ -105,14 +108,16 @@ def command(
     mesh, pose = (mesh_of(start), start.pose) if start else _start(plan, source)
     if mesh is None and start:
         with part("estimate"):
-            mesh = np.asarray(estimate_mesh(load_vtm(data, settings), start, settings).mesh[0])
+            mesh = np.asarray(estimate_mesh(load_vtm(data), start, settings).mesh[0])
         warn(compare_estimate(start, mesh, settings))
     assert mesh is not None
     # If the cloth is crammed into a point, each vertex touches all others, and one simulation step takes minutes.
     check_grid(state or f"{source}: start.state", mesh * pose.scale, side=plan.side_m, unit="m")
     with part("simulate"):
         hands = start.pose if start and start.kind == "points" and plan.frame == "camera" else None
-        states = simulate_plan(plan, mesh, pose, settings.simulation, steps=steps, hands=hands, name=str(source))
+        states = simulate_plan(
+            plan, mesh, pose, settings.simulation, steps=steps, hands=hands, cloth=options.cloth, name=str(source)
+        )
     write_mesh(out, states[-1].astype(float) * pose.scale)
     done = sum(not step.null for step in plan.steps[:steps])
     click.echo(f"{out}: the cloth after {done} manipulation{'' if done == 1 else 's'}")
@@ -140,12 +145,14 @@ def simulate_plan(
     *,
     steps: int | None = None,
     hands: Pose | None = None,
+    cloth: Float[np.ndarray, "3"] = PAPERS_CLOTH,
     name: str,
 ) -> list[Mesh]:
     """Return the cloth before the first step of a plan and after each step, at its place on the table [normalised].
 
     `mesh` [normalised, centred] lies at `pose`. Only the first `steps` are simulated, if that is given. `hands` is the
-    pose that converts the plan's positions to the table's frame (default: the plan's own). Raises InputError when a
+    pose that converts the plan's positions to the table's frame (default: the plan's own). `cloth` are the cloth's
+    sides and thickness [normalised]. Raises InputError when a
     hand grasps beside the cloth, or an outcome is not finite.
     """
     centre = pose.centre / pose.scale
@@ -163,7 +170,8 @@ def simulate_plan(
             )
         displacement = np.array(step.manipulation[4:], np.float32)
         single = np.array([len(step.hands) == 1])
-        outcome = execute(states[-1][None], grasps[None], displacement[None], single, settings, workers=1)[0]
+        world = (states[-1][None], grasps[None], displacement[None], single, simulated_cloths(cloth[None], settings))
+        outcome = execute(*world, settings=settings, workers=1)[0]
         if not np.isfinite(outcome).all():
             raise InputError(f"{name}: step {number} has an outcome that is not finite")
         states.append(outcome)

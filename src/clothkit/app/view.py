@@ -80,7 +80,7 @@ def command(
     clothkit view
     clothkit view --state start.obj --goal goal.obj --steps 2
     """
-    settings = load_settings()
+    settings = load_settings(data)
     if (state is None) != (goal is None):
         raise InputError(
             f"--{'goal' if goal is None else 'state'}: missing, expected both or neither of state and goal"

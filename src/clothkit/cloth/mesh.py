@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 from numpy import ndarray
 
-from clothkit.cloth.symmetry import equivalents
+from clothkit.cloth.symmetry import among_equal_labellings, equivalents
 from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE, Topology
 
 LEAST_SPREAD = 0.005
@@ -14,6 +14,10 @@ LEAST_SPREAD = 0.005
 
 Mesh = Float[Array, "*#batch u v 3"] | Float[ndarray, "*#batch u v 3"]
 """A mesh or a batch of meshes; functions of two meshes broadcast their batch axes."""
+
+
+Cloth = Float[Array, "... 3"] | Float[ndarray, "... 3"]
+"""Sides along u and along v, and thickness, of each cloth of a batch [normalised]."""
 
 
 class ProbabilisticMesh(NamedTuple):
@@ -71,13 +75,26 @@ def distance_aligned(a: Mesh, b: Mesh) -> Float[Array, "..."]:
     return distance(align(a, b), b)
 
 
-def error(mesh: Mesh, truth: Mesh, *, aligned: bool = False, topology: Topology = SQUARE) -> Float[Array, "..."]:
-    """The smallest distance to any of the truth's equivalents [cloth length]; `distance_aligned` if `aligned`."""
-    measure = distance_aligned if aligned else distance
-    return jnp.min(measure(jnp.asarray(mesh)[None], equivalents(truth, topology)), axis=0)
+def error(
+    mesh: Mesh, truth: Mesh, *, aligned: bool = False, topology: Topology = SQUARE, cloth: Cloth | None = None
+) -> Float[Array, "..."]:
+    """The smallest distance to any of the truth's equivalents [cloth length]; `distance_aligned` if `aligned`.
+
+    With `cloth`, the sides and thickness of each, only equivalents with the same sides count.
+    """
+    return jnp.min(_to_equivalents(mesh, truth, aligned, topology, cloth), axis=0)
 
 
-def best_label(mesh: Mesh, truth: Mesh, *, aligned: bool = False, topology: Topology = SQUARE) -> Int[Array, "..."]:
-    """The index k of the truth's equivalent that is nearest to the mesh."""
+def best_label(
+    mesh: Mesh, truth: Mesh, *, aligned: bool = False, topology: Topology = SQUARE, cloth: Cloth | None = None
+) -> Int[Array, "..."]:
+    """The index k of the truth's equivalent that is nearest to the mesh; for `cloth` see `error`."""
+    return jnp.argmin(_to_equivalents(mesh, truth, aligned, topology, cloth), axis=0)
+
+
+def _to_equivalents(
+    mesh: Mesh, truth: Mesh, aligned: bool, topology: Topology, cloth: Cloth | None
+) -> Float[Array, "count ..."]:
     measure = distance_aligned if aligned else distance
-    return jnp.argmin(measure(jnp.asarray(mesh)[None], equivalents(truth, topology)), axis=0)
+    away = measure(jnp.asarray(mesh)[None], equivalents(truth, topology))
+    return away if cloth is None else among_equal_labellings(away, cloth)

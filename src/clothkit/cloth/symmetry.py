@@ -6,10 +6,13 @@ grid, or over columns of voxels, can be relabelled, too.
 """
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, Shaped
+from jaxtyping import Array, Bool, Float, Int, Shaped
 from numpy import integer, ndarray
 
 from clothkit.cloth.topology import REVERSE_U, REVERSE_V, SQUARE, SWAP, Topology
+
+SAME = 1e-3
+"""Largest difference between the sides of a square [normalised]."""
 
 Index = int | integer | Int[Array | ndarray, "..."]
 """The index k of an equivalent, or several to be broadcast: a number, an element of `Topology.inverses`, an array."""
@@ -85,6 +88,37 @@ def relabel_manipulation_batch(
     """A batch of manipulations (or of sequences of manipulations), each in the labels of its own k."""
     k = jnp.asarray(k)
     return relabel_manipulation(manipulation, k.reshape(k.shape + (1,) * (manipulation.ndim - 2)), topology)
+
+
+def relabel_cloth(cloth: Float[Array | ndarray, "... 3"], k: Index) -> Float[Array, "... 3"]:
+    """A cloth's sides and thickness in the labels of the square's equivalent k, which may swap the sides."""
+    cloth = jnp.asarray(cloth)
+    swapped = jnp.asarray(k)[..., None] & SWAP > 0
+    return jnp.where(swapped, cloth[..., jnp.array([1, 0, 2])], cloth)
+
+
+def equivalent_cloths(cloth: Float[Array | ndarray, "*batch 3"]) -> Float[Array, "8 *batch 3"]:
+    """A cloth's sides and thickness in the labels of each of the square's equivalents, in order of k."""
+    return jnp.stack([relabel_cloth(cloth, k) for k in range(SQUARE.count)])
+
+
+def equal_labellings(cloth: Float[Array | ndarray, "*batch 3"]) -> Bool[Array, "*batch 8"]:
+    """Which of the square's equivalents leave a cloth's sides as they are: all for a square, half for a rectangle."""
+    cloth = jnp.asarray(cloth)
+    square = jnp.abs(cloth[..., 0] - cloth[..., 1]) <= SAME
+    return square[..., None] | (jnp.arange(SQUARE.count) & SWAP == 0)
+
+
+def among_equal_labellings(
+    unlike: Float[Array, "8 ..."], cloth: Float[Array | ndarray, "*batch 3"]
+) -> Float[Array, "8 ..."]:
+    """How unlike something is under the labels of each of the square's equivalents, infinitely where sides differ.
+
+    The cloths' batch axes are the last ones of `unlike`.
+    """
+    same = jnp.moveaxis(equal_labellings(cloth), -1, 0)
+    axes_before = (1,) * (unlike.ndim - same.ndim)
+    return jnp.where(same.reshape(SQUARE.count, *axes_before, *same.shape[1:]), unlike, jnp.inf)
 
 
 def _symmetry(k: Index, topology: Topology) -> Int[Array, "..."]:

@@ -18,6 +18,10 @@ It is the longer side, and not the root of the area, so that a flat cloth of any
 any orientation, and so that errors of cloths of all ratios are in one unit.
 """
 
+PAPERS_CLOTH = np.array([CLOTH_LENGTH, CLOTH_LENGTH, 0.007], np.float32)
+"""What a ruler tells of the paper's cloth [normalised]: its sides along u and along v, and its thickness, the distance
+of touching layers. It is a square of 0.4 m, 2 mm thick."""
+
 SWAP, REVERSE_U, REVERSE_V = 1, 2, 4
 """Bits of a symmetry, which are applied to the labels in this order: swap the axes u and v, reverse u, reverse v."""
 

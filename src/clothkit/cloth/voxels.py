@@ -1,13 +1,44 @@
 """Voxels: occupancy of the viewport (-1, -1, 0)..(1, 1, height), with occlusion, doubling and noise (section 4.8)."""
 
+from typing import Annotated
+
 import jax
 import jax.numpy as jnp
+from annotated_types import Ge, Gt, Le
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 from numpy import ndarray
 
+from clothkit.runtime.config import config
+
 RESOLUTION = (32, 32, 16)
-HEIGHT = 0.125
-"""Upper end of the viewport [normalised]."""
+
+
+@config
+class Viewport:
+    """The part of space that voxels cover, and how they divide it in z; the defaults are the paper's."""
+
+    height: Annotated[float, Gt(0)] = 0.125
+    """Its upper end [normalised]."""
+    curve: Annotated[float, Ge(1), Le(4)] = 1.0
+    """Voxel k of n begins at (k / n)^curve of the height. Above 1, voxels are finer near the table, where thin layers
+    have to be told apart, and coarser in the heaps above."""
+
+    def level(self, z: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+        """Heights [normalised, at least 0] in voxels: k to k + 1 within voxel k."""
+        count = RESOLUTION[2]
+        return z * (count / self.height) if self.curve == 1 else count * (z / self.height) ** (1 / self.curve)
+
+    def z(self, level: Float[Array, "*batch"] | Float[ndarray, "*batch"]) -> Float[Array, "*batch"]:
+        """The inverse of `level`: heights [normalised]."""
+        share = jnp.asarray(level) / RESOLUTION[2]
+        return self.height * (share if self.curve == 1 else share**self.curve)
+
+
+VIEWPORT = Viewport()
+"""The paper's."""
+
+HEIGHT = VIEWPORT.height
+"""Upper end of the paper's viewport [normalised]."""
 
 Points = Float[Array, "*batch points 3"] | Float[ndarray, "*batch points 3"]
 
@@ -26,7 +57,7 @@ def double(mesh: Float[Array | ndarray, "*batch u v 3"]) -> Float[Array, "*batch
     return mesh
 
 
-def voxelise(points: Points, *, height: float = HEIGHT) -> Bool[Array, "*batch 32 32 16"]:
+def voxelise(points: Points, *, viewport: Viewport = VIEWPORT) -> Bool[Array, "*batch 32 32 16"]:
     """The voxels that contain at least one point.
 
     Points outside the viewport in x or y are dropped; in z they are clamped (design 6.14).
@@ -35,7 +66,8 @@ def voxelise(points: Points, *, height: float = HEIGHT) -> Bool[Array, "*batch 3
     batch = points.shape[:-2]
     nx, ny, nz = RESOLUTION
     xy = jnp.floor((points[..., :2] + 1) * (nx / 2)).astype(jnp.int32)
-    z = jnp.clip(jnp.floor(points[..., 2] * (nz / height)).astype(jnp.int32), 0, nz - 1)
+    heights = points[..., 2] if viewport.curve == 1 else jnp.maximum(points[..., 2], 0)
+    z = jnp.clip(jnp.floor(viewport.level(heights)).astype(jnp.int32), 0, nz - 1)
     inside = jnp.all((xy >= 0) & (xy < nx), axis=-1)
     cell = jnp.where(inside, (xy[..., 0] * ny + xy[..., 1]) * nz + z, nx * ny * nz)
     rows = cell.reshape(-1, cell.shape[-1])
@@ -49,16 +81,20 @@ def occlude(voxels: Bool[Array, "*batch x y z"]) -> Bool[Array, "*batch x y z"]:
     return jax.lax.cummax(voxels.astype(jnp.int8), axis=voxels.ndim - 1, reverse=True).astype(bool)
 
 
-def of_mesh(mesh: Float[Array | ndarray, "*batch u v 3"], *, height: float = HEIGHT) -> Bool[Array, "*batch 32 32 16"]:
+def of_mesh(
+    mesh: Float[Array | ndarray, "*batch u v 3"], *, viewport: Viewport = VIEWPORT
+) -> Bool[Array, "*batch 32 32 16"]:
     """The voxels that contain a vertex, without doubling, noise or occlusion, as compared in tables 4 and 7."""
     mesh = jnp.asarray(mesh)
-    return voxelise(mesh.reshape(*mesh.shape[:-3], -1, 3), height=height)
+    return voxelise(mesh.reshape(*mesh.shape[:-3], -1, 3), viewport=viewport)
 
 
-def observe(mesh: Float[Array | ndarray, "*batch u v 3"], *, height: float = HEIGHT) -> Bool[Array, "*batch 32 32 16"]:
+def observe(
+    mesh: Float[Array | ndarray, "*batch u v 3"], *, viewport: Viewport = VIEWPORT
+) -> Bool[Array, "*batch 32 32 16"]:
     """The voxels of a mesh as a camera above sees them: doubled, occluded, without noise; the input in evaluations."""
     dense = double(mesh)
-    return occlude(voxelise(dense.reshape(*dense.shape[:-3], -1, 3), height=height))
+    return occlude(voxelise(dense.reshape(*dense.shape[:-3], -1, 3), viewport=viewport))
 
 
 def observe_noisily(
@@ -66,7 +102,7 @@ def observe_noisily(
     *,
     noise: float,
     noise_z: float,
-    height: float = HEIGHT,
+    viewport: Viewport = VIEWPORT,
     key: PRNGKeyArray,
 ) -> Bool[Array, "*batch 32 32 16"]:
     """Training inputs of section 4.8: points are doubled and duplicated, each copy with its own noise, then occluded.
@@ -77,4 +113,4 @@ def observe_noisily(
     points = dense.reshape(*dense.shape[:-3], -1, 3)
     scale = jnp.array([noise, noise, noise_z])
     copies = points[..., None, :, :] + scale * jax.random.normal(key, (*points.shape[:-2], 2, *points.shape[-2:]))
-    return occlude(voxelise(copies.reshape(*points.shape[:-2], -1, 3), height=height))
+    return occlude(voxelise(copies.reshape(*points.shape[:-2], -1, 3), viewport=viewport))

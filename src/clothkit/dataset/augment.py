@@ -1,5 +1,6 @@
 """Insertion of null manipulations into training sequences and random rotation, saved as a store (section 4.6)."""
 
+import dataclasses
 from typing import Annotated
 
 import numpy as np
@@ -33,7 +34,7 @@ def augment(training: Dataset, settings: AugmentConfig) -> Dataset:
         if rng.random() < settings.null_share:
             _insert_null(fields, row, rng)
         _turn(fields, row, rng)
-    return Dataset(**fields, split=copies.split, evaluated=copies.evaluated)
+    return dataclasses.replace(copies, **fields)
 
 
 def _insert_null(fields: dict[str, np.ndarray], row: int, rng: np.random.Generator) -> None:

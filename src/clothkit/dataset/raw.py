@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from clothkit.dataset.store import STATES, STEPS
 from clothkit.dataset.tables import Column, Complete, Table, check, read
 from clothkit.runtime.errors import InputError
+from clothkit.simulation.settings import DRAWN, STARTS
 
 STATE_COLUMNS = ("sequence", "state", "topology", "vertices")
 MANIPULATION_COLUMNS = ("sequence", "step", "hands", "u1", "v1", "u2", "v2", "dx", "dy")
@@ -23,6 +24,9 @@ FARTHEST = 100.0
 
 STRETCH = 2.0
 """Largest accepted extent of a state along an axis, as a multiple of the flat cloth's diagonal."""
+
+_SIDES = (0.01, 20.0)
+"""Accepted range of a flat cloth's sides [m]; other values are probably in another unit."""
 
 EDGES = (0.5, 2.0)
 """Nor is the median of its edges shorter or longer than so many times that of the flat cloth's."""
@@ -87,6 +91,20 @@ ATTEMPTS = Table(
     keys=("attempt",),
 )
 
+_PROPERTY = Column("numbers", 0, missing=True, optional=True)
+
+CLOTHS = Table(
+    {
+        "sequence": _COUNTED,
+        "start": Column("text", among=STARTS, missing=True, optional=True),
+        "side_u": Column("numbers", _SIDES[0], _SIDES[1]),
+        "side_v": Column("numbers", _SIDES[0], _SIDES[1]),
+        **dict.fromkeys(DRAWN, _PROPERTY),
+    },
+    keys=("sequence",),
+)
+"""Schema of cloths, in SI units; properties are missing where a simulator does not tell them."""
+
 TOPOLOGIES = Table(
     {
         "topology": _COUNTED,
@@ -96,9 +114,6 @@ TOPOLOGIES = Table(
     keys=("topology",),
 )
 """Schema of topologies: material coordinates in metres."""
-
-_SIDES = (0.01, 20.0)
-"""Accepted range of a flat cloth's sides [m]; other values are probably in another unit."""
 
 
 def state_files(folder: Path) -> list[Path]:
@@ -140,6 +155,20 @@ def read_manipulations(raw: Path, states: pd.DataFrame, columns: Sequence[str] =
             f"them, found {steps[sequence]}"
         )
     return moves
+
+
+def read_cloths(raw: Path, sequences: Collection[int]) -> pd.DataFrame:
+    """Read the rows of these sequences' cloths, in their order.
+
+    Raises InputError for a file that does not match its schema, and if a sequence has no row.
+    """
+    path = raw / "cloths.parquet"
+    cloths = read(path, CLOTHS, tuple(CLOTHS.columns)).set_index("sequence")
+    cloths = cloths.reindex(columns=[name for name in CLOTHS.columns if name != "sequence"])
+    missing = sorted(set(sequences) - set(cloths.index))
+    if missing:
+        raise InputError(f"{path}: has no row for sequence {missing[0]}, expected one for each")
+    return cloths.loc[list(sequences)]
 
 
 class Triangulation(NamedTuple):

@@ -10,14 +10,19 @@ from jaxtyping import Float, Int
 from tqdm import tqdm
 
 from clothkit.cloth.silhouette import centred
-from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE, Shape, Topology
-from clothkit.dataset.raw import STATE_COLUMNS, Topologies, Triangulation, read_manipulations, read_states
+from clothkit.cloth.topology import CLOTH_LENGTH, PAPERS_CLOTH, SQUARE, Shape, Topology
+from clothkit.dataset.raw import STATE_COLUMNS, Topologies, Triangulation, read_cloths, read_manipulations, read_states
 from clothkit.dataset.store import SPLITS, STATES, STEPS, Dataset
 from clothkit.runtime.config import config
 from clothkit.runtime.errors import InputError
+from clothkit.simulation.cloths import Cloths
+from clothkit.simulation.settings import DRAWN, STARTS
 
 MARGIN = 1e-3
 """A point counts as covered if no barycentric weight is below -MARGIN, since coordinates may be rounded to 6 digits."""
+
+NEARLY_SQUARE = 0.01
+"""Largest difference between the sides of a square, as a fraction of the longer one."""
 
 KEPT = 64
 """Largest number of cached interpolations; ARCSim writes a topology for every state."""
@@ -126,7 +131,18 @@ def regularise(raw: Path, settings: RegulariseConfig, topology: Topology = SQUAR
         vertices[row_of[sequence], state], centres[row_of[sequence], state] = centred(mesh)
     manipulation, hands, length = _steps(manipulations, row_of)
     split, evaluated = assign_splits(settings)
-    return Dataset(vertices, centres, manipulation, hands, length, split, evaluated)
+    return Dataset(
+        vertices, centres, manipulation, hands, length, split, evaluated, *_cloths(read_cloths(raw, sequences))
+    )
+
+
+def _cloths(table: pd.DataFrame) -> Cloths:
+    """The cloths of sequences. A thickness that a simulator did not tell is taken to be that of PAPERS_CLOTH."""
+    metres = table[["side_u", "side_v", "thickness"]].to_numpy(float)
+    cloth = metres * (CLOTH_LENGTH / metres[:, :2].max(1, keepdims=True))
+    cloth = np.where(np.isnan(cloth), PAPERS_CLOTH, cloth).astype(np.float32)
+    start = np.array([STARTS.index(start) if start in STARTS else 0 for start in table["start"]], np.int8)
+    return Cloths(cloth, start, table[list(DRAWN)].to_numpy(np.float32))
 
 
 def assign_splits(settings: RegulariseConfig) -> tuple[np.ndarray, np.ndarray]:
@@ -162,8 +178,9 @@ class Mesher:
 
     def _make(self, number: int, shared: Triangulation) -> tuple[Interpolation, float]:
         name = f"{self.topologies.path}: topology {number}"
-        sides = np.array(self.topology.sides) / CLOTH_LENGTH
-        length = float((np.ptp(shared.material, axis=0) / sides).mean())
+        sides = np.ptp(shared.material, axis=0)
+        # Other programs' squares need not be exact.
+        length = float(sides.mean() if np.ptp(sides) < NEARLY_SQUARE * sides.max() else sides.max())
         return interpolation(shared.material, shared.triangles, self.topology, name=name), CLOTH_LENGTH / length
 
 

@@ -9,14 +9,27 @@ import numpy as np
 import zarr
 from jaxtyping import Bool, Float, Int, Int8
 
-from clothkit.cloth.topology import SQUARE
+from clothkit.cloth.topology import CLOTH_LENGTH, PAPERS_CLOTH, SQUARE
 from clothkit.dataset.zarr_store import WRITTEN, Declared, Store, open_store
 from clothkit.runtime.errors import InputError
+from clothkit.simulation.cloths import Cloths
+from clothkit.simulation.material import Material
+from clothkit.simulation.settings import DRAWN, STARTS
 
 SPLITS = ("train", "validation", "test")
 STATES, STEPS = 4, 3
 _ROWS, _COLUMNS = SQUARE.shape
-LENGTHS = {"state": STATES, "step": STEPS, "u": _ROWS, "v": _COLUMNS, "xyz": 3, "xy": 2, "component": 6}
+LENGTHS = {
+    "state": STATES,
+    "step": STEPS,
+    "u": _ROWS,
+    "v": _COLUMNS,
+    "xyz": 3,
+    "xy": 2,
+    "component": 6,
+    "measure": 3,
+    "property": len(DRAWN),
+}
 """Lengths of the dimensions that are the same in every store."""
 
 _CHUNK, _SHARD = 16, 1024
@@ -28,8 +41,20 @@ _ARRAYS = {
     "length": Declared("i1", ("sequence",)),
     "split": Declared("i1", ("sequence",)),
     "evaluated": Declared("bool", ("sequence",)),
+    "cloth": Declared("f4", ("sequence", "measure")),
+    "start": Declared("i1", ("sequence",)),
+    "material": Declared("f4", ("sequence", "property")),
 }
 _HOLDS = "which a store of meshes holds"
+
+
+def papers_cloths(sequences: int) -> Cloths:
+    """The paper's cloth for each sequence, lying flat at first."""
+    material = np.array([getattr(Material(), name) for name in DRAWN], np.float32)
+    return Cloths(
+        np.tile(PAPERS_CLOTH, (sequences, 1)), np.zeros(sequences, np.int8), np.tile(material, (sequences, 1))
+    )
+
 
 FARTHEST = 1000.0
 """Largest accepted absolute value [normalised]; a file with larger ones is damaged or in another unit."""
@@ -52,6 +77,12 @@ class Dataset:
     """Index into SPLITS."""
     evaluated: Bool[np.ndarray, " sequence"]
     """Whether evaluations use the sequence."""
+    cloth: Float[np.ndarray, "sequence 3"]
+    """What a ruler tells of the cloth: its sides along u and along v, and its thickness."""
+    start: Int8[np.ndarray, " sequence"]
+    """How the cloth came to lie as it did at first: index into STARTS."""
+    material: Float[np.ndarray, "sequence properties"]
+    """The properties in DRAWN of the simulated cloth, in SI units; NaN where a simulator did not tell them."""
 
     def __len__(self) -> int:
         return len(self.length)
@@ -59,6 +90,10 @@ class Dataset:
     def take(self, index: Int[np.ndarray, " taken"] | Bool[np.ndarray, " sequence"] | slice) -> "Dataset":
         """The sequences chosen by an index array, a mask or a slice."""
         return Dataset(*(getattr(self, field.name)[index] for field in dataclasses.fields(self)))
+
+    def cloths(self, sequence: Int[np.ndarray, " n"]) -> Cloths:
+        """The cloths of the sequences with these indices."""
+        return Cloths(self.cloth[sequence], self.start[sequence], self.material[sequence])
 
     def indices(self, split: str, *, evaluated: bool = False) -> Int[np.ndarray, " chosen"]:
         """Sorted indices of the sequences of one split; with `evaluated`, only of those that evaluations use."""
@@ -134,6 +169,10 @@ def _check_values(path: Path, dataset: Dataset) -> None:
         _refuse(path, name, axis, present[axis] & ~np.isfinite(values).all(axis=rest), "is not finite")
         far = present[axis] & (np.abs(values) > FARTHEST).any(axis=rest)
         _refuse(path, name, axis, far, f"is beyond {FARTHEST:g}, expected normalised lengths")
+    known = np.isfinite(dataset.cloth) & (dataset.cloth > 0) & (dataset.cloth < CLOTH_LENGTH + 1e-4)
+    _refuse(path, "cloth", "measure", ~known, f"is not above 0 and at most {CLOTH_LENGTH:g}")
+    started = (dataset.start >= 0) & (dataset.start < len(STARTS))
+    _refuse(path, "start", "value", ~started[:, None], f"is not from 0 to {len(STARTS) - 1}")
     _refuse(path, "hands", "step", present["step"] & ~np.isin(dataset.hands, (1, 2)), "is not 1 or 2")
 
 

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 
 from clothkit.cloth.topology import SQUARE
-from clothkit.cloth.voxels import observe
+from clothkit.cloth.voxels import Viewport, observe
 from clothkit.episodes.sensors import Sensed
 from clothkit.observation.picture import PictureConfig, take
 from clothkit.planning.perception import Perception
@@ -32,7 +32,7 @@ class DepthCamera:
                 picture = take(mesh, self.picture)
             except InputError:
                 missing = SQUARE.flat() if expected is None else expected[number]
-                voxels.append(np.asarray(_observe(missing, height=self.picture.cloud.height)))
+                voxels.append(np.asarray(_observe(missing, viewport=self.picture.cloud.viewport)))
                 continue
             voxels.append(picture.observation.voxels)
             shift[number] = picture.shift
@@ -40,14 +40,14 @@ class DepthCamera:
 
 
 def depth_camera(picture: PictureConfig, perception: Perception) -> DepthCamera:
-    """A depth camera whose voxel grid has the height that a perception takes."""
-    assert perception.height is not None, "a perception that takes voxels"
-    return DepthCamera(with_height(picture, perception.height))
+    """A depth camera whose voxels are those that a perception takes."""
+    assert perception.viewport is not None, "a perception that takes voxels"
+    return DepthCamera(with_viewport(picture, perception.viewport))
 
 
-def with_height(picture: PictureConfig, height: float) -> PictureConfig:
-    """The camera's settings with another height of the voxel grid [normalised]."""
-    return dataclasses.replace(picture, cloud=dataclasses.replace(picture.cloud, height=height))
+def with_viewport(picture: PictureConfig, viewport: Viewport) -> PictureConfig:
+    """The camera's settings with voxels of another viewport."""
+    return dataclasses.replace(picture, cloud=dataclasses.replace(picture.cloud, viewport=viewport))
 
 
-_observe = jax.jit(observe, static_argnames="height")
+_observe = jax.jit(observe, static_argnames="viewport")

@@ -6,9 +6,11 @@ from jaxtyping import Float
 from clothkit.cloth.silhouette import centred
 from clothkit.episodes.sessions import Execute
 from clothkit.manipulation.vector import is_null, is_single
+from clothkit.planning.batches import take
 from clothkit.planning.planner import Planner
 from clothkit.planning.types import Meshes, Plan
 from clothkit.runtime.errors import InputError
+from clothkit.simulation.cloths import Cloths
 
 
 def grasp_positions(
@@ -36,6 +38,7 @@ def execute_plans(
     manipulations: Float[np.ndarray, "task planned 6"],
     positions: Float[np.ndarray, "task planned 2 2"],
     execute: Execute,
+    cloths: Cloths,
 ) -> Meshes:
     """The outcomes of plans, centred; start states are true and centred, `positions` those of `grasp_positions`.
 
@@ -50,7 +53,8 @@ def execute_plans(
         if not len(acting):
             continue
         own = own[acting]
-        outcomes = execute(meshes[acting], positions[acting, step], own[:, 4:], np.asarray(is_single(own)))
+        single = np.asarray(is_single(own))
+        outcomes = execute(meshes[acting], positions[acting, step], own[:, 4:], single, take(cloths, acting))
         if not np.isfinite(outcomes).all():
             raise InputError(f"simulation: manipulation {step} of a plan has an outcome that is not finite")
         meshes[acting] = outcomes

@@ -17,6 +17,7 @@ from clothkit.manipulation.vector import is_null
 from clothkit.planning.planner import Planner
 from clothkit.planning.types import Plan
 from clothkit.runtime.errors import damaged_piece
+from clothkit.simulation.cloths import Cloths
 
 MESH_AXES = ("u", "v", "xyz")
 STATE_AXES = ("seen_0", "seen_1", "seen_2")
@@ -51,6 +52,7 @@ class Tasks(NamedTuple):
     """Centre of the start state on the table."""
     goal: Float[np.ndarray, "task u v 3"]
     """True goal state, centred."""
+    cloths: Cloths
     recorded: list[Stretch] | None = None
     """The recorded subsequences from start to goal, for diagnosis only: planners never use them."""
 
@@ -64,7 +66,8 @@ def tasks_of_dataset(dataset: Dataset, tasks: list[Task], split: str) -> Tasks:
     ]
     states = dataset.vertices[sequence, start]
     goal = dataset.vertices[sequence, start + length]
-    return Tasks(tasks, [split] * len(tasks), states, dataset.centre[sequence, start], goal, recorded)
+    centre, cloths = dataset.centre[sequence, start], dataset.cloths(sequence)
+    return Tasks(tasks, [split] * len(tasks), states, centre, goal, cloths, recorded)
 
 
 def _array(dtype: str, *dimensions: str) -> Any:
@@ -87,6 +90,8 @@ class Sessions:
     start: np.ndarray = _array("i1", "task")
     length: np.ndarray = _array("i1", "task")
     goal: np.ndarray = _array("f4", "task", *MESH_AXES)
+    cloth: np.ndarray = _array("f4", "task", "measure")
+    """Sides along u and v and thickness."""
     state: np.ndarray = _array("f4", "task", "state", *MESH_AXES)
     """True states, centred; the last one is the outcome."""
     centre: np.ndarray = _array("f4", "task", "state", "xy")
@@ -230,6 +235,7 @@ def _empty(tasks: Tasks, sizes: Sizes) -> dict[str, np.ndarray]:
     empty["start"] = np.array([task.start for task in tasks.task], np.int8)
     empty["length"] = np.array([task.length for task in tasks.task], np.int8)
     empty["goal"] = np.asarray(tasks.goal, np.float32)
+    empty["cloth"] = tasks.cloths.cloth
     empty["state"][:, 0] = tasks.start
     empty["centre"][:, 0] = tasks.centre
     return empty

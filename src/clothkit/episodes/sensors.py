@@ -30,13 +30,13 @@ def exact_sensor(perception: Perception) -> Sensor:
     """A sensor that gives a perception exact observations: the meshes themselves, or voxels free of noise."""
 
     def sense(truth: Meshes, expected: States | None) -> Sensed:
-        if perception.height is None:
+        if perception.viewport is None:
             observation = Observation(meshes=truth)
         else:
-            observation = Observation(voxels=in_batches(partial(_observe, height=perception.height), BATCH, truth))
+            observation = Observation(voxels=in_batches(partial(_observe, viewport=perception.viewport), BATCH, truth))
         return Sensed(observation, np.zeros((len(truth), 2), np.float32))
 
     return sense
 
 
-_observe = jax.jit(observe, static_argnames="height")
+_observe = jax.jit(observe, static_argnames="viewport")

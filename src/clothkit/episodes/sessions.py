@@ -19,10 +19,12 @@ from clothkit.planning.batches import in_batches, take
 from clothkit.planning.planner import Planner
 from clothkit.planning.types import Memory, Meshes, Observation, Plan
 from clothkit.runtime.errors import InputError
+from clothkit.simulation.cloths import Cloths
 
-Execute = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
-"""Executes manipulations: meshes [w u v 3], grasp points xy [w 2 2], displacements [w 2], whether one-handed [w] ->
-resulting meshes [w u v 3]. Positions are relative to the table's origin [normalised], not to the cloth's centre."""
+Execute = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Cloths], np.ndarray]
+"""Executes manipulations: meshes [w u v 3], grasp points xy [w 2 2], displacements [w 2], whether one-handed [w], the
+cloths -> resulting meshes [w u v 3]. Positions are relative to the table's origin [normalised], not to the cloth's
+centre."""
 
 REFINED_TOGETHER = 24
 """Number of predictions that are refined in one call."""
@@ -38,7 +40,8 @@ def run_sessions(tasks: Tasks, planner: Planner, execute: Execute, *, sensor: Se
     """
     sensor = sensor or exact_sensor(planner.perception)
     lengths = np.array([task.length for task in tasks.task])
-    memory = begin(planner, planner.representation.of_meshes(np.asarray(tasks.goal, np.float32)), lengths)
+    goals = planner.representation.of_meshes(np.asarray(tasks.goal, np.float32))
+    memory = begin(planner, goals, lengths, tasks.cloths.cloth)
     state, centre = np.asarray(tasks.start, np.float32), np.asarray(tasks.centre, np.float32)
     acting, steps = np.arange(len(lengths)), []
     observation, shift = sensor(state, None)
@@ -52,9 +55,18 @@ def run_sessions(tasks: Tasks, planner: Planner, execute: Execute, *, sensor: Se
         keys = search_keys(tasks, acting, step, planner.settings.seed)
         plan, memory = decide(planner, observation, memory, key=keys)
         state, centre, error_otherwise = _executed(
-            plan, state, centre, shift, np.asarray(tasks.goal)[acting], step, planner, execute
+            plan,
+            state,
+            centre,
+            shift,
+            np.asarray(tasks.goal)[acting],
+            take(tasks.cloths, acting),
+            step,
+            planner,
+            execute,
         )
-        steps.append(Step(acting, plan, _refined(planner, plan), state, centre, error_otherwise))
+        refined = _refined(planner, plan, memory.cloth)
+        steps.append(Step(acting, plan, refined, state, centre, error_otherwise))
     return record(tasks, steps, sizes_of(planner))
 
 
@@ -92,13 +104,17 @@ def _folded(seed: Any, sequence: Any, start: Any, length: Any, step: Any) -> jax
     return jax.vmap(key)(sequence, start, length)
 
 
-def _refined(planner: Planner, plan: Plan) -> Meshes | None:
+def _refined(planner: Planner, plan: Plan, cloth: Float[np.ndarray, "task 3"]) -> Meshes | None:
     """The best net's predictions of the outcomes, refined to plausible meshes; None for voxels."""
     if plan.stds is None:
         return None
     last = (np.arange(len(plan.length)), plan.length - 1, planner.best)
     outcome = ProbabilisticMesh(plan.means[last], plan.stds[last])
-    return in_batches(lambda some: refine(some, some.mean, planner.settings.refine), REFINED_TOGETHER, outcome)
+
+    def refined(some: ProbabilisticMesh, cloth: np.ndarray) -> jax.Array:
+        return refine(some, some.mean, planner.settings.refine, cloth=cloth)
+
+    return in_batches(refined, REFINED_TOGETHER, outcome, cloth)
 
 
 def _executed(
@@ -107,6 +123,7 @@ def _executed(
     centre: Float[np.ndarray, "task 2"],
     shift: Float[np.ndarray, "task 2"],
     goal: Meshes,
+    cloths: Cloths,
     step: int,
     planner: Planner,
     execute: Execute,
@@ -128,13 +145,14 @@ def _executed(
     meshes[..., :2] += centre[tried, None, None]
     places = planner.representation.positions(plan.state[tried], first[tried, :4].reshape(-1, 2, 2))
     places = places + shift[tried, None]
-    outcomes = execute(meshes, places + centre[tried, None], first[tried, 4:], np.asarray(is_single(first[tried])))
+    single = np.asarray(is_single(first[tried]))
+    outcomes = execute(meshes, places + centre[tried, None], first[tried, 4:], single, take(cloths, tried))
     if not np.isfinite(outcomes).all():
         raise InputError(f"simulation: a manipulation of step {step} of a session has an outcome that is not finite")
     for task, outcome in zip(tried, outcomes, strict=True):
         after, middle = centred(outcome)
         if cancelled[task]:
-            error_otherwise[task] = _error_aligned(after, goal[task])
+            error_otherwise[task] = _error_aligned(after, goal[task], cloth=cloths.cloth[task])
         else:
             state[task], centre[task] = after, middle
     return state, centre, error_otherwise

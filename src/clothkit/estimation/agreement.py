@@ -1,6 +1,5 @@
 """Compares an estimated mesh with the observed voxels, to detect estimates that do not explain the observation."""
 
-from collections.abc import Sequence
 from functools import partial
 from typing import Annotated, NamedTuple
 
@@ -9,10 +8,8 @@ import numpy as np
 from annotated_types import Ge, Le
 from jaxtyping import Bool, Float
 
-from clothkit.cloth.voxels import HEIGHT, observe
+from clothkit.cloth.voxels import VIEWPORT, Viewport, observe
 from clothkit.runtime.config import config
-
-_QUANTILES = 41
 
 Share = Annotated[float, Ge(0), Le(1)]
 
@@ -21,8 +18,7 @@ Share = Annotated[float, Ge(0), Le(1)]
 class AgreementConfig:
     """Thresholds of the agreement above which an estimate counts as explaining the observation.
 
-    The defaults are what studies/agreement.py proposes for the net of scale `laptop`: at most 2 % of the states of the
-    validation split raise an alarm, with exact voxels and with a depth camera's.
+    The defaults are for nets that come without their own (stage set_alarms); they were set for one of scale `laptop`.
     """
 
     silhouette: Share = 0.54
@@ -45,32 +41,16 @@ class Agreement(NamedTuple):
 
 
 def agreement(
-    meshes: Float[np.ndarray, "*batch u v 3"], seen: Bool[np.ndarray, "*batch x y z"], *, height: float = HEIGHT
+    meshes: Float[np.ndarray, "*batch u v 3"], seen: Bool[np.ndarray, "*batch x y z"], *, viewport: Viewport = VIEWPORT
 ) -> Agreement:
-    """The agreement of meshes [normalised, centred] with occluded, centred voxels of a viewport of that height.
+    """The agreement of meshes [normalised, centred] with occluded, centred voxels of that viewport.
 
     The meshes are converted to voxels as for training, but without noise: doubled, occluded, and with points above the
     viewport clamped to its uppermost voxels.
     """
-    shown = np.asarray(_observed(meshes, height=height))
+    shown = np.asarray(_observed(meshes, viewport=viewport))
     columns = np.asarray(shown.any(-1)), np.asarray(seen.any(-1))
     return Agreement(_iou(*columns, axes=2), _iou(shown, seen, axes=3))
-
-
-def proposed(known: Sequence[Agreement], *, alarms: float) -> AgreementConfig:
-    """The highest thresholds at which at most a share `alarms` of each batch in `known` raises an alarm.
-
-    `known` are agreements for states like those that the net was trained on. Both thresholds are the same quantile of
-    one of the batches, rounded down to a hundredth; the pair with the largest sum is returned.
-    """
-    found = [AgreementConfig(silhouette=0.0, heights=0.0)]
-    for batch in known:
-        for quantile in np.linspace(0, alarms, _QUANTILES):
-            least = (float(np.floor(100 * np.quantile(values, quantile)) / 100) for values in batch)
-            tried = AgreementConfig(silhouette=next(least), heights=next(least))
-            if all((~other.explains(tried)).mean() <= alarms for other in known):
-                found.append(tried)
-    return max(found, key=lambda config: config.silhouette + config.heights)
 
 
 def _iou(a: np.ndarray, b: np.ndarray, *, axes: int) -> np.ndarray:
@@ -79,4 +59,4 @@ def _iou(a: np.ndarray, b: np.ndarray, *, axes: int) -> np.ndarray:
     return np.asarray(np.where(either > 0, both / np.maximum(either, 1), 1.0))
 
 
-_observed = partial(jax.jit, static_argnames="height")(observe)
+_observed = partial(jax.jit, static_argnames="viewport")(observe)

@@ -67,19 +67,22 @@ def rows(
                 continue
             # One rollout covers all lengths from this start; steps past a sequence's end are not counted.
             manipulations = np.nan_to_num(dataset.manipulation[given.sequence[long], start:])
-            predicted, _ = predict(net, meshes[long, start], manipulations, settings.batch)
+            cloth = dataset.cloth[given.sequence[long]]
+            predicted, _ = predict(net, meshes[long, start], manipulations, settings.batch, cloth)
             for step in range(STEPS - start):
                 inside = dataset.length[given.sequence[long]] > start + step
                 if inside.any():
                     probabilistic = ProbabilisticMesh(predicted.mean[step, inside], predicted.std[step, inside])
                     truth = dataset.vertices[given.sequence[long[inside]], start + step + 1]
-                    collect(system, step + 1, long[inside], np.asarray(deviations(probabilistic, truth)))
+                    found_here = np.asarray(deviations(probabilistic, truth, cloth=cloth[inside]))
+                    collect(system, step + 1, long[inside], found_here)
     for state in range(1, STATES):
         long = np.flatnonzero(dataset.length[given.sequence] >= state)
         if len(long):
             probabilistic = ProbabilisticMesh(estimates["mean"][long, state], estimates["std"][long, state])
             truth = dataset.vertices[given.sequence[long], state]
-            collect(ESTIMATE, state, long, np.asarray(deviations(probabilistic, truth)))
+            cloth = dataset.cloth[given.sequence[long]]
+            collect(ESTIMATE, state, long, np.asarray(deviations(probabilistic, truth, cloth=cloth)))
     tidy = [
         curve(np.concatenate(parts)).assign(split=SPLITS[code], system=system, length=length)
         for (code, system, length), parts in found.items()

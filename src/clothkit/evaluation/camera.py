@@ -4,6 +4,7 @@ import dataclasses
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float
@@ -12,7 +13,8 @@ from tqdm import tqdm
 from clothkit.cloth import voxels
 from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.dataset.store import STATES, Dataset
-from clothkit.episodes.depth_camera import with_height
+from clothkit.episodes.depth_camera import with_viewport
+from clothkit.estimation.alarms import Alarms, signs
 from clothkit.estimation.estimate import estimate
 from clothkit.estimation.refine import RefineConfig
 from clothkit.evaluation.arrays import NamedArray
@@ -75,6 +77,7 @@ def picture_settings(settings: EvaluateCameraConfig, condition: Condition) -> Pi
 
 def observe(
     meshes: Float[np.ndarray, "states u v 3"],
+    cloth: Float[np.ndarray, "states 3"],
     vtm: Net,
     condition: Condition,
     settings: EvaluateCameraConfig,
@@ -84,6 +87,7 @@ def observe(
 ) -> Observations:
     """Observe meshes (normalised, centred) under a condition, and estimate them from what was observed.
 
+    `cloth` are the cloths' sides and thicknesses.
     `stored` lists the indices of the states whose heights are returned.
     """
     if condition == NO_CAMERA:
@@ -91,7 +95,7 @@ def observe(
         centre_error, overlap = np.zeros(len(meshes)), np.ones(len(meshes))
         height = np.zeros((0, 0, 0), np.float32)
     else:
-        condition_settings = with_height(picture_settings(settings, condition), vtm.config.height)
+        condition_settings = with_viewport(picture_settings(settings, condition), vtm.config.viewport)
         occupied = np.zeros((len(meshes), *voxels.RESOLUTION), bool)
         centre_error, overlap = np.full((2, len(meshes)), np.nan)
         camera = condition_settings.camera
@@ -106,7 +110,11 @@ def observe(
             overlap[number] = goal_iou(mesh, picture.observation.points)
             if number in stored:
                 height[stored.index(number)] = _height(picture)
-    mesh = in_batches(lambda batch: estimate(vtm, batch, refinement).mesh, TOGETHER, occupied)
+
+    def estimated(seen: np.ndarray, cloth: np.ndarray) -> jax.Array:
+        return estimate(vtm, seen, refinement, cloth=cloth).mesh
+
+    mesh = in_batches(estimated, TOGETHER, occupied, cloth)
     return Observations(occupied, centre_error, overlap, mesh, height)
 
 
@@ -118,19 +126,26 @@ def _height(picture: Picture) -> Float[np.ndarray, "row column"]:
 
 
 def estimation(
-    dataset: Dataset, vtm: Net, settings: EvaluateCameraConfig, refinement: RefineConfig, *, work: Path
+    dataset: Dataset,
+    vtm: Net,
+    settings: EvaluateCameraConfig,
+    refinement: RefineConfig,
+    alarms: Alarms,
+    *,
+    work: Path,
 ) -> Estimation:
     """Estimate every state except the flat one of the first test sequences, under every condition and without a camera.
 
     Columns of the tidy rows: condition, tilt [rad], noise, sequence, state, seen (whether a picture showed a cloth),
     voxel_error (mean difference to the noise-free voxels), centre_error [cloth length], iou (of the points' silhouette
-    and the true one), error (of the refined estimate [cloth length], not aligned beyond the centring). The last four
-    are NaN where seen is false. `work` stores the conditions that are finished, from which an interrupted run resumes.
+    and the true one), error (of the refined estimate [cloth length], not aligned beyond the centring). These four
+    are NaN where seen is false. alarm: whether a state that is seen raises an alarm. `work` stores the conditions that
+    are finished, from which an interrupted run resumes.
     """
     chosen = dataset.indices("test", evaluated=True)[: settings.estimated]
     place = [(s, state) for s in chosen.tolist() for state in range(1, min(STATES, int(dataset.length[s]) + 1))]
     sequence, state = np.array(place).T
-    truth = dataset.vertices[sequence, state]
+    truth, cloth = dataset.vertices[sequence, state], dataset.cloth[sequence]
     # Stored states are alternately those after one, two and three manipulations, or the last of a shorter sequence.
     stored = [
         place.index((s, min(1 + number % (STATES - 1), int(dataset.length[s]))))
@@ -139,7 +154,7 @@ def estimation(
     conditions = (NO_CAMERA, *settings.conditions)
     with tqdm(total=len(conditions) * len(truth), desc="camera", unit="state") as bar:
         finished = resumable_map(
-            lambda condition: observe(truth, vtm, condition, settings, refinement, stored=stored),
+            lambda condition: observe(truth, cloth, vtm, condition, settings, refinement, stored=stored),
             conditions,
             folder=work,
             name="observations",
@@ -156,11 +171,12 @@ def estimation(
             "voxel_error": (observed.voxels != clean).mean((1, 2, 3)),
             "centre_error": observed.centre_error,
             "iou": observed.iou,
-            "error": np.asarray(errors(observed.mesh, truth)),
+            "error": np.asarray(errors(observed.mesh, truth, cloth=cloth)),
         }
         columns: dict[str, Any] = {"condition": condition.name, "tilt": condition.tilt, "noise": condition.noise}
         columns |= {"sequence": sequence, "state": state, "seen": seen}
         columns |= {name: np.where(seen, values, np.nan) for name, values in measures.items()}
+        columns["alarm"] = seen & alarms.raised(signs(vtm, alarms.support, observed.voxels, observed.mesh, cloth))
         rows.append(pd.DataFrame(columns))
     views = [(observed.height, observed.voxels[stored], observed.mesh[stored]) for observed in observations[1:]]
     height, occupied, meshes = (np.stack(parts, axis=1) for parts in zip(*views, strict=True))

@@ -1,4 +1,4 @@
-"""Settings of the evaluation with depth cameras."""
+"""Settings of the evaluations with depth cameras."""
 
 from typing import Annotated
 
@@ -40,3 +40,18 @@ class EvaluateCameraConfig:
     """Number of the first of these that are planned for, with all six tasks of each; at most plan.test."""
     stored: Annotated[int, Gt(0)] = 2
     """Number of the first sequences of which a state's pictures are stored."""
+
+
+@config
+class SetAlarmsConfig:
+    """Settings of the thresholds from which an observation counts as unknown, or its estimate as wrong."""
+
+    share: Annotated[float, Gt(0), Lt(1)] = 0.02
+    """Share of the validation states that may raise an alarm, as exact voxels and before a depth camera."""
+    sequences: Annotated[int, Gt(0)] = 100
+    """Largest number of validation sequences whose states are observed and estimated."""
+    examples: Annotated[int, Gt(0)] = 8192
+    """Number of training examples that the net's support is made of."""
+    conditions: tuple[Condition, ...] = (Condition(name="noise x1", tilt=0.35, noise=1.0),)
+    """The cameras, whose noise is that of `evaluate_camera.picture`."""
+    seed: Annotated[int, Ge(0)] = 0

@@ -40,13 +40,13 @@ def diagnosed(sessions: Sessions, tasks: Tasks, planner: Planner) -> Sessions:
         return sessions
     representation = planner.representation
     goals = representation.of_meshes(sessions.goal)
-    labels = labels_of_estimates(representation, sessions.estimate[:, 0], sessions.state[:, 0])
+    labels = labels_of_estimates(representation, sessions.estimate[:, 0], sessions.state[:, 0], sessions.cloth)
     loss, offered = sessions.loss_recorded.copy(), sessions.offered.copy()
     for length in np.unique(sessions.length).tolist():
         chosen = np.flatnonzero(sessions.length == length)
         plan = recorded_plans(representation, [tasks.recorded[task] for task in chosen], labels[chosen])
         estimate = sessions.estimate[chosen, 0]
-        loss[chosen] = planning_losses(planner, estimate, goals[chosen], plan)
+        loss[chosen] = planning_losses(planner, estimate, goals[chosen], plan, sessions.cloth[chosen])
         wanted = representation.positions(estimate, plan[:, 0, :4].reshape(-1, 2, 2))
         offered[chosen] = [
             is_offered(wanted[i], _places(representation, estimate[i], sessions.candidates[task, 0]))
@@ -55,11 +55,13 @@ def diagnosed(sessions: Sessions, tasks: Tasks, planner: Planner) -> Sessions:
     return dataclasses.replace(sessions, loss_recorded=loss, offered=offered)
 
 
-def labels_of_estimates(representation: Representation, estimates: States, truth: Meshes) -> Int[np.ndarray, " task"]:
-    """The relabellings k that bring true states to the labels of their estimates."""
+def labels_of_estimates(
+    representation: Representation, estimates: States, truth: Meshes, cloth: Float[np.ndarray, "task 3"]
+) -> Int[np.ndarray, " task"]:
+    """The relabellings k that bring true states to the labels of their estimates, of cloths with these sides."""
     if representation.labels == 1:
         return np.zeros(len(estimates), np.int64)
-    return np.asarray(_best_label(estimates, truth))
+    return np.asarray(_best_label(estimates, truth, cloth))
 
 
 def recorded_plans(
@@ -71,7 +73,11 @@ def recorded_plans(
 
 
 def planning_losses(
-    planner: Planner, states: States, goals: States, plans: Float[np.ndarray, "task n 6"]
+    planner: Planner,
+    states: States,
+    goals: States,
+    plans: Float[np.ndarray, "task n 6"],
+    cloth: Float[np.ndarray, "task 3"],
 ) -> Float[np.ndarray, " task"]:
     """A planner's objective for one plan per task, in the labelling that fits it best (`losses`)."""
     longest, relative = planner.normalisation.longest, np.int32(0 if planner.labelled else UNKNOWN)
@@ -84,7 +90,7 @@ def planning_losses(
         relative,
         np.int32(plans.shape[1]),
     )
-    return in_batches(value, planner.settings.batch, states, goals, padded(plans, longest))
+    return in_batches(value, planner.settings.batch, states, goals, padded(plans, longest), cloth)
 
 
 def _places(
@@ -113,6 +119,7 @@ def losses(
     states: Shaped[Array, "task *state"],
     goals: Shaped[Array, "task *state"],
     plans: Float[Array, "task n 6"],
+    cloths: Float[Array, "task 3"],
 ) -> Float[Array, " task"]:
     """The objective's value for the first `steps` manipulations of one plan per task, `[task]`.
 
@@ -120,11 +127,11 @@ def losses(
     """
     count = representation.labels
 
-    def one(state: Array, goal: Array, plan: Array) -> Array:
+    def one(state: Array, goal: Array, plan: Array, cloth: Array) -> Array:
         blank = [jax.eval_shape(model.encode, net, state) for net in nets]
         traces = tuple(jnp.zeros((count, *latent.shape)) for latent in blank)
         none = Candidates(jnp.zeros((1, 2)), jnp.int32(0))
-        problem = Problem(state, goal, none, traces, jnp.asarray(relative), jnp.asarray(False), plan)
+        problem = Problem(state, goal, none, traces, jnp.asarray(relative), jnp.asarray(False), plan, cloth)
         relabelled = jax.vmap(equivalents_of_manipulation, out_axes=1)(plan)[:count]
         found = evaluate(
             objective,
@@ -139,7 +146,8 @@ def losses(
         )
         return jnp.min(found.loss)
 
-    return jax.vmap(one)(states, goals, plans)
+    return jax.vmap(one)(states, goals, plans, cloths)
 
 
-_relabelled, _best_label = jax.jit(relabel_manipulation_batch), jax.jit(best_label)
+_relabelled = jax.jit(relabel_manipulation_batch)
+_best_label = jax.jit(lambda mesh, truth, cloth: best_label(mesh, truth, cloth=cloth))

@@ -10,6 +10,7 @@ from tqdm import tqdm
 from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.dataset.store import SPLITS, STATES, Dataset
 from clothkit.estimation.estimate import estimate
+from clothkit.estimation.refine import RefineConfig
 from clothkit.evaluation.arrays import NamedArray
 from clothkit.evaluation.errors import errors, labelled_errors, labels_of_truth, sigma_ratio
 from clothkit.evaluation.settings import EvaluateEstimationConfig
@@ -44,20 +45,20 @@ class Estimates(NamedTuple):
         }
 
 
-def estimates(dataset: Dataset, net: Net, settings: EvaluateEstimationConfig) -> Estimates:
+def estimates(dataset: Dataset, net: Net, settings: EvaluateEstimationConfig, refinement: RefineConfig) -> Estimates:
     """Return VtM's estimate and the refined mesh of every state of every evaluated sequence.
 
     VtM's input voxels are doubled, occluded and free of noise (design 6.14).
     """
     sequence = np.flatnonzero(dataset.evaluated)
     present = np.arange(STATES) <= dataset.length[sequence, None]
-    truth = dataset.vertices[sequence][present]
+    truth, cloth = dataset.vertices[sequence][present], dataset.cloth[sequence[np.nonzero(present)[0]]]
     parts: list[tuple[np.ndarray, ...]] = []
     for start in tqdm(range(0, len(truth), settings.batch), desc="estimates", unit="batch"):
         # The last batch is padded to the same size, which avoids another compilation.
         chosen = np.minimum(np.arange(start, start + settings.batch), len(truth) - 1)
-        estimated = estimate(net, seen_by(net, truth[chosen]), settings.refine)
-        label = labels_of_truth(estimated.mesh, truth[chosen])
+        estimated = estimate(net, seen_by(net, truth[chosen]), refinement, cloth=cloth[chosen])
+        label = labels_of_truth(estimated.mesh, truth[chosen], cloth=cloth[chosen])
         kept = min(settings.batch, len(truth) - start)
         parts.append(tuple(np.asarray(a)[:kept] for a in (*estimated.probabilistic, estimated.mesh, label)))
     return Estimates(sequence, *(_placed(np.concatenate(values), present) for values in zip(*parts, strict=True)))
@@ -83,7 +84,7 @@ def rows(dataset: Dataset, found: Estimates) -> pd.DataFrame:
         sequence = found.sequence[long]
         if not len(sequence):
             continue
-        truth = dataset.vertices[sequence, state]
+        truth, cloth = dataset.vertices[sequence, state], dataset.cloth[sequence]
         probabilistic = ProbabilisticMesh(found.mean[long, state], found.std[long, state])
         for kind, mesh in (("pmr", probabilistic.mean), ("dmr", found.mesh[long, state])):
             tidy.append(
@@ -93,12 +94,12 @@ def rows(dataset: Dataset, found: Estimates) -> pd.DataFrame:
                         "sequence": sequence,
                         "state": state,
                         "kind": kind,
-                        "error": np.asarray(errors(mesh, truth)),
+                        "error": np.asarray(errors(mesh, truth, cloth=cloth)),
                         "error_labelled": np.asarray(labelled_errors(mesh, truth)),
                         "error_no_action": np.asarray(
-                            errors(dataset.vertices[sequence, state - 1], truth, aligned=True)
+                            errors(dataset.vertices[sequence, state - 1], truth, aligned=True, cloth=cloth)
                         ),
-                        "sigma_ratio": np.asarray(sigma_ratio(probabilistic, truth)),
+                        "sigma_ratio": np.asarray(sigma_ratio(probabilistic, truth, cloth=cloth)),
                     }
                 )
             )

@@ -12,12 +12,12 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray, Shaped
 
 from clothkit.cloth.mesh import ProbabilisticMesh
-from clothkit.cloth.voxels import HEIGHT, RESOLUTION, observe
+from clothkit.cloth.voxels import HEIGHT, RESOLUTION, VIEWPORT, Viewport, observe
 
 DRAWS = 16
 """Meshes drawn from a prediction in `occluded_occupancy`; few suffice: differences to binary voxels are linear."""
 
-TALL = 2 * HEIGHT
+TALL = Viewport(height=2 * HEIGHT)
 """Upper end of a second viewport [normalised]: 0.25. With section 4.7's viewport and resolution, voxels are eight times
 finer in z than in x and y, though its text says four times (design 6.14); with this height they are four times finer.
 """
@@ -37,15 +37,15 @@ def _shares(edges: Float[np.ndarray, " edges"], mean: Array, std: Array) -> Floa
     return jnp.diff(below, axis=-1)
 
 
-def _edges(height: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _edges(viewport: Viewport) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     nx, ny, nz = RESOLUTION
-    z = np.linspace(0, height, nz + 1)
+    z = viewport.height * np.linspace(0, 1, nz + 1) ** viewport.curve
     z[[0, -1]] = -np.inf, np.inf
     return np.linspace(-1, 1, nx + 1), np.linspace(-1, 1, ny + 1), z
 
 
-@partial(jax.jit, static_argnames="height")
-def occupancy(mesh: ProbabilisticMesh, *, height: float = HEIGHT) -> Float[Array, "batch 32 32 16"]:
+@partial(jax.jit, static_argnames="viewport")
+def occupancy(mesh: ProbabilisticMesh, *, viewport: Viewport = VIEWPORT) -> Float[Array, "batch 32 32 16"]:
     """Return the probability, 0..1, that at least one vertex falls into each voxel, eq. (16).
 
     The result is exact: a vertex's probability of falling into a voxel is the integral of its normal distribution over
@@ -55,7 +55,7 @@ def occupancy(mesh: ProbabilisticMesh, *, height: float = HEIGHT) -> Float[Array
 
     def combine(occupied: Array, vertices: tuple[Array, Array]) -> tuple[Array, None]:
         mean, std = vertices
-        x, y, z = (_shares(edges, mean[..., i], std[..., i]) for i, edges in enumerate(_edges(height)))
+        x, y, z = (_shares(edges, mean[..., i], std[..., i]) for i, edges in enumerate(_edges(viewport)))
         columns = x[..., :, None] * y[..., None, :]
         # Eq. (16)'s product in the form p + q (1 - p): as accurate near 0 and 1 as a sum of logarithms, but cheaper.
         for i in range(_TOGETHER):
@@ -66,9 +66,9 @@ def occupancy(mesh: ProbabilisticMesh, *, height: float = HEIGHT) -> Float[Array
     return jax.lax.scan(combine, start, (jnp.moveaxis(mean, 1, 0), jnp.moveaxis(std, 1, 0)))[0]
 
 
-@partial(jax.jit, static_argnames=("draws", "height"))
+@partial(jax.jit, static_argnames=("draws", "viewport"))
 def occluded_occupancy(
-    mesh: ProbabilisticMesh, *, draws: int = DRAWS, height: float = HEIGHT, key: PRNGKeyArray
+    mesh: ProbabilisticMesh, *, draws: int = DRAWS, viewport: Viewport = VIEWPORT, key: PRNGKeyArray
 ) -> Float[Array, "batch 32 32 16"]:
     """Return the probability, 0..1, that a camera above sees each voxel occupied (doubled and occluded).
 
@@ -77,7 +77,7 @@ def occluded_occupancy(
     mean, std = (jnp.asarray(part) for part in mesh)
 
     def draw(key: PRNGKeyArray) -> Array:
-        return observe(mean + std * jax.random.normal(key, mean.shape), height=height).astype(jnp.float32)
+        return observe(mean + std * jax.random.normal(key, mean.shape), viewport=viewport).astype(jnp.float32)
 
     return jnp.mean(jax.lax.map(draw, jax.random.split(key, draws)), axis=0)
 

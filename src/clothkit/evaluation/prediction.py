@@ -12,7 +12,7 @@ from tqdm import tqdm
 from clothkit.cloth import voxels
 from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.cloth.topology import CLOTH_LENGTH
-from clothkit.cloth.voxels import HEIGHT
+from clothkit.cloth.voxels import VIEWPORT, Viewport
 from clothkit.dataset.store import SPLITS, STATES, STEPS, Dataset
 from clothkit.dataset.tasks import TASKS
 from clothkit.evaluation.arrays import NamedArray
@@ -78,7 +78,8 @@ def rows(dataset: Dataset, initial: Starts, ensemble: Ensemble, settings: Evalua
             continue
         truth = dataset.vertices[sequence, end]
         manipulations = dataset.manipulation[sequence, start:end]
-        predicted, shift = predict(ensemble.nets[k], initial.meshes[system][long, start], manipulations, settings.batch)
+        state, cloth = initial.meshes[system][long, start], dataset.cloth[sequence]
+        predicted, shift = predict(ensemble.nets[k], state, manipulations, settings.batch, cloth)
         final = ProbabilisticMesh(predicted.mean[-1], predicted.std[-1])
         moved = dataset.centre[sequence, end] - dataset.centre[sequence, start]
         first = dataset.vertices[sequence, start]
@@ -91,11 +92,11 @@ def rows(dataset: Dataset, initial: Starts, ensemble: Ensemble, settings: Evalua
                 "sequence": sequence,
                 "start": start,
                 "length": length,
-                "error": np.asarray(errors(final.mean, truth)),
-                "error_no_action": np.asarray(errors(first, truth, aligned=True)),
+                "error": np.asarray(errors(final.mean, truth, cloth=cloth)),
+                "error_no_action": np.asarray(errors(first, truth, aligned=True, cloth=cloth)),
                 "position_error": np.linalg.norm(shift.sum(0) - moved, axis=-1) / CLOTH_LENGTH,
                 "position_no_action": np.linalg.norm(moved, axis=-1) / CLOTH_LENGTH,
-                "sigma_ratio": np.asarray(sigma_ratio(final, truth)),
+                "sigma_ratio": np.asarray(sigma_ratio(final, truth, cloth=cloth)),
                 **_in_voxels(final, first, truth, settings.batch),
             }
         )
@@ -117,7 +118,8 @@ def stored(dataset: Dataset, initial: Starts, net: Net, settings: EvaluatePredic
     first = np.sort(np.concatenate([np.flatnonzero(split == name)[: settings.stored] for name in np.unique(split)]))
     start = initial.meshes["main"][first, 0]
     manipulations = np.nan_to_num(dataset.manipulation[initial.sequence[first]])
-    predicted, shift = predict(net, start, manipulations, settings.batch)
+    cloth = dataset.cloth[initial.sequence[first]]
+    predicted, shift = predict(net, start, manipulations, settings.batch, cloth)
     mean, std = (np.array(part) for part in predicted)
     for values in (mean, std, shift):
         values[np.arange(STEPS)[:, None] >= dataset.length[initial.sequence[first]]] = np.nan
@@ -132,14 +134,14 @@ def stored(dataset: Dataset, initial: Starts, net: Net, settings: EvaluatePredic
 
 
 def predict(
-    net: Net, mesh: np.ndarray, manipulations: np.ndarray, batch: int
+    net: Net, mesh: np.ndarray, manipulations: np.ndarray, batch: int, cloth: np.ndarray
 ) -> tuple[ProbabilisticMesh, Float[np.ndarray, "step n 2"]]:
     """Return the probabilistic meshes [step n u v 3] and the centre shift of each step, computed in equal batches."""
     parts = []
     for first in range(0, len(mesh), batch):
         chosen = np.minimum(np.arange(first, first + batch), len(mesh) - 1)
         kept = min(batch, len(mesh) - first)
-        predicted, shift = _predict(net, mesh[chosen], manipulations[chosen])
+        predicted, shift = _predict(net, mesh[chosen], manipulations[chosen], cloth[chosen])
         parts.append([np.asarray(a)[:, :kept] for a in (*predicted, shift)])
     mean, std, shift = (np.concatenate(values, axis=1) for values in zip(*parts, strict=True))
     return ProbabilisticMesh(mean, std), shift
@@ -158,17 +160,17 @@ def _in_voxels(
     With `occluded`, predictions, start and truth are as a camera above sees them.
     """
     found = {}
-    for name, height in (("voxel_error", HEIGHT), (TALL_MEASURE, TALL)):
+    for name, viewport in (("voxel_error", VIEWPORT), (TALL_MEASURE, TALL)):
         occupied, start = (
-            np.asarray((voxels.observe if occluded else voxels.of_mesh)(m, height=height)) for m in (truth, first)
+            np.asarray((voxels.observe if occluded else voxels.of_mesh)(m, viewport=viewport)) for m in (truth, first)
         )
-        found[name] = _voxel_errors(predicted, occupied, batch, height=height, occluded=occluded)
+        found[name] = _voxel_errors(predicted, occupied, batch, viewport=viewport, occluded=occluded)
         found[f"{name}_no_action"] = np.asarray(differences(start, occupied))
     return found
 
 
 def _voxel_errors(
-    mesh: ProbabilisticMesh, truth: Bool[np.ndarray, "n 32 32 16"], batch: int, *, height: float, occluded: bool
+    mesh: ProbabilisticMesh, truth: Bool[np.ndarray, "n 32 32 16"], batch: int, *, viewport: Viewport, occluded: bool
 ) -> np.ndarray:
     """Return the mean voxel differences [n] of predicted meshes, in batches of one size to bound the memory."""
     parts = []
@@ -176,14 +178,17 @@ def _voxel_errors(
         chosen = np.minimum(np.arange(first, first + batch), len(truth) - 1)
         some = ProbabilisticMesh(mesh.mean[chosen], mesh.std[chosen])
         if occluded:
-            predicted = occluded_occupancy(some, height=height, key=jax.random.key(first))
+            predicted = occluded_occupancy(some, viewport=viewport, key=jax.random.key(first))
         else:
-            predicted = occupancy(some, height=height)
+            predicted = occupancy(some, viewport=viewport)
         parts.append(np.asarray(differences(predicted, truth[chosen]))[: len(truth) - first])
     return np.concatenate(parts)
 
 
 @jax.jit
-def _predict(net: Net, mesh: jax.Array, manipulations: jax.Array) -> tuple[ProbabilisticMesh, jax.Array]:
-    predicted, found = forward.predict(forward.forward_model(net.config), net.params, mesh, manipulations, unroll=True)
+def _predict(
+    net: Net, mesh: jax.Array, manipulations: jax.Array, cloth: jax.Array
+) -> tuple[ProbabilisticMesh, jax.Array]:
+    model = forward.forward_model(net.config)
+    predicted, found = forward.predict(model, net.params, mesh, manipulations, cloth=cloth, unroll=True)
     return predicted, found.shifts

@@ -1,7 +1,5 @@
 """The results of sessions as tidy rows, one per task (design section 4; section 6.3, tables 6 and 7)."""
 
-from functools import partial
-
 import jax
 import numpy as np
 import pandas as pd
@@ -14,11 +12,12 @@ from clothkit.cloth.symmetry import relabel_batch
 from clothkit.cloth.topology import SQUARE
 from clothkit.episodes.record import Sessions
 
-_error = jax.jit(lambda mesh, truth: error(mesh, truth, aligned=True))
-_unaligned = jax.jit(error)
+_error = jax.jit(lambda mesh, truth, cloth: error(mesh, truth, aligned=True, cloth=cloth))
+_unaligned = jax.jit(lambda mesh, truth, cloth: error(mesh, truth, cloth=cloth))
 _labelled = jax.jit(distance_aligned)
 _relabelled = jax.jit(relabel_batch)
-_best, _best_aligned = jax.jit(best_label), jax.jit(partial(best_label, aligned=True))
+_best = jax.jit(lambda mesh, truth, cloth: best_label(mesh, truth, cloth=cloth))
+_best_aligned = jax.jit(lambda mesh, truth, cloth: best_label(mesh, truth, aligned=True, cloth=cloth))
 _differing = jax.jit(lambda a, b: (voxels.of_mesh(a) != voxels.of_mesh(b)).mean((-3, -2, -1)))
 
 
@@ -41,13 +40,13 @@ def rows(sessions: Sessions, system: str) -> pd.DataFrame:
     The columns of the estimate and expected are NaN for systems that plan in voxels.
     """
     task = np.arange(len(sessions))
-    outcome, goal = sessions.state[task, sessions.length], sessions.goal
+    outcome, goal, cloth = sessions.state[task, sessions.length], sessions.goal, sessions.cloth
     steps = np.arange(sessions.null.shape[1])
     acted, last = steps < sessions.length[:, None], steps == sessions.length[:, None] - 1
     terms = sessions.terms[:, 0]
     fired = sessions.cancelled & acted
     # A step that is not executed leaves its state unchanged, so this is its error.
-    staying = np.stack([np.asarray(_error(sessions.state[:, i], goal)) for i in range(acted.shape[1])], axis=1)
+    staying = np.stack([np.asarray(_error(sessions.state[:, i], goal, cloth)) for i in range(acted.shape[1])], axis=1)
     meshes = sessions.estimate.shape[2:] == (*SQUARE.shape, 3)
     unknown = np.full(len(sessions), np.nan, np.float32)
     estimate, start = sessions.estimate[:, 0], sessions.state[:, 0]
@@ -58,12 +57,12 @@ def rows(sessions: Sessions, system: str) -> pd.DataFrame:
             "sequence": sessions.sequence,
             "start": sessions.start.astype(np.int64),
             "length": sessions.length.astype(np.int64),
-            "error": np.asarray(_error(outcome, goal)),
+            "error": np.asarray(_error(outcome, goal, cloth)),
             "error_labelled": np.asarray(_labelled(outcome, goal)),
             "error_no_action": staying[:, 0],
             "voxel_error": voxel_error(outcome, goal),
             "voxel_error_no_action": voxel_error(sessions.state[:, 0], goal),
-            "layers_reversed": _layers_reversed(outcome, goal, _best_aligned(outcome, goal)),
+            "layers_reversed": _layers_reversed(outcome, goal, _best_aligned(outcome, goal, cloth)),
             "nulls": (sessions.null & acted).sum(1),
             "nulls_fired": fired.sum(1),
             "nulls_last": (fired & last).sum(1),
@@ -74,8 +73,8 @@ def rows(sessions: Sessions, system: str) -> pd.DataFrame:
             "uncertainty": terms[:, -1],
             "expected": sessions.expected[:, 0] if meshes else unknown,
             "grasp_offered": sessions.offered,
-            "estimate_error": np.asarray(_unaligned(estimate, start)) if meshes else unknown,
-            "estimate_layers_reversed": _layers_reversed(estimate, start, _best(estimate, start))
+            "estimate_error": np.asarray(_unaligned(estimate, start, cloth)) if meshes else unknown,
+            "estimate_layers_reversed": _layers_reversed(estimate, start, _best(estimate, start, cloth))
             if meshes
             else unknown,
         }

@@ -4,7 +4,6 @@ from typing import Annotated
 
 from annotated_types import Ge, Gt, MinLen
 
-from clothkit.estimation.refine import RefineConfig
 from clothkit.runtime.config import config
 
 
@@ -12,9 +11,8 @@ from clothkit.runtime.config import config
 class EvaluateEstimationConfig:
     """Settings of the evaluation of estimates."""
 
-    refine: RefineConfig = RefineConfig()
     batch: Annotated[int, Gt(0)] = 64
-    """Batch size, in meshes."""
+    """Batch size, in meshes. They are refined as `plan.refine` says."""
 
 
 @config

@@ -233,6 +233,7 @@ CAMERA_ESTIMATION = Table(
         "seen": Column("true or false"),
         **dict.fromkeys(("voxel_error", "iou"), _missing(_SHARE)),
         **dict.fromkeys(("centre_error", "error"), _missing(_ERROR)),
+        "alarm": Column("true or false"),
     },
     keys=("condition", "sequence", "state"),
     rules=tuple(

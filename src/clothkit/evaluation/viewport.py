@@ -13,7 +13,7 @@ from clothkit.evaluation.occupancy import TALL, TALL_MEASURE, differences
 
 @jax.jit
 def _differing(one: Array, other: Array) -> Array:
-    return differences(voxels.of_mesh(one, height=TALL), voxels.of_mesh(other, height=TALL))
+    return differences(voxels.of_mesh(one, viewport=TALL), voxels.of_mesh(other, viewport=TALL))
 
 
 def rows(sessions: Sessions, system: str) -> pd.DataFrame:

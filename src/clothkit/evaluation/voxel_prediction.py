@@ -89,7 +89,7 @@ def _differences(net: Net, states: jax.Array, manipulations: jax.Array) -> tuple
     """Return the _MEASURES and the centre shifts."""
     start, end = states[:, 0], states[:, -1]
     observed, truth = voxels.observe(start), voxels.observe(end)
-    tall_observed, tall_truth = voxels.observe(start, height=TALL), voxels.observe(end, height=TALL)
+    tall_observed, tall_truth = (voxels.observe(mesh, viewport=TALL) for mesh in (start, end))
     model, plan = forward_model(net.config), cartesian(states[:, :-1], manipulations)
     logits, found = predict(model, net.params, observed, plan, unroll=True)
     predicted = jax.nn.sigmoid(logits)

@@ -12,16 +12,16 @@ input of VtM has its larger second moment along x; mirrored versions are covered
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PyTree, Shaped
 
-from clothkit.cloth.mesh import Mesh, ProbabilisticMesh
-from clothkit.cloth.symmetry import relabel, relabel_manipulation
-from clothkit.cloth.topology import REVERSE_U, REVERSE_V, SQUARE, SWAP
+from clothkit.cloth.mesh import Cloth, Mesh, ProbabilisticMesh
+from clothkit.cloth.symmetry import relabel, relabel_cloth, relabel_manipulation
+from clothkit.cloth.topology import CLOTH_LENGTH, PAPERS_CLOTH, REVERSE_U, REVERSE_V, SQUARE, SWAP
 from clothkit.manipulation.turns import turn, turn_manipulation, turn_mesh
 
 if TYPE_CHECKING:
@@ -44,21 +44,23 @@ class Frame(NamedTuple):
     k: Int[Array, "*batch"]
 
 
-def frame(mesh: Mesh) -> Frame:
+def frame(mesh: Mesh, cloth: Cloth = PAPERS_CLOTH) -> Frame:
     """The transformation of a centred mesh [*batch u v 3] to its canonical description."""
-    fitted = fit(mesh)
+    fitted = fit(mesh, cloth)
     x, y, _ = jnp.moveaxis(turn_mesh(jnp.asarray(mesh), fitted), -1, 0)
     k = eighth(*(jnp.sum(c**n, axis=(-2, -1)) for n in (2, 3) for c in (x, y)))
     return Frame(_product(axes(k), fitted), k)
 
 
-def fit(mesh: Mesh) -> Float[Array, "*batch 2 2"]:
-    """The rotation or reflection of the plane that brings a mesh nearest to the flat cloth.
+def fit(mesh: Mesh, cloth: Cloth = PAPERS_CLOTH) -> Float[Array, "*batch 2 2"]:
+    """The rotation or reflection of the plane that brings a mesh nearest to the flat cloth with these sides.
 
     It is the identity if no isometry fits better than the others.
     """
     flat = jnp.asarray(GRID)
     moment = jnp.einsum("uvi,...uvj->...ij", flat, jnp.asarray(mesh)[..., :2]) / len(GRID) ** 2
+    # A side of the flat cloth stretches one row.
+    moment = moment * (jnp.asarray(cloth)[..., :2, None] / CLOTH_LENGTH)
     (a, b), (c, d) = ((moment[..., i, 0], moment[..., i, 1]) for i in range(2))
     turning, mirroring = jnp.hypot(a + d, b - c), jnp.hypot(a - d, b + c)
     # A cloth folded in half fits its mirror image equally well: the margin selects the rotation despite rounding.
@@ -68,6 +70,11 @@ def fit(mesh: Mesh) -> Float[Array, "*batch 2 2"]:
     sign = jnp.where(turns, 1.0, -1.0)
     matrix = jnp.stack([jnp.stack([cos, sin], -1), jnp.stack([-sign * sin, sign * cos], -1)], -2)
     return jnp.where((jnp.maximum(turning, mirroring) > LEAST_FIT)[..., None, None], matrix, jnp.eye(2))
+
+
+def frame_of_square(mesh: Mesh, _: Cloth = PAPERS_CLOTH) -> Frame:
+    """`frame`, whatever the cloth's sides are."""
+    return frame(mesh)
 
 
 def eighth(
@@ -123,8 +130,11 @@ def shift_undone(shift: Float[Array, "*batch 2"], frame: Frame) -> Float[Array, 
     return turn(shift, jnp.swapaxes(frame.matrix, -1, -2))
 
 
-def voxel_frame(voxels: Shaped[Array, "*batch x y z"]) -> Frame:
-    """The transformation of centred voxels to their canonical description, one of eight by right angles and mirrors."""
+def voxel_frame(voxels: Shaped[Array, "*batch x y z"], _: Cloth = PAPERS_CLOTH) -> Frame:
+    """The transformation of centred voxels to their canonical description, one of eight by right angles and mirrors.
+
+    It does not depend on the cloth's sides.
+    """
     k = eighth(*_moments(voxels, 2), *_moments(voxels, 3))
     return Frame(axes(k), k)
 
@@ -189,7 +199,7 @@ class Description:
     """How the states of one representation are transformed to canonical descriptions, and predictions back."""
 
     frame: Callable[..., Frame]
-    """states [*b *state] -> the transformations to their canonical descriptions"""
+    """states [*b *state], cloths [*b 3] -> the transformations to their canonical descriptions"""
     state: Callable[..., Any]
     """states, frames -> the states, transformed"""
     manipulation: Callable[..., Any]
@@ -199,7 +209,10 @@ class Description:
 
 
 MESHES = Description(frame, described, manipulation_described, undone)
-"""Of meshes; grasp points are geodesic."""
+"""Of meshes, for nets that are told a cloth's sides; grasp points are geodesic."""
+
+MESHES_OF_SQUARES = replace(MESHES, frame=frame_of_square)
+"""Of meshes, for nets that are not told a cloth's sides, and so are not shown them by the frame either."""
 
 VOXELS = Description(voxel_frame, voxels_described, cartesian_described, voxels_undone)
 """Of voxels; grasp points are Cartesian."""
@@ -216,11 +229,12 @@ class Canonicalised:
     model: "ForwardModel"
     description: Description
 
-    def encode(self, params: PyTree, state: Any) -> Float[Array, "*batch units_and_frame"]:
+    def encode(self, params: PyTree, state: Any, cloth: Cloth = PAPERS_CLOTH) -> Float[Array, "*batch units_and_frame"]:
         """The latent of a state's canonical description: eq. (2)."""
         state = jnp.asarray(state)
-        found = self.description.frame(state)
-        return framed(self.model.encode(params, self.description.state(state, found)), found)
+        found = self.description.frame(state, cloth)
+        shown = self.description.state(state, found)
+        return framed(self.model.encode(params, shown, relabel_cloth(cloth, found.k)), found)
 
     def step(
         self, params: PyTree, latent: Any, trace: Any, manipulation: Any

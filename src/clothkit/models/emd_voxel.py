@@ -13,6 +13,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree, Shaped
 from numpy import ndarray
 
+from clothkit.cloth.mesh import Cloth
+from clothkit.cloth.topology import PAPERS_CLOTH
 from clothkit.cloth.voxels import RESOLUTION
 from clothkit.manipulation.geometry import to_cartesian
 from clothkit.manipulation.vector import displacement, grasp_points
@@ -134,9 +136,10 @@ class EMDVoxel:
     config: EMDVoxelConfig
 
     def encode(
-        self, params: PyTree, state: Shaped[Array | ndarray, "*batch 32 32 16"]
+        self, params: PyTree, state: Shaped[Array | ndarray, "*batch 32 32 16"], cloth: Cloth = PAPERS_CLOTH
     ) -> Float[Array, "*batch latent"]:
-        """The latent of occluded, centred voxels (bool or 0 / 1): eq. (2)."""
+        """The latent of occluded, centred voxels (bool or 0 / 1): eq. (2). The net is not told the cloth's sides."""
+        del cloth
         return run(EMDVoxelModule(self.config), params, jnp.asarray(state), method="encode")
 
     def step(

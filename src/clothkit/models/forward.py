@@ -11,7 +11,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree, Shaped
 from numpy import ndarray
 
-from clothkit.models.canonical import MESHES, VOXELS, Canonicalised
+from clothkit.cloth.mesh import Cloth
+from clothkit.cloth.topology import PAPERS_CLOTH
+from clothkit.models.canonical import MESHES, MESHES_OF_SQUARES, VOXELS, Canonicalised
 from clothkit.models.emd_voxel import EMDVoxel
 from clothkit.models.pemd import PEMD
 from clothkit.models.settings import EMDVoxelConfig, PEMDConfig
@@ -26,9 +28,9 @@ class ForwardModel(Protocol):
     """
 
     def encode(
-        self, params: PyTree, state: Shaped[Array | ndarray, "*batch_and_state"]
+        self, params: PyTree, state: Shaped[Array | ndarray, "*batch_and_state"], cloth: Cloth = PAPERS_CLOTH
     ) -> Float[Array, "*batch latent"]:
-        """The latent of a state: eq. (2)."""
+        """The latent of a state: eq. (2). `cloth` are the cloth's sides and thickness, for nets that are told them."""
         ...
 
     def step(
@@ -61,8 +63,11 @@ class Rollout(NamedTuple):
 
 def forward_model(config: PEMDConfig | EMDVoxelConfig) -> ForwardModel:
     """The model that a net with this configuration was trained for."""
-    model, description = (PEMD(config), MESHES) if isinstance(config, PEMDConfig) else (EMDVoxel(config), VOXELS)
-    return Canonicalised(model, description) if config.canonical else model
+    if isinstance(config, PEMDConfig):
+        of_meshes = PEMD(config)
+        return Canonicalised(of_meshes, MESHES if config.told else MESHES_OF_SQUARES) if config.canonical else of_meshes
+    of_voxels = EMDVoxel(config)
+    return Canonicalised(of_voxels, VOXELS) if config.canonical else of_voxels
 
 
 def rollout(
@@ -96,8 +101,9 @@ def predict(
     manipulations: Float[Array | ndarray, "*batch n 6"],
     trace: Float[Array | ndarray, "*batch latent"] | None = None,
     *,
+    cloth: Cloth = PAPERS_CLOTH,
     unroll: bool = False,
 ) -> tuple[Any, Rollout]:
     """Predictions [n *batch ..] of the state after each of n manipulations, and the rollout: eq. (5)."""
-    found = rollout(model, params, model.encode(params, state), manipulations, trace, unroll=unroll)
+    found = rollout(model, params, model.encode(params, state, cloth), manipulations, trace, unroll=unroll)
     return model.decode(params, found.latents), found

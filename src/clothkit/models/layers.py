@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
-from clothkit.cloth.mesh import ProbabilisticMesh
-from clothkit.cloth.topology import SQUARE
+from clothkit.cloth.mesh import Cloth, ProbabilisticMesh
+from clothkit.cloth.topology import CLOTH_LENGTH, PAPERS_CLOTH, SQUARE
 from clothkit.models.settings import Start
 
 OUTPUTS = prod(SQUARE.shape) * 6
@@ -21,6 +21,13 @@ def dense(width: int, name: str, *, scale: float = 1.0, bias: bool = True, start
     """A dense layer whose initial weights are Glorot uniform times `scale`, and whose initial biases are `start`."""
     glorot = nn.initializers.variance_scaling(scale**2, "fan_avg", "uniform")
     return nn.Dense(width, use_bias=bias, kernel_init=glorot, bias_init=nn.initializers.constant(start), name=name)
+
+
+def with_cloth(units: Float[Array, "*batch units"], cloth: Cloth) -> Float[Array, "*batch units_and_3"]:
+    """A net's input with a cloth's sides and thickness [normalised] appended, scaled to about -1..1."""
+    cloth = jnp.asarray(cloth)
+    told = jnp.concatenate([2 * cloth[..., :2] / CLOTH_LENGTH - 1, jnp.log(cloth[..., 2:] / PAPERS_CLOTH[2])], axis=-1)
+    return jnp.concatenate([units, jnp.broadcast_to(told, (*units.shape[:-1], 3))], axis=-1)
 
 
 def probabilistic_output(name: str, start: Start) -> nn.Dense:

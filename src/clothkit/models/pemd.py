@@ -7,9 +7,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 from numpy import ndarray
 
-from clothkit.cloth.mesh import ProbabilisticMesh
-from clothkit.cloth.topology import SQUARE, thinned
-from clothkit.models.layers import dense, probabilistic_mesh, probabilistic_output, run
+from clothkit.cloth.mesh import Cloth, ProbabilisticMesh
+from clothkit.cloth.topology import PAPERS_CLOTH, SQUARE, thinned
+from clothkit.models.layers import dense, probabilistic_mesh, probabilistic_output, run, with_cloth
 from clothkit.models.settings import PEMDConfig, Start
 
 LAYERS = 16
@@ -22,8 +22,10 @@ class Encoder(nn.Module):
     config: PEMDConfig
 
     @nn.compact
-    def __call__(self, mesh: Float[Array, "*batch u v 3"]) -> Float[Array, "*batch latent"]:
+    def __call__(self, mesh: Float[Array, "*batch u v 3"], cloth: Cloth) -> Float[Array, "*batch latent"]:
         units = mesh.reshape(*mesh.shape[:-3], -1)
+        if self.config.told:
+            units = with_cloth(units, cloth)
         for i, width in enumerate(self.config.encoder):
             units = jnp.tanh(dense(width, f"layer_{i + 1}")(units))
         return dense(self.config.latent, "latent")(units)
@@ -113,11 +115,11 @@ class PEMDModule(nn.Module):
         self.D = Decoder(self.config, self.start)
 
     def __call__(self, mesh: Float[Array, "*batch u v 3"], manipulation: Float[Array, "*batch 6"]) -> ProbabilisticMesh:
-        latent = self.E(mesh)
+        latent = self.E(mesh, jnp.asarray(PAPERS_CLOTH))
         return self.D(self.M(latent, jnp.zeros_like(latent), manipulation)[0])
 
-    def encode(self, mesh: Float[Array, "*batch u v 3"]) -> Float[Array, "*batch latent"]:
-        return self.E(mesh)
+    def encode(self, mesh: Float[Array, "*batch u v 3"], cloth: Cloth) -> Float[Array, "*batch latent"]:
+        return self.E(mesh, cloth)
 
     def step(
         self,
@@ -142,9 +144,11 @@ class PEMD:
 
     config: PEMDConfig
 
-    def encode(self, params: PyTree, state: Float[Array | ndarray, "*batch u v 3"]) -> Float[Array, "*batch latent"]:
+    def encode(
+        self, params: PyTree, state: Float[Array | ndarray, "*batch u v 3"], cloth: Cloth = PAPERS_CLOTH
+    ) -> Float[Array, "*batch latent"]:
         """The latent of a centred mesh [normalised]: eq. (2)."""
-        return run(PEMDModule(self.config), params, jnp.asarray(state), method="encode")
+        return run(PEMDModule(self.config), params, jnp.asarray(state), jnp.asarray(cloth), method="encode")
 
     def step(
         self,

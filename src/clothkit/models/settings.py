@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Lt, MinLen
 
-from clothkit.cloth.voxels import HEIGHT
+from clothkit.cloth.voxels import VIEWPORT, Viewport
 from clothkit.runtime.config import config
 
 Count = Annotated[int, Gt(0)]
@@ -25,6 +25,8 @@ class PEMDConfig:
     """Constant that eq. (6) adds to every standard deviation [normalised]: a lower bound of predicted uncertainty."""
     canonical: bool = False
     """Whether inputs are transformed to canonical descriptions (canonical.py); the paper's net does not do this."""
+    told: bool = False
+    """Whether the net is told the cloth's sides and thickness, as the paper's net, which knows one cloth, is not."""
 
     def __post_init__(self) -> None:
         if self.manipulation < self.latent:
@@ -38,12 +40,16 @@ class VtMConfig:
     hidden: Count = 4096
     views: Literal[1, 8] = 1
     """With 8, an estimate combines those from all versions of the voxels rotated by right angles and mirrored."""
+    hypotheses: Count = 1
+    """Number of shapes among which the net may be undecided (hypotheses.py); the paper's net has one answer."""
     least_std: Rate = 0.01
     """Constant that eq. (6) adds to every standard deviation [normalised]."""
     canonical: bool = False
     """Whether input voxels are turned to be widest along x (canonical.py); only four of the eight views then differ."""
-    height: Rate = HEIGHT
-    """Upper end of the input voxels in z [normalised]."""
+    viewport: Viewport = VIEWPORT
+    """Of the input voxels."""
+    told: bool = False
+    """Whether the net is told the cloth's sides and thickness, as the paper's net, which knows one cloth, is not."""
 
 
 @config

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
+import pydantic
 from flax import serialization
 from flax.traverse_util import flatten_dict
 
@@ -44,18 +45,11 @@ def load(folder: Path, kind: Kind | None = None) -> Net:
     Raises InputError for a file that is missing or damaged, for a net of another kind than `kind`, and for weights with
     unexpected names, shapes or types, or with values that are not finite or above LARGEST.
     """
-    about = description(folder)
+    config = configuration(folder, kind)
     try:
-        found_kind, given = about["kind"], about["net"]
-        widths = {name: tuple(v) if isinstance(v, list) else v for name, v in given.items()}
-        config = KINDS[found_kind](**widths)
         expected = {name: weight.shape for name, weight in flatten_dict(shapes(config), sep="/").items()}
-    except (ValueError, KeyError, AttributeError, TypeError, OverflowError) as error:
+    except (ValueError, TypeError, OverflowError) as error:
         raise InputError(f"{folder / ATTRIBUTES}: expected a net's kind and widths, found something else") from error
-    if kind is not None and found_kind != kind:
-        raise InputError(
-            f"{folder / ATTRIBUTES}: kind: expected {kind!r}, found {found_kind!r}, a net for other inputs"
-        )
     path = folder / WEIGHTS
     try:
         params = serialization.msgpack_restore(path.read_bytes())
@@ -77,6 +71,21 @@ def load(folder: Path, kind: Kind | None = None) -> Net:
             largest = float(np.abs(weight).max())
             raise InputError(f"{path}, weight {name}: expected weights up to {LARGEST:g}, found {largest:g}")
     return Net(config, jax.tree.map(jnp.asarray, params))
+
+
+def configuration(folder: Path, kind: Kind | None = None) -> Any:
+    """Read a net's configuration. Raises InputError if it is damaged, or for a net of another kind than `kind`."""
+    about = description(folder)
+    try:
+        found, widths = about["kind"], dict(about["net"])
+        if "height" in widths:  # as nets of older versions call it
+            widths["viewport"] = {"height": widths.pop("height")}
+        config: Any = pydantic.TypeAdapter(KINDS[found]).validate_json(json.dumps(widths), strict=True)
+    except (ValueError, KeyError, AttributeError, TypeError, OverflowError) as error:
+        raise InputError(f"{folder / ATTRIBUTES}: expected a net's kind and widths, found something else") from error
+    if kind is not None and found != kind:
+        raise InputError(f"{folder / ATTRIBUTES}: kind: expected {kind!r}, found {found!r}, a net for other inputs")
+    return config
 
 
 def description(folder: Path) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from clothkit.cloth.topology import CLOTH_LENGTH
-from clothkit.cloth.voxels import HEIGHT, RESOLUTION, occlude, voxelise
+from clothkit.cloth.voxels import RESOLUTION, VIEWPORT, Viewport, occlude, voxelise
 from clothkit.observation.coverage import centre, spacing
 from clothkit.observation.heights import notices_of_points
 from clothkit.observation.plane import Plane
@@ -67,9 +67,9 @@ def observe_cloud(
     points = found.cloth - [0, 0, settings.surface]
     points = pose.table_to_normalised(smoothed(points, radius=settings.smoothing))
     empty = columns_of(pose.table_to_normalised(found.table)) > 0
-    occupied = voxels_of_points(points, covered=settings.covered, height=settings.height)
+    occupied = voxels_of_points(points, covered=settings.covered, viewport=settings.viewport)
     voxels = closed(occupied, ~empty, most=settings.closed)
-    notices = notices_of_points(name, points, height=settings.height, metres=pose.scale)
+    notices = notices_of_points(name, points, viewport=settings.viewport, metres=pose.scale)
     return Observation(voxels, pose, points.astype(np.float32), notices)
 
 
@@ -94,19 +94,18 @@ def columns_of(points: Float[np.ndarray, "points 3"]) -> np.ndarray:
 
 
 def voxels_of_points(
-    points: Float[np.ndarray, "points 3"], *, covered: float = 0.0, height: float = HEIGHT
+    points: Float[np.ndarray, "points 3"], *, covered: float = 0.0, viewport: Viewport = VIEWPORT
 ) -> Bool[np.ndarray, "32 32 16"]:
     """The occluded voxels of points [normalised].
 
-    Columns with fewer points than `covered` times the median of the columns that hold points stay empty. `height` is
-    the upper end of the viewport [normalised].
+    Columns with fewer points than `covered` times the median of the columns that hold points stay empty.
     """
     counts = columns_of(points)
     least = covered * np.median(counts[counts > 0]) if counts.any() else 0
     # Padded to a power of two, so that JAX compiles for few different shapes.
     padded = np.full((1 << max(len(points) - 1, 1).bit_length(), 3), _NOWHERE, np.float32)
     padded[: len(points)] = points
-    voxels = np.asarray(occlude(voxelise(padded, height=height)))
+    voxels = np.asarray(occlude(voxelise(padded, viewport=viewport)))
     return voxels & (counts >= least)[..., None]
 
 

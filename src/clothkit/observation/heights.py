@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Bool, Float
 
-from clothkit.cloth.voxels import RESOLUTION
+from clothkit.cloth.voxels import Viewport
 from clothkit.runtime.errors import InputError
 
 MESH_REMEDY = "meshes have z up and the table at 0 (in GLB y is up); if an OBJ or PLY has y up, --y-up turns it"
@@ -55,21 +55,21 @@ def check_above(name: str, points: Float[np.ndarray, "points 3"], *, side: float
         raise InputError(f"{name}: the cloth lies below its table, down to {low:.3f} of its side; {remedy}")
 
 
-def clamped(points: Float[np.ndarray, "points 3"], *, height: float) -> float:
-    """The share of points [normalised] above a viewport of that height; voxels show them at its upper end."""
-    return float((points[:, 2] >= height).mean()) if len(points) else 0.0
+def clamped(points: Float[np.ndarray, "points 3"], *, viewport: Viewport) -> float:
+    """The share of points [normalised] above a viewport; voxels show them at its upper end."""
+    return float((points[:, 2] >= viewport.height).mean()) if len(points) else 0.0
 
 
 def notices_of_points(
-    name: str, points: Float[np.ndarray, "points 3"], *, height: float, metres: float
+    name: str, points: Float[np.ndarray, "points 3"], *, viewport: Viewport, metres: float
 ) -> tuple[str, ...]:
     """Notices about points [normalised] above or below the viewport; `metres` is the length of a normalised unit."""
-    above, said = clamped(points, height=height), []
-    below = float((points[:, 2] < -height / RESOLUTION[2]).mean()) if len(points) else 0.0
+    above, said = clamped(points, viewport=viewport), []
+    below = float((points[:, 2] < -float(viewport.z(np.array(1.0)))).mean()) if len(points) else 0.0
     if above > MOST_CLAMPED:
         said.append(
             f"{name}: {above:.0%} of the cloth lies higher than nets see, whose viewport ends "
-            f"{1000 * height * metres:.0f} mm above the table; it is taken to be no higher than that"
+            f"{1000 * viewport.height * metres:.0f} mm above the table; it is taken to be no higher than that"
         )
     if below > _MOST_BELOW:
         said.append(

@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from clothkit.cloth.topology import CLOTH_LENGTH
-from clothkit.cloth.voxels import HEIGHT, RESOLUTION, double, occlude
+from clothkit.cloth.voxels import RESOLUTION, VIEWPORT, Viewport, double, occlude
 from clothkit.cloth.voxels import observe as observe_mesh
 from clothkit.observation.cloud import Observation, observe_cloud
 from clothkit.observation.heights import (
@@ -45,13 +45,15 @@ def observe(
         points = np.asarray(double(state.mesh)).reshape(-1, 3)
         check_lying(name, points, side=CLOTH_LENGTH, remedy=MESH_REMEDY)
         check_above(name, points, side=CLOTH_LENGTH, remedy=MESH_REMEDY)
-        notices = notices_of_points(name, points, height=settings.height, metres=state.scale)
-        return Observation(np.asarray(observe_mesh(state.mesh, height=settings.height)), state.pose, points, notices)
+        notices = notices_of_points(name, points, viewport=settings.viewport, metres=state.scale)
+        return Observation(
+            np.asarray(observe_mesh(state.mesh, viewport=settings.viewport)), state.pose, points, notices
+        )
     notices = notices_of_voxels(name, state.voxels)
     voxels, shift = _centred(np.asarray(occlude(jnp.asarray(state.voxels))), name)
     scale = cloth_side / CLOTH_LENGTH
     pose = Pose(np.eye(3), np.zeros(3), shift * scale, scale)
-    return Observation(voxels, pose, _tops(voxels, settings.height), notices)
+    return Observation(voxels, pose, _tops(voxels, settings.viewport), notices)
 
 
 def _centred(voxels: Bool[np.ndarray, "32 32 16"], name: str) -> tuple[np.ndarray, np.ndarray]:
@@ -69,9 +71,9 @@ def _centred(voxels: Bool[np.ndarray, "32 32 16"], name: str) -> tuple[np.ndarra
     return centred, -steps * (2 / size)
 
 
-def _tops(voxels: Bool[np.ndarray, "32 32 16"], height: float = HEIGHT) -> Float[np.ndarray, "columns 3"]:
+def _tops(voxels: Bool[np.ndarray, "32 32 16"], viewport: Viewport = VIEWPORT) -> Float[np.ndarray, "columns 3"]:
     """The middle of the highest occupied voxel of each column that has one [normalised]."""
     x, y = np.nonzero(voxels.any(-1))
     top = voxels[x, y].sum(-1) - 1
-    place = (np.stack([x, y, top], axis=-1) + 0.5) / RESOLUTION
-    return (place * [2, 2, height] - [1, 1, 0]).astype(np.float32)
+    xy = (np.stack([x, y], axis=-1) + 0.5) * (2 / np.array(RESOLUTION[:2])) - 1
+    return np.column_stack([xy, np.asarray(viewport.z(top + 0.5))]).astype(np.float32)

@@ -4,7 +4,7 @@ from typing import Annotated
 
 from annotated_types import Ge, Gt, Le
 
-from clothkit.cloth.voxels import HEIGHT
+from clothkit.cloth.voxels import VIEWPORT, Viewport
 from clothkit.observation.plane import PlaneConfig
 from clothkit.runtime.config import config
 
@@ -44,5 +44,5 @@ class CloudConfig:
     """Largest gap within the cloth that is filled, in columns of voxels. Gaps that show the table are not filled."""
     surface: NotNegative = 0.0
     """Height of the surface that the camera sees above a mesh's vertices: half the thickness of a real cloth [m]."""
-    height: Annotated[float, Gt(0)] = HEIGHT
-    """Upper end of the viewport [normalised]."""
+    viewport: Viewport = VIEWPORT
+    """The voxels that nets take."""

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int, Shaped
 
+from clothkit.cloth.topology import PAPERS_CLOTH
 from clothkit.dataset.store import STEPS
 from clothkit.manipulation.vector import is_null
 from clothkit.planning.batches import in_batches, take
@@ -23,12 +24,21 @@ from clothkit.runtime.clock import timed
 Keys = Shaped[jax.Array, " task"]
 
 
-def begin(planner: Planner, goals: States, lengths: Int[np.ndarray, " task"]) -> Memory:
-    """The memory before the first decision: a goal for each task, and the number of manipulations to reach it in."""
+def begin(
+    planner: Planner,
+    goals: States,
+    lengths: Int[np.ndarray, " task"],
+    cloth: Float[np.ndarray, "task 3"] | None = None,
+) -> Memory:
+    """The memory before the first decision: a goal for each task, and the number of manipulations to reach it in.
+
+    `cloth` are the sides and thickness of each cloth; without it, it is the paper's.
+    """
     count, candidates = len(goals), planner.grasping.most
     blank = np.zeros((count, *planner.representation.shape), np.float32)
     return Memory(
         goal=goals,
+        cloth=np.tile(PAPERS_CLOTH, (count, 1)) if cloth is None else cloth,
         left=np.asarray(lengths, np.int64),
         planned=np.zeros(count, bool),
         still=np.zeros(count, bool),
@@ -83,7 +93,8 @@ def perceive(
     for rows, expected in ((first, None), (moved, memory.expected)):
         if not len(rows):
             continue
-        state[rows] = planner.perception(take(observation, rows), None if expected is None else expected[rows])
+        known = None if expected is None else expected[rows]
+        state[rows] = planner.perception(take(observation, rows), known, memory.cloth[rows])
         for row in rows:
             points = planner.representation.candidates(state[row], planner.grasping)
             candidates[row] = np.nan
@@ -111,6 +122,7 @@ def pose(
         relative=memory.relative.astype(np.int32),
         later=memory.planned,
         carried=rest,
+        cloth=memory.cloth,
         covered=covered,
     )
 
@@ -145,6 +157,7 @@ def conclude(
         problems.traces,
         plan,
         found.common,
+        problems.cloth,
     )
     means = [representation.mean(prediction.states) for prediction in predictions]
     stds = [std for prediction in predictions if (std := representation.std(prediction.states)) is not None]
@@ -196,6 +209,7 @@ def remember(planner: Planner, memory: Memory, plan: Plan, *, executed: np.ndarr
 
     return Memory(
         goal=memory.goal,
+        cloth=memory.cloth,
         left=memory.left - 1,
         planned=np.ones_like(memory.planned),
         still=~executed,

@@ -120,7 +120,8 @@ def normalise(
     together, score = min(TOGETHER, int(validation.length.sum())), partial(_scores, model, representation, nets)
     for length in range(1, int(validation.length.max()) + 1):
         tasks = representation.recorded(*_stretches(validation, length))
-        of_nets, apart = in_batches(score, together, tasks.start, tasks.goal, tasks.plan)
+        cloth = np.repeat(validation.cloth, np.maximum(validation.length - length + 1, 0), axis=0)
+        of_nets, apart = in_batches(score, together, tasks.start, tasks.goal, tasks.plan, cloth)
         low.append([float(np.median(scores)) for scores in of_nets])
         if apart is not None:
             mu.append(float(apart.mean()))
@@ -128,7 +129,7 @@ def normalise(
         drawn = []
         for draw in range(settings.draws):
             random = random_manipulations(tasks.plan.shape[:2], key=jax.random.fold_in(key, STEPS * draw + length))
-            drawn.append(in_batches(score, together, tasks.start, tasks.goal, np.asarray(random))[0])
+            drawn.append(in_batches(score, together, tasks.start, tasks.goal, np.asarray(random), cloth)[0])
         medians = [float(np.median(np.concatenate(scores))) for scores in zip(*drawn, strict=True)]
         high.append([max(median, least + LEAST_SPAN) for median, least in zip(medians, low[-1], strict=True)])
     return Normalisation(tuple(zip(*low, strict=True)), tuple(zip(*high, strict=True)), tuple(mu), tuple(sigma))
@@ -149,10 +150,12 @@ def _scores(
     start: Array | np.ndarray,
     goal: Array | np.ndarray,
     plan: Array | np.ndarray,
+    cloth: Array | np.ndarray,
 ) -> tuple[tuple[Array, ...], Array | None]:
     """The accuracy term of each net's predicted outcome, without span, and the difference of the outcomes."""
     steps, plan = np.int32(plan.shape[1]), padded(plan, STEPS)
-    scores, outcomes = zip(*(_score(model, representation, net, start, goal, plan, steps) for net in nets), strict=True)
+    found = (_score(model, representation, net, start, goal, plan, cloth, steps) for net in nets)
+    scores, outcomes = zip(*found, strict=True)
     return scores, _mean_difference(representation, outcomes)
 
 
@@ -164,10 +167,11 @@ def _score(
     start: Array | np.ndarray,
     goal: Array | np.ndarray,
     plan: Array | np.ndarray,
+    cloth: Array | np.ndarray,
     steps: Int[Array | np.ndarray, ""] | np.int32,
 ) -> tuple[Array, Any]:
     """One net's score and its predicted outcome after so many manipulations, by a program that serves all nets."""
-    latents = rollout(model, net, model.encode(net, start), plan).latents
+    latents = rollout(model, net, model.encode(net, start, cloth), plan).latents
     outcome = model.decode(net, latents[steps - 1])
     return representation.accuracy(representation.target(jnp.asarray(goal)), outcome), outcome
 

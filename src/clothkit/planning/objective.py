@@ -11,8 +11,9 @@ from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Shaped
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
+from clothkit.cloth.symmetry import equal_labellings, equivalent_cloths
 from clothkit.cloth.topology import SQUARE
 from clothkit.models.ensemble import pairs
 from clothkit.models.forward import ForwardModel, rollout
@@ -171,15 +172,19 @@ class Fixed(NamedTuple):
     latents: tuple[Float[Array, "labels latent"], ...]
     traces: tuple[Float[Array, "labels latent"], ...]
     goals: Float[Array, "labels *state"]
+    same: Bool[Array, "labels"]
+    """Which relabellings leave the cloth's sides as they are."""
 
 
 def fix(model: ForwardModel, representation: Representation, nets: tuple[Any, ...], problem: Problem) -> Fixed:
     """Compute the quantities that are constant during the search for one problem."""
     states = representation.equivalents(jnp.asarray(problem.state))
+    cloths = equivalent_cloths(problem.cloth)[: representation.labels]
     return Fixed(
-        tuple(model.encode(net, states) for net in nets),
+        tuple(model.encode(net, states, cloths) for net in nets),
         tuple(jnp.asarray(trace) for trace in problem.traces),
         representation.equivalents(jnp.asarray(problem.goal)),
+        equal_labellings(problem.cloth)[: representation.labels],
     )
 
 
@@ -223,8 +228,11 @@ def evaluate(
         objective.accuracy.of_net(representation.accuracy_of_each(goals, outcome), net, outlook.last)
         for net, outcome in enumerate(outlook.outcomes)
     ]
-    nearest = jnp.argmin(jax.lax.stop_gradient(sum(of_each)), axis=1)
-    found = jnp.asarray(SQUARE.composed)[nearest, jnp.asarray(SQUARE.inverses)[common]]
+    # Row by row, the relabelling of the goal that each of its equivalents is for a plan in that common equivalent.
+    relabellings = jnp.asarray(SQUARE.composed)[: len(fixed.same), jnp.asarray(SQUARE.inverses)[common]].T
+    unlike = jnp.where(fixed.same[relabellings], jax.lax.stop_gradient(sum(of_each)), jnp.inf)
+    nearest = jnp.argmin(unlike, axis=1)
+    found = jnp.take_along_axis(relabellings, nearest[:, None], axis=1)[:, 0]
     relative = jnp.where(relative == UNKNOWN, found, relative)
     goal = goals[jnp.asarray(SQUARE.composed)[relative, common]]
     accuracies = [

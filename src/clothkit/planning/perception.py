@@ -5,11 +5,11 @@ from typing import Protocol, runtime_checkable
 
 import jax
 import numpy as np
-from jaxtyping import Shaped
+from jaxtyping import Float, Shaped
 
 from clothkit.cloth.mesh import best_label
 from clothkit.cloth.symmetry import relabel
-from clothkit.cloth.voxels import HEIGHT
+from clothkit.cloth.voxels import VIEWPORT, Viewport
 from clothkit.estimation.estimate import estimate, estimate_unrefined
 from clothkit.estimation.refine import RefineConfig
 from clothkit.models.net import Net
@@ -23,12 +23,15 @@ class Perception(Protocol):
     """What turns observations of a batch of cloths into states of a planner's representation."""
 
     @property
-    def height(self) -> float | None:
-        """The height of the viewport of the voxels that it takes [normalised]; None if it takes meshes."""
+    def viewport(self) -> Viewport | None:
+        """The viewport of the voxels that it takes; None if it takes meshes."""
         ...
 
-    def __call__(self, observation: Observation, expected: States | None) -> States:
-        """The states; `expected` are the predicted means of these states, None if nothing was predicted yet."""
+    def __call__(self, observation: Observation, expected: States | None, cloth: Float[np.ndarray, "task 3"]) -> States:
+        """The states; `expected` are the predicted means of these states, None if nothing was predicted yet.
+
+        `cloth` are the cloths' sides and thicknesses.
+        """
         ...
 
 
@@ -44,21 +47,22 @@ class Estimation:
     """Number of cloths that are estimated in one call."""
 
     @property
-    def height(self) -> float:
-        return self.vtm.config.height
+    def viewport(self) -> Viewport:
+        return self.vtm.config.viewport
 
-    def __call__(self, observation: Observation, expected: Meshes | None) -> Meshes:
+    def __call__(self, observation: Observation, expected: Meshes | None, cloth: Float[np.ndarray, "task 3"]) -> Meshes:
         assert observation.voxels is not None, "an observation to estimate from has voxels"
 
-        def meshes(voxels: np.ndarray, *expected: np.ndarray) -> jax.Array:
+        def meshes(voxels: np.ndarray, cloth: np.ndarray, *expected: np.ndarray) -> jax.Array:
             predicted = expected[0] if expected else None
             if not self.refine:
-                return estimate_unrefined(self.vtm, voxels, predicted)
-            return estimate(self.vtm, voxels, self.refinement, predicted=predicted).mesh
+                return estimate_unrefined(self.vtm, voxels, predicted, cloth=cloth)
+            return estimate(self.vtm, voxels, self.refinement, predicted=predicted, cloth=cloth).mesh
 
         # The last batch is padded; its copies count, because they take as long.
         with timed("estimates", -(-len(observation.voxels) // self.batch) * self.batch):
-            return in_batches(meshes, self.batch, observation.voxels, *(() if expected is None else (expected,)))
+            inputs = (observation.voxels, cloth, *(() if expected is None else (expected,)))
+            return in_batches(meshes, self.batch, *inputs)
 
 
 @dataclass(frozen=True)
@@ -67,26 +71,28 @@ class KnownMeshes:
 
     labelled: bool = True
     """Whether their labels are those of the goal and stay the same. Else they follow the expected mesh's."""
-    height: None = None
+    viewport: None = None
 
-    def __call__(self, observation: Observation, expected: Meshes | None) -> Meshes:
+    def __call__(self, observation: Observation, expected: Meshes | None, cloth: Float[np.ndarray, "task 3"]) -> Meshes:
         assert observation.meshes is not None, "an observation that is planned from as it is has meshes"
         if self.labelled or expected is None:
             return observation.meshes
-        return np.stack([labelled_like(*pair) for pair in zip(observation.meshes, expected, strict=True)])
+        return np.stack([labelled_like(*each) for each in zip(observation.meshes, expected, cloth, strict=True)])
 
 
 @dataclass(frozen=True)
 class ObservedVoxels:
     """The observed voxels are the states."""
 
-    height: float = HEIGHT
+    viewport: Viewport = VIEWPORT
 
-    def __call__(self, observation: Observation, expected: States | None) -> States:
+    def __call__(self, observation: Observation, expected: States | None, cloth: Float[np.ndarray, "task 3"]) -> States:
         assert observation.voxels is not None, "an observation that is planned from as it is has voxels"
         return observation.voxels
 
 
-def labelled_like(mesh: Shaped[np.ndarray, "u v 3"], expected: Shaped[np.ndarray, "u v 3"]) -> np.ndarray:
-    """The Cartesian equivalent of a mesh that is nearest to `expected`."""
-    return np.asarray(relabel(mesh, best_label(expected.astype(np.float32), mesh, aligned=True)))
+def labelled_like(
+    mesh: Shaped[np.ndarray, "u v 3"], expected: Shaped[np.ndarray, "u v 3"], cloth: Float[np.ndarray, "3"]
+) -> np.ndarray:
+    """The Cartesian equivalent of a mesh that is nearest to `expected`, among those that keep the cloth's sides."""
+    return np.asarray(relabel(mesh, best_label(expected.astype(np.float32), mesh, aligned=True, cloth=cloth)))

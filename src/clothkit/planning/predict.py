@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
-from clothkit.cloth.symmetry import equivalents_of_manipulation, relabel_manipulation
+from clothkit.cloth.symmetry import equivalent_cloths, equivalents_of_manipulation, relabel_manipulation
 from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.store import STEPS
 from clothkit.models.forward import ForwardModel, rollout
@@ -35,6 +35,7 @@ def predict(
     traces: tuple[Float[Array | np.ndarray, "tasks labels latent"], ...],
     plan: Float[Array | np.ndarray, "tasks n 6"],
     common: Int[Array | np.ndarray, " tasks"],
+    cloth: Float[Array | np.ndarray, "tasks 3"],
 ) -> tuple[Prediction, ...]:
     """Each net's predictions for the plan of each task; arrays in the result have a leading axis of tasks.
 
@@ -43,7 +44,7 @@ def predict(
     length = plan.shape[1]
     found = []
     for net, trace in zip(nets, traces, strict=True):
-        states, shifts, left = _predict(model, representation, net, state, trace, padded(plan, STEPS), common)
+        states, shifts, left = _predict(model, representation, net, state, trace, padded(plan, STEPS), common, cloth)
         states, shifts = jax.tree.map(lambda part: np.asarray(part)[:, :length], (states, shifts))
         found.append(Prediction(states, shifts, left))
     return tuple(found)
@@ -66,11 +67,13 @@ def _predict(
     traces: Float[Array | np.ndarray, "tasks labels latent"],
     plan: Float[Array | np.ndarray, "tasks n 6"],
     common: Int[Array | np.ndarray, " tasks"],
+    cloth: Float[Array | np.ndarray, "tasks 3"],
 ) -> Prediction:
     """One net's predictions, by a program that serves all nets and systems."""
 
-    def one(state: Array, traces: Array, plan: Array, common: Array) -> Prediction:
-        latents = model.encode(net, representation.equivalents(state))
+    def one(state: Array, traces: Array, plan: Array, common: Array, cloth: Array) -> Prediction:
+        cloths = equivalent_cloths(cloth)[: representation.labels]
+        latents = model.encode(net, representation.equivalents(state), cloths)
         found = rollout(model, net, latents[common], relabel_manipulation(plan, common), traces[common])
         states = model.decode(net, found.latents)
         states = representation.relabel_prediction(states, jnp.asarray(SQUARE.inverses)[common])
@@ -78,7 +81,7 @@ def _predict(
         _, left, _ = model.step(net, latents, traces, manipulations)
         return Prediction(states, found.shifts, left)
 
-    return jax.vmap(one)(*(jnp.asarray(part) for part in (state, traces, plan, common)))
+    return jax.vmap(one)(*(jnp.asarray(part) for part in (state, traces, plan, common, cloth)))
 
 
 @partial(jax.jit, static_argnames="representation")

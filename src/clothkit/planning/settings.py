@@ -3,11 +3,11 @@
 import dataclasses
 from typing import Annotated
 
-from annotated_types import Ge, Gt
+from annotated_types import Ge, Gt, MinLen
 
 from clothkit.estimation.refine import RefineConfig
 from clothkit.planning.search import SearchConfig
-from clothkit.planning.systems import System
+from clothkit.planning.systems import SYSTEMS, System
 from clothkit.runtime.config import config
 
 Count = Annotated[int, Gt(0)]
@@ -31,6 +31,8 @@ class PlanConfig:
     """Number of test sequences; sessions are run for all tasks of each."""
     train: Annotated[int, Ge(0)] = 100
     """Number of training sequences; sessions are run for all tasks of each."""
+    systems: Annotated[tuple[str, ...], MinLen(1)] = tuple(SYSTEMS)
+    """Systems that plan. The plan stages of the others write that they were left out."""
     search: SearchConfig = SearchConfig()
     refine: RefineConfig = RefineConfig()
     together: Count = 4
@@ -44,6 +46,8 @@ class PlanConfig:
     """Used instead of `batch` by systems that plan in voxels."""
 
     def __post_init__(self) -> None:
+        if unknown := [system for system in self.systems if system not in SYSTEMS]:
+            raise ValueError(f"systems has {unknown[0]!r}, expected some of {', '.join(SYSTEMS)}")
         # Voxels have no edge and are never thinned: such a setting would have no effect, or a wrong one.
         if self.voxel_search.edge != 0 or self.voxel_search.stride != 1:
             raise ValueError("voxel_search: expected edge 0 and stride 1, which concern meshes alone")

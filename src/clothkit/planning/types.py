@@ -9,6 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
+from clothkit.cloth.topology import PAPERS_CLOTH
+
 Scalar = float | int | np.float32 | Float[Array, ""]
 
 States = Shaped[np.ndarray, "task *state"]
@@ -57,6 +59,8 @@ class Problem(NamedTuple):
     """Whether this is a later search of a session, with the rest of the previous plan in `carried`. If so, the strains
     are divided evenly among the common equivalents, and one strain of each starts from `carried`."""
     carried: Float[Array | np.ndarray, "n 6"]
+    cloth: Float[Array | np.ndarray, "3"] | np.ndarray = PAPERS_CLOTH
+    """Sides and thickness of the cloth, in the labels of `state` [normalised]."""
     covered: Bool[Array | np.ndarray, "x y"] | None = None
     """Mask of the area that the cloth covers, as `initial.folds` takes it; required if `fold` is set."""
 
@@ -119,6 +123,8 @@ class Memory(NamedTuple):
     """What an agent keeps of each task from one decision to the next (section 5.1)."""
 
     goal: States
+    cloth: Float[np.ndarray, "task 3"]
+    """Sides along u and v and thickness of each cloth, in the labels of states and goal [normalised]."""
     left: Int[np.ndarray, " task"]
     """Number of manipulations that are left."""
     planned: Bool[np.ndarray, " task"]

@@ -43,6 +43,7 @@ def budgets(settings: RunSettings, timings: pd.DataFrame | None, systems: list[s
     for name in systems:
         system = SYSTEMS[name]
         net, search = (settings.emd_voxel, settings.voxel_search) if system.voxels else (settings.pemd, settings.search)
+        assert net is not None, "a scale without voxel nets has no systems that plan in voxels"
         minutes = _minutes(timings, "train_emd_voxel" if system.voxels else "train_pemd", members)
         rows.append(_row("clothkit", name, 1 if system.single else len(members), net, search, minutes))
     rows.append(_row("clothkit", VTM, 1, settings.vtm, None, _minutes(timings, "train_vtm")))

@@ -9,7 +9,7 @@ import pandas as pd
 from clothkit.cloth.symmetry import relabel
 from clothkit.dataset.tasks import Task, tasks_of
 from clothkit.evaluation.occupancy import TALL_MEASURE
-from clothkit.report import camera_tables, metrics, planning_tables, tables
+from clothkit.report import camera_tables, cloth_tables, metrics, planning_tables, tables
 from clothkit.report.captions import CAPTIONS_FILE
 from clothkit.report.figures.calibration import calibration
 from clothkit.report.figures.camera import camera
@@ -63,10 +63,18 @@ def build(folder: Path, inputs: Inputs, settings: ReportConfig) -> dict[str, pd.
         "camera_estimation": camera_tables.estimation(inputs.camera_estimation),
         "camera_planning": camera_tables.planning(inputs.camera_planning),
         "camera_comparisons": camera_tables.comparisons(inputs.camera_comparisons),
+        "by_cloth": cloth_tables.by_cloth(inputs.dataset, inputs.estimation, planned),
         "sigma_ratio": tables.sigma_ratio(inputs.estimation, found),
         "splits": tables.splits(inputs.dataset),
         "attempts": tables.attempts(inputs.attempts),
     }
+    if not settings.paper:
+        built = {
+            name: table[table["source"] != "paper"].reset_index(drop=True) if "source" in table else table
+            for name, table in built.items()
+        }
+    if built["by_cloth"].empty:
+        del built["by_cloth"]
     drawn = draw_figures(folder / "figures", inputs, built["largest"], settings)
     # The pages of an old report can be written again, but not its pictures, so their captions are stored beside them.
     captions = {name: CAPTIONS[name] for name in sorted(drawn)}

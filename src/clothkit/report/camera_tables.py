@@ -12,10 +12,12 @@ def estimation(tidy: pd.DataFrame) -> pd.DataFrame:
     """Means of observations and estimates by condition.
 
     Columns: condition, tilt [degrees], noise, states (number), seen (share of states), voxel_error, centre_error and
-    estimate (error of the estimate) [cloth length], iou.
+    estimate (error of the estimate) [cloth length], iou, alarm (share of the states that are seen).
     """
     groups = tidy.assign(seen=tidy["seen"].astype(float)).groupby(KEYS, sort=False)
     found = groups[["seen", "voxel_error", "centre_error", "iou", "error"]].mean()
+    seen = tidy[tidy["seen"]]
+    found["alarm"] = seen["alarm"].astype(float).groupby([seen[key] for key in KEYS], sort=False).mean()
     found.insert(0, "states", groups.size())
     return _degrees(found.reset_index().rename(columns={"error": "estimate"}))
 

@@ -15,6 +15,9 @@ STATES = ("1", "2", "3", "all")
 LENGTHS = ("1", "2", "3")
 """Columns of table 5: number of predicted manipulations, over all starts."""
 
+BY_CLOTH = ("measure", "system", "property", "class", "sequences", *LENGTHS)
+"""Columns of the table of errors by cloth."""
+
 STATISTICS = ("mean", "std", "median")
 NO_ACTION = "no action"
 NO_ACTION_OCCLUDED = "no action, occluded"

@@ -42,7 +42,8 @@ class RunSettings:
     voxel_search: SearchConfig
     ensemble: EnsembleConfig
     pemd: TrainedNet
-    emd_voxel: TrainedNet
+    emd_voxel: TrainedNet | None
+    """None: the scale has no voxel baseline."""
     vtm: TrainedNet
 
     @property
@@ -53,7 +54,7 @@ class RunSettings:
     @property
     def voxels_canonical(self) -> bool:
         """Whether the voxel systems' forward models take canonical descriptions as input."""
-        return bool(getattr(self.emd_voxel.net, "canonical", False))
+        return self.emd_voxel is not None and bool(getattr(self.emd_voxel.net, "canonical", False))
 
 
 def read(path: Path) -> RunSettings:
@@ -74,6 +75,7 @@ def read(path: Path) -> RunSettings:
         raise InputError(f"{path}: is not valid YAML ({' '.join(str(error).split())})") from error
     scale = _at(path, whole, "scale")
     stages = _at(path, whole, f"scales.{scale}")
+    baseline = _at(path, stages, "train_emd_voxel")
     return RunSettings(
         text=text,
         scale=scale,
@@ -84,14 +86,18 @@ def read(path: Path) -> RunSettings:
         # Older reports do not say it: their ensembles are the paper's two nets.
         ensemble=_settings(path, whole, "ensemble", EnsembleConfig) if "ensemble" in whole else EnsembleConfig(),
         pemd=_trained_net(path, stages, "train_pemd", PEMDConfig),
-        emd_voxel=_trained_net(path, stages, "train_emd_voxel", EMDVoxelConfig),
+        emd_voxel=_trained_net(path, stages, "train_emd_voxel", EMDVoxelConfig) if baseline is not None else None,
         vtm=_trained_net(path, stages, "train_vtm", VtMConfig),
     )
 
 
 def _trained_net(path: Path, stages: Any, stage: str, net: type[Net]) -> TrainedNet:
+    found = _at(path, stages, f"{stage}.net")
+    if isinstance(found, dict) and "height" in found:  # as older reports call it
+        found = {name: value for name, value in found.items() if name != "height"}
+        found["viewport"] = {"height": _at(path, stages, f"{stage}.net.height")}
     return TrainedNet(
-        _settings(path, stages, f"{stage}.net", net), _settings(path, stages, f"{stage}.training", TrainingConfig)
+        _validated(path, f"{stage}.net", found, net), _settings(path, stages, f"{stage}.training", TrainingConfig)
     )
 
 

@@ -12,7 +12,7 @@ from clothkit.report import blocks, captions, selections, texts
 from clothkit.report.contents import Contents
 from clothkit.report.entries import Card, Cards, Figure, Folded, Report, Section, Table, Text, Timings
 from clothkit.report.formatting import IDEAL_RATIO
-from clothkit.report.layout import LENGTHS, SPLITS, STATES, TASKS
+from clothkit.report.layout import BY_CLOTH, LENGTHS, SPLITS, STATES, TASKS
 
 OUTCOMES = ("source", "split", "system", "statistic", *TASKS)
 COMPARISON = ("column", "sequences", "difference", "low", "high", "p")
@@ -241,6 +241,20 @@ SECTIONS = (
             ),
         ),
         needs=("camera_estimation", "camera_planning", "camera_comparisons"),
+    ),
+    Section(
+        "cloths",
+        "Cloths",
+        (
+            Table(
+                "by_cloth",
+                "Errors by cloth",
+                BY_CLOTH,
+                (captions.BY_CLOTH,),
+                unit=CLOTH_LENGTHS,
+            ),
+        ),
+        needs=("by_cloth",),
     ),
     Section(
         "uncertainty",

@@ -24,5 +24,7 @@ class ReportConfig:
     predictions: Count = 4
     sessions: Count = 2
     """Number of sessions of each length."""
+    paper: bool = True
+    """Whether tables have the paper's rows; False where the cloths are not the paper's."""
     largest: Count = 10
     """Number of test tasks with the largest planning errors."""

@@ -24,6 +24,8 @@ WORK = Path(".work")
 PUBLISHING = WORK / "publishing.lock"
 PLACES = (Path("data"), Path("reports"))
 """Folders under which stages publish their outputs."""
+LEFT_OUT = b"left out"
+"""How the file begins that stands in the place of an output that a scale does without."""
 
 
 class Stage:
@@ -81,6 +83,14 @@ class Stage:
         with alone(PUBLISHING):
             publish(source, Path(target))
 
+    def leave_out(self, *targets: Path | str) -> None:
+        """Publish a note in the place of outputs that this scale does without (see `is_left_out`)."""
+        work = self.work(inputs=[])
+        for target in targets:
+            note = work / "note"
+            note.write_bytes(LEFT_OUT + f" of scale {self.shared.scale}\n".encode())
+            self.publish(note, target)
+
     def close(self, started: float) -> None:
         """Write the run's cost to `.work/timings/` and delete its work directories."""
         seconds = time.monotonic() - started
@@ -106,6 +116,15 @@ class Stage:
         """Release the locks of the work directories."""
         for _, lock in self._work:
             lock.close()
+
+
+def is_left_out(path: Path) -> bool:
+    """Return whether a note stands in the place of an output, since its stage is left out at this scale."""
+    try:
+        with path.open("rb") as file:
+            return file.read(len(LEFT_OUT)) == LEFT_OUT
+    except OSError:
+        return False
 
 
 @contextlib.contextmanager

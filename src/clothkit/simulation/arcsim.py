@@ -140,6 +140,16 @@ def _tables(block: Block) -> dict[str, pa.Table]:
             topology += 1
         for before, run, frame in zip(sequence, sequence[1:], frames, strict=False):
             rows["manipulations"].append({**_manipulation(before, run, frame), "seed": NO_SEED, "attempt": number})
+        sides = np.ptp(frames[0].material, axis=0)
+        rows["cloths"].append(
+            {
+                "sequence": sequence[0].sequence,
+                "start": None,
+                "side_u": sides[0],
+                "side_v": sides[1],
+                "thickness": read_scene(sequence[0].scene).thickness,
+            }
+        )
         rows["attempts"].append(
             {
                 "attempt": number,

@@ -33,6 +33,8 @@ class Scene(NamedTuple):
     frame_time: float
     """s"""
     handles: list[Handle]
+    thickness: float
+    """Distance of touching layers, in metres; NaN where the scene does not tell."""
 
 
 # Keys of ARCSim that are not declared here are ignored.
@@ -57,11 +59,16 @@ class _Handle(pydantic.BaseModel, frozen=True, allow_inf_nan=False):
     end_time: float = math.inf
 
 
+class _Magic(pydantic.BaseModel, frozen=True, allow_inf_nan=False):
+    repulsion_thickness: Annotated[float, Gt(0)] | None = None
+
+
 class _Conf(pydantic.BaseModel, frozen=True, allow_inf_nan=False):
     frame_time: Annotated[float, Gt(0)]
     end_time: float = math.inf
     motions: list[list[_Key]] = []
     handles: list[_Handle] = []
+    magic: _Magic = _Magic()
 
 
 def read_scene(path: Path) -> Scene:
@@ -87,7 +94,7 @@ def read_scene(path: Path) -> Scene:
             start, end = _translation(keys, handle.start_time), _translation(keys, handle.end_time)
             move = (end - start)[:2]
         handles += [Handle(node, handle.start_time, handle.end_time, move) for node in handle.nodes]
-    return Scene(conf.frame_time, handles)
+    return Scene(conf.frame_time, handles, conf.magic.repulsion_thickness or math.nan)
 
 
 def _read(path: Path) -> _Conf:

@@ -1,5 +1,6 @@
-"""Attempts at sequences: three random manipulations from the flat cloth, each attempt with its own random seed."""
+"""Attempts at sequences: three random manipulations, each attempt with its own random seed, and its own cloth."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -7,13 +8,14 @@ from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
 from clothkit.cloth.silhouette import silhouette
-from clothkit.cloth.topology import CLOTH_LENGTH, Shape, Topology
+from clothkit.cloth.topology import CLOTH_LENGTH, Topology
 from clothkit.manipulation.sampling import draw_hands, sample
 from clothkit.simulation.executor import perform
 from clothkit.simulation.quality import Quality, measure, reason
-from clothkit.simulation.settings import SimulateConfig
+from clothkit.simulation.settings import DRAWN, SimulateConfig
 from clothkit.simulation.solver import flat_state
-from clothkit.simulation.world import Worlds
+from clothkit.simulation.variation import Drawn, draw, opening
+from clothkit.simulation.world import Motion, Worlds
 
 STEPS = 3
 RASTER = 256
@@ -28,7 +30,13 @@ class Attempts(NamedTuple):
     reason: np.ndarray
     """Text [attempts]: the reason for a rejection; empty if accepted."""
     reached: Int[np.ndarray, " attempts"]
-    """Number of states, including the flat one and the rejected one."""
+    """Number of states, including the first one and the rejected one."""
+    start: np.ndarray
+    """Text [attempts]: how the cloth came to lie as it did at first, one of STARTS."""
+    sides: Float[np.ndarray, "attempts 2"]
+    """Sides of the flat cloth along u and along v, in metres."""
+    material: Float[np.ndarray, "attempts properties"]
+    """The properties of the material that can be drawn, in the order and units of DRAWN."""
     states: Float[np.ndarray, "attempts 4 u v 3"]
     """Metres, world frame."""
     manipulation: Float[np.ndarray, "attempts 3 6"]
@@ -53,35 +61,55 @@ MEASURED = ("height", "strain_p99", "strain_worst", "intersections", "gap")
 def attempt_sequences(numbers: range, settings: SimulateConfig, topology: Topology | None = None) -> Attempts:
     """Run the attempts with these numbers. Each result depends only on the seed and the attempt's number.
 
-    Without a topology, the cloth is the square of `settings.simulation`.
+    Without a topology, the cloth is the square of `settings.simulation`; with `settings.variation`, each attempt draws
+    its own.
     """
-    simulation, count = settings.simulation, len(numbers)
-    topology = topology or simulation.topology
+    simulation, variation = settings.simulation, settings.variation
+    if variation is None:
+        return _attempt(numbers, settings, Drawn(simulation, topology or simulation.topology, "flat"))
+    found = []
+    for number in numbers:
+        drawn = draw(simulation, variation, seed=settings.seed, number=number)
+        first = opening(drawn, variation.starts, seed=settings.seed, number=number)
+        found.append(_attempt(range(number, number + 1), replace(settings, simulation=drawn.simulation), drawn, first))
+    return Attempts(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+
+
+def _attempt(numbers: range, settings: SimulateConfig, drawn: Drawn, first: Motion | None = None) -> Attempts:
+    """Run attempts with one cloth, which is first moved as `first` says."""
+    simulation, topology, count = settings.simulation, drawn.topology, len(numbers)
     scale = simulation.cloth_side / CLOTH_LENGTH
     rngs = [np.random.default_rng([settings.seed, number]) for number in numbers]
     worlds = Worlds(count, simulation, topology)
-    found = _empty(numbers, topology.shape)
+    found = _empty(numbers, drawn)
     found.states[:, 0] = flat_state(simulation, topology)
-    _note(found, np.arange(count), 0, measure(found.states[:, 0], simulation, topology), topology)
+    flat = float(np.ptp(found.states[0, 0, ..., 0]))
+    if first is not None:
+        opened = worlds.execute(found.states[:, 0], first)
+        found.states[:, 0] = opened.states
+        found.residual_speed[:, 0] = opened.residual_speed
+    quality = measure(found.states[:, 0], simulation, topology)
+    _note(found, np.arange(count), 0, quality, topology, flat)
+    if first is not None:
+        found.reason[:] = [reason(quality, opened, settings, index) for index in range(count)]
     for step in range(STEPS):
         open_ = np.flatnonzero(found.reason == "")
-        drawn = []
+        moves = []
         for index in open_:
             mesh = (found.states[index, step] / np.float32(scale)).astype(np.float32)
             hands = draw_hands(rngs[index], settings.sampling)
-            drawn.append(sample(rngs[index], mesh, hands, settings.sampling, settings.candidates, topology))
-            if drawn[-1] is None:
+            moves.append(sample(rngs[index], mesh, hands, settings.sampling, settings.candidates, topology))
+            if moves[-1] is None:
                 found.reason[index] = "no manipulation"
-        chosen = [(index, draw) for index, draw in zip(open_, drawn, strict=True) if draw is not None]
+        chosen = [(index, move) for index, move in zip(open_, moves, strict=True) if move is not None]
         if not chosen:
             break
         indices = np.array([index for index, _ in chosen])
         before = found.states[indices, step]
-        points = [before[k].reshape(-1, 3)[list(draw.vertices), :2] for k, (_, draw) in enumerate(chosen)]
-        displacement = np.array([draw.displacement for _, draw in chosen]).astype(np.float32)
-        single = np.array([draw.single for _, draw in chosen])
-        moves = to_metres(displacement, scale)
-        taken, outcome = perform(worlds, before, np.array(points), moves, single)
+        points = [before[k].reshape(-1, 3)[list(move.vertices), :2] for k, (_, move) in enumerate(chosen)]
+        displacement = np.array([move.displacement for _, move in chosen]).astype(np.float32)
+        single = np.array([move.single for _, move in chosen])
+        taken, outcome = perform(worlds, before, np.array(points), to_metres(displacement, scale), single)
         quality = measure(outcome.states, simulation, topology)
         found.states[indices, step + 1] = outcome.states
         found.settle_time[indices, step] = outcome.settle_time
@@ -92,7 +120,7 @@ def attempt_sequences(numbers: range, settings: SimulateConfig, topology: Topolo
         vertices[:, 1] = np.where(single, vertices[:, 0], vertices[:, 1])
         uv = topology.geodesic().reshape(-1, 2)[vertices].reshape(-1, 4)
         found.manipulation[indices, step] = np.concatenate([uv, displacement], axis=1)
-        _note(found, indices, step + 1, quality, topology)
+        _note(found, indices, step + 1, quality, topology, flat)
         for k, index in enumerate(indices):
             found.reason[index] = reason(quality, outcome, settings, k)
     return found._replace(accepted=found.reason == "")
@@ -117,8 +145,11 @@ def folds(mesh: Float[np.ndarray, "u v 3"]) -> int:
     return int(ndimage.label(creased, structure=np.ones((3, 3)))[1])
 
 
-def _empty(numbers: range, shape: Shape) -> Attempts:
-    count, states = len(numbers), STEPS + 1
+def _empty(numbers: range, drawn: Drawn) -> Attempts:
+    count, states, shape = len(numbers), STEPS + 1, drawn.topology.shape
+    settings = drawn.simulation
+    sides = settings.sides(drawn.topology)
+    material = [getattr(settings.material, name) for name in DRAWN]
 
     def zeros(*shape: int, kind: type = np.float32) -> np.ndarray:
         return np.zeros((count, *shape), kind)
@@ -128,6 +159,9 @@ def _empty(numbers: range, shape: Shape) -> Attempts:
         accepted=zeros(kind=bool),
         reason=np.full(count, "", "<U16"),
         reached=zeros(kind=np.int32),
+        start=np.full(count, drawn.start, "<U16"),
+        sides=np.tile(sides, (count, 1)),
+        material=np.tile(material, (count, 1)).astype(np.float32),
         states=zeros(states, *shape, 3),
         manipulation=zeros(STEPS, 6),
         hands=zeros(STEPS, kind=np.int32),
@@ -144,12 +178,13 @@ def _empty(numbers: range, shape: Shape) -> Attempts:
     )
 
 
-def _note(found: Attempts, indices: np.ndarray, state: int, quality: Quality, topology: Topology) -> None:
+def _note(found: Attempts, indices: np.ndarray, state: int, quality: Quality, topology: Topology, flat: float) -> None:
+    """Record the measurements of a state; `flat` is the flat cloth's side along u, in metres."""
     for name in MEASURED:
         getattr(found, name)[indices, state] = getattr(quality, name)
     found.reached[indices] = state + 1
     along_u, along_v = topology.sides
-    scale = along_u / np.ptp(found.states[0, 0, ..., 0])
+    scale = along_u / flat
     pixel = 2 * EXTENT / RASTER
     for index in indices[quality.finite]:
         mesh = found.states[index, state] * scale

@@ -15,6 +15,7 @@ from scipy import ndimage
 
 from clothkit.cloth.topology import CLOTH_LENGTH, Topology
 from clothkit.manipulation.geometry import release_points, topmost_vertex
+from clothkit.simulation.cloths import Cloths
 from clothkit.simulation.processes import cores, make_pool
 from clothkit.simulation.settings import SimulationConfig
 from clothkit.simulation.world import Outcome, Worlds, arcs
@@ -109,29 +110,34 @@ def execute(
     grasp_xy: Float[np.ndarray, "worlds 2 2"],
     displacement: Float[np.ndarray, "worlds 2"],
     single: Bool[np.ndarray, " worlds"],
-    settings: SimulationConfig,
+    cloths: Cloths | None = None,
     *,
+    settings: SimulationConfig,
     workers: int = 0,
     topology: Topology | None = None,
 ) -> Float[np.ndarray, "worlds u v 3"]:
     """Execute one manipulation per mesh and return the resulting meshes; all normalised, in the world frame.
 
     Single-handed manipulations (`single`) use the first grasp point. The outcome depends neither on `workers`
-    (0: all cores) nor on the other worlds. Without a topology, the cloth is the square of `settings`.
+    (0: all cores) nor on the other worlds. Without `cloths`, all cloths have the topology, or are the square of
+    `settings`.
     """
     scale = settings.cloth_side / CLOTH_LENGTH
-    topology = topology or settings.topology
     states = (np.asarray(meshes, np.float64) * scale).astype(np.float32)
     grasps = np.asarray(grasp_xy, np.float64) * scale
     moves = np.asarray(displacement, np.float64) * scale
     parts = min(workers or cores(), max(1, len(states) // WORTH_A_WORKER))
     if parts == 1 or settings.device != "cpu":
-        final = _run(settings, topology, states, grasps, moves, single)
+        final = _run(settings, topology, cloths, states, grasps, moves, single)
     else:
         # Interleaved, so that the parts cost about the same.
         indices = [np.arange(part, len(states), parts) for part in range(parts)]
         pool = _shared_pool(parts)
-        jobs = [pool.submit(_run, settings, topology, states[i], grasps[i], moves[i], single[i]) for i in indices]
+        parts_of = [None if cloths is None else Cloths(*(part[i] for part in cloths)) for i in indices]
+        jobs = [
+            pool.submit(_run, settings, topology, own, states[i], grasps[i], moves[i], single[i])
+            for i, own in zip(indices, parts_of, strict=True)
+        ]
         final = np.empty_like(states)
         for index, job in zip(indices, jobs, strict=True):
             final[index] = job.result()
@@ -140,13 +146,21 @@ def execute(
 
 def _run(
     settings: SimulationConfig,
-    topology: Topology,
+    topology: Topology | None,
+    cloths: Cloths | None,
     states: np.ndarray,
     grasps: np.ndarray,
     moves: np.ndarray,
     single: np.ndarray,
 ) -> np.ndarray:
-    return perform(_worlds(settings, topology, len(states)), states, grasps, moves, single)[1].states
+    same = (settings, topology or settings.topology)
+    worlds = [same if cloths is None else cloths.world(row, settings) for row in range(len(states))]
+    final = np.empty_like(states)
+    for world in dict.fromkeys(worlds):
+        rows = np.array([row for row, other in enumerate(worlds) if other == world])
+        _, outcome = perform(_worlds(*world, len(rows)), *(part[rows] for part in (states, grasps, moves, single)))
+        final[rows] = outcome.states
+    return final
 
 
 @functools.lru_cache(maxsize=2)

@@ -109,7 +109,7 @@ def generate(
     last = np.flatnonzero(np.cumsum(attempts.accepted) == settings.sequences)[0] + 1
     attempts = Attempts(*(array[:last] for array in attempts))
     states = (block.states[block.accepted] for block in (load_piece(path, BLOCKS) for path in paths))
-    write_raw(folder, attempts, states, settings.simulation, topology, seed=settings.seed, attributes=attributes)
+    write_raw(folder, attempts, states, seed=settings.seed, attributes=attributes)
     return summarise(attempts)
 
 

@@ -19,12 +19,16 @@ Positive = Annotated[float, Gt(0.0)]
 NotNegative = Annotated[float, Ge(0.0)]
 
 
+THINNEST, THICKEST = 1e-3, 8e-3
+"""Range of `Material.thickness` [m]."""
+
+
 @config
 class Material:
     """The cloth and the table, in SI units, so that folds stay alike when the time step or the grid is refined.
 
-    The default shear is softer than that of a fabric (ARCSim's gray-interlock: about 20 N/m): on a grid of 13 mm, stiff
-    shear locks folds that run across the quads, which then stand up. FABRICS have the stiffness that was measured.
+    The default shear is softer than that of a fabric (ARCSim's gray-interlock: about 20 N/m), with which a few more
+    folds take too long to rest; below 1 N/m fold lines become wavy. FABRICS have the stiffness that was measured.
 
     The ranges are those in which the solver was tried: if one setting is at either end of its range and the others have
     their defaults, folds come to rest.
@@ -32,12 +36,12 @@ class Material:
 
     density: Annotated[float, Ge(0.03), Le(1.5)] = 0.187  # kg/m^2
     stretch_stiffness: Annotated[float, Ge(200), Le(5e4)] = 2000.0  # N/m, tension per strain along the threads
-    shear_stiffness: Annotated[float, Ge(0.01), Le(200)] = 0.1  # N/m, shear force per length and angle
+    shear_stiffness: Annotated[float, Ge(0.01), Le(200)] = 3.0  # N/m, shear force per length and angle
     shear_limit: Annotated[float, Ge(0.2), Le(1.4)] = 0.76  # rad, the angle at which shearing locks
     bending_stiffness: Annotated[float, Ge(1e-6), Le(1e-3)] = 2e-5  # N m, moment per width and curvature
     bending_friction: Annotated[float, Ge(0), Le(5e-3)] = 0.0  # N, moment per width against any change of curvature
     bending_limit: Annotated[float, Ge(5), Le(1e4)] = 31.0  # 1/m, curvature beyond which the moment no longer grows
-    thickness: Annotated[float, Ge(1e-3), Le(5e-3)] = 2e-3  # m, distance of touching layers
+    thickness: Annotated[float, Ge(THINNEST), Le(THICKEST)] = 2e-3  # m, distance of touching layers
     cloth_friction: Annotated[float, Ge(0), Le(0.8)] = 0.3
     table_friction: Annotated[float, Ge(0), Le(2)] = 0.7
     stiction: Annotated[float, Ge(0), Le(10)] = 2.0  # m/s^2, a smaller acceleration does not move a resting vertex

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from clothkit.cloth.topology import CLOTH_LENGTH, Topology, edges, triangles
 from clothkit.simulation.kernels.inspection import count_intersections, measure_gaps
 from clothkit.simulation.settings import SimulateConfig, SimulationConfig
+from clothkit.simulation.solver import SHORTEST_CHORD
 from clothkit.simulation.world import Outcome
 
 GAP_REACH = 3.0  # of the smaller grid spacings, the largest gap that is measured; about that of a flat cloth
@@ -23,7 +24,10 @@ class Quality(NamedTuple):
     height: Float[np.ndarray, " states"]
     """Height of the highest vertex, normalised."""
     strain_p99: Float[np.ndarray, " states"]
-    """99th percentile of |length / rest - 1| over the grid's edges, without the diagonals."""
+    """99th percentile of the strain of the grid's edges, without the diagonals: their length over that at rest, less 1.
+
+    A shorter edge counts by as much as it is shorter than the chord of a thread that turns, within the edge, from the
+    direction of the edge before to that of the edge after it; at the border, than at rest."""
     strain_worst: Float[np.ndarray, " states"]
     intersections: Int[np.ndarray, " states"]
     """Number of pairs of an edge (diagonals included) and a triangle pierced by it that share no vertex."""
@@ -112,8 +116,15 @@ def _numbers(values: np.ndarray, device: str) -> wp.array:
 
 
 def _strain(states: np.ndarray, spacing: tuple[float, float]) -> Float[np.ndarray, "states edges"]:
-    along_u, along_v = (
-        np.linalg.norm(np.diff(states, axis=axis), axis=-1).reshape(len(states), -1) / rest
-        for axis, rest in zip((1, 2), spacing, strict=True)
-    )
-    return np.abs(np.concatenate([along_u, along_v], axis=1) - 1).astype(np.float32)
+    lines = (states.transpose(0, 2, 1, 3), states)
+    return np.concatenate([_along(each, rest) for each, rest in zip(lines, spacing, strict=True)], axis=1)
+
+
+def _along(states: np.ndarray, rest: float) -> Float[np.ndarray, "states edges"]:
+    """The strains of the edges along grid lines, which are the second last axis."""
+    edges = np.diff(states, axis=-2) / np.float32(rest)
+    length = np.linalg.norm(edges, axis=-1)
+    chord = np.ones_like(length)
+    turn = np.sum(edges[..., :-2, :] * edges[..., 2:, :], axis=-1)
+    chord[..., 1:-1] = np.sqrt(np.clip((1 + turn) / 2, SHORTEST_CHORD**2, 1))
+    return np.maximum(length - 1, np.maximum(chord - length, 0)).reshape(len(states), -1).astype(np.float32)

@@ -13,10 +13,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from clothkit.cloth.topology import Topology
+from clothkit.cloth.topology import Shape, triangles
 from clothkit.simulation.attempts import Attempts
-from clothkit.simulation.settings import SimulationConfig
-from clothkit.simulation.solver import flat_state
+from clothkit.simulation.settings import DRAWN
+from clothkit.simulation.solver import flat_grid
 
 SHARD = 500  # sequences in a file of states
 QUALITY = ("height", "strain_p99", "strain_worst", "intersections", "gap", "residual_speed")
@@ -61,33 +61,46 @@ ATTEMPTS = pa.schema(
     }
 )
 TOPOLOGIES = pa.schema({"topology": pa.int32(), "material": pa.list_(pa.float32()), "triangles": pa.list_(pa.int32())})
-SCHEMAS = {"states": STATES, "manipulations": MANIPULATIONS, "attempts": ATTEMPTS, "topologies": TOPOLOGIES}
+CLOTHS = pa.schema(
+    {
+        "sequence": pa.int32(),
+        "start": pa.string(),
+        **{name: pa.float32() for name in ("side_u", "side_v", *DRAWN)},
+    }
+)
+SCHEMAS = {
+    "states": STATES,
+    "manipulations": MANIPULATIONS,
+    "attempts": ATTEMPTS,
+    "topologies": TOPOLOGIES,
+    "cloths": CLOTHS,
+}
 
 
 def write_raw(
     folder: Path,
     attempts: Attempts,
     states: Iterable[np.ndarray],
-    simulation: SimulationConfig,
-    topology: Topology | None = None,
     *,
     seed: int,
     attributes: dict[str, Any],
 ) -> None:
-    """Write our solver's states, manipulations, attempts and topologies under `folder`.
+    """Write our solver's states, manipulations, attempts, topologies and cloths under `folder`.
 
     The field `states` of the attempts is not used. The argument `states` yields the states of the accepted attempts in
     order, in pieces of any size [accepted states u v 3]; surplus pieces at the end are ignored.
     """
     accepted = Attempts(*(array[attempts.accepted] for array in attempts))
+    sides, topology = np.unique(accepted.sides, axis=0, return_inverse=True)
     shards = (
-        _states(Attempts(*(array[first : first + SHARD] for array in accepted))._replace(states=part), first)
+        _states(Attempts(*(array[first : first + SHARD] for array in accepted))._replace(states=part), first, topology)
         for first, part in _shards(states, len(accepted.attempt))
     )
     others = {
         "manipulations": _manipulations(accepted, seed),
         "attempts": _attempts(attempts, seed),
-        "topologies": _topologies(simulation, topology or simulation.topology),
+        "topologies": _topologies(sides, attempts.states.shape[2:4]),
+        "cloths": _cloths(accepted),
     }
     write_tables(folder, shards, others, attributes)
 
@@ -119,13 +132,13 @@ def _write(path: Path, table: pa.Table, metadata: dict[str, str]) -> None:
     pq.write_table(table.replace_schema_metadata(metadata), path, compression="zstd")
 
 
-def _states(part: Attempts, first: int) -> pa.Table:
+def _states(part: Attempts, first: int, topology: np.ndarray) -> pa.Table:
     count, states = part.states.shape[:2]
     sequence, state = np.divmod(np.arange(count * states), states)
     columns: dict[str, Any] = {
         "sequence": sequence.astype(np.int32) + first,
         "state": state.astype(np.int32),
-        "topology": np.zeros(count * states, np.int32),
+        "topology": np.repeat(topology[first : first + count].astype(np.int32), states),
         "vertices": _lists(part.states.reshape(count * states, -1)),
     }
     columns |= {name: getattr(part, name).ravel() for name in QUALITY}
@@ -171,14 +184,26 @@ def _reached(values: np.ndarray, count: np.ndarray) -> np.ndarray:
     return np.where(np.arange(values.shape[1]) < count[:, None], values, np.nan).astype(np.float32)
 
 
-def _topologies(simulation: SimulationConfig, topology: Topology) -> pa.Table:
-    material = flat_state(simulation, topology)[..., :2].reshape(1, -1)
+def _topologies(sides: np.ndarray, shape: Shape) -> pa.Table:
+    """Return a row per pair of sides, in metres: grids of `shape` vertices."""
+    material = [flat_grid(shape, (along_u, along_v)).ravel() for along_u, along_v in sides]
     columns = {
-        "topology": np.zeros(1, np.int32),
-        "material": _lists(material),
-        "triangles": _lists(topology.triangles().reshape(1, -1)),
+        "topology": np.arange(len(sides), dtype=np.int32),
+        "material": _lists(np.stack(material)),
+        "triangles": _lists(np.tile(triangles(shape).ravel(), (len(sides), 1))),
     }
     return pa.table(columns, schema=TOPOLOGIES)
+
+
+def _cloths(accepted: Attempts) -> pa.Table:
+    columns: dict[str, Any] = {
+        "sequence": np.arange(len(accepted.attempt), dtype=np.int32),
+        "start": accepted.start.tolist(),
+        "side_u": accepted.sides[:, 0],
+        "side_v": accepted.sides[:, 1],
+    }
+    columns |= {name: accepted.material[:, k] for k, name in enumerate(DRAWN)}
+    return pa.table(columns, schema=CLOTHS)
 
 
 def _lists(rows: np.ndarray) -> pa.Array:

@@ -1,5 +1,6 @@
 """Settings of the simulation: solver and limits of acceptance, in SI units unless said otherwise."""
 
+from dataclasses import replace
 from typing import Annotated, Literal
 
 import pydantic
@@ -74,13 +75,15 @@ class SimulationConfig:
         """The square cloth with `side` vertices along each side: what is simulated where no other is given."""
         return square(self.side)
 
+    def sides(self, topology: Topology) -> tuple[float, float]:
+        """The flat cloth's sides along u and along v, in metres."""
+        along_u, along_v = (self.cloth_side * (length / CLOTH_LENGTH) for length in topology.sides)
+        return along_u, along_v
+
     def spacing(self, topology: Topology) -> tuple[float, float]:
         """Metres between neighbouring vertices of a cloth along u and along v."""
-        along_u, along_v = (
-            self.cloth_side * (length / CLOTH_LENGTH) / (vertices - 1)
-            for length, vertices in zip(topology.sides, topology.shape, strict=True)
-        )
-        return along_u, along_v
+        (along_u, along_v), (rows, columns) = self.sides(topology), topology.shape
+        return along_u / (rows - 1), along_v / (columns - 1)
 
     @pydantic.model_validator(mode="after")
     def _agrees(self) -> "SimulationConfig":
@@ -120,6 +123,73 @@ class Limits:
     below_table: NotNegative = 0.0  # m, how far a vertex may lie below the table
 
 
+Start = Literal["flat", "dragged", "dropped"]
+STARTS: tuple[Start, ...] = ("flat", "dragged", "dropped")
+Range = tuple[Positive, Positive]
+"""Lowest and highest value."""
+
+DRAWN = (
+    *("thickness", "density", "stretch_stiffness", "shear_stiffness", "bending_stiffness", "bending_limit"),
+    *("cloth_friction", "table_friction"),
+)
+"""Properties of the material that a sequence can draw."""
+
+
+def _check_order(settings: object, names: tuple[str, ...]) -> None:
+    for name in names:
+        limits = getattr(settings, name)
+        if limits and limits[0] > limits[1]:
+            raise ValueError(f"{name} is from {limits[0]:g} to {limits[1]:g}, expected the lower value first")
+
+
+@config
+class Starts:
+    """How sequences begin: with a cloth that lies flat, that was dragged over the table, or dropped on it."""
+
+    flat: NotNegative = 1.0  # shares of the sequences
+    dragged: NotNegative = 0.0
+    dropped: NotNegative = 0.0
+    drag: Range = (0.1, 0.5)  # distance, in longer sides of the cloth
+    # height from which the hand lets go, in longer sides: above 1.4 all of a square hangs free
+    drop: Range = (0.4, 1.2)
+
+    @pydantic.model_validator(mode="after")
+    def _agrees(self) -> "Starts":
+        _check_order(self, ("drag", "drop"))
+        if not self.flat + self.dragged + self.dropped > 0:
+            raise ValueError("flat, dragged and dropped are all 0, expected at least one share above 0")
+        return self
+
+
+@config
+class VariationConfig:
+    """What each sequence draws, log-uniformly from ranges; without a range, the value is that of `simulation`."""
+
+    thickness: Range | None = None  # m; at most what the grid's spacing allows
+    density: Range | None = None  # kg/m^2
+    stretch_stiffness: Range | None = None  # N/m
+    shear_stiffness: Range | None = None  # N/m
+    bending_stiffness: Range | None = None  # N m
+    bending_limit: Range | None = None  # 1/m
+    cloth_friction: Range | None = None
+    table_friction: Range | None = None
+    squares: Annotated[float, Ge(0), Le(1)] = 1.0  # share of the sequences; the others' cloths are rectangles
+    ratio: Range = (1.0, 1.8)  # of a rectangle's longer side to its shorter one
+    starts: Starts = Starts()
+
+    @pydantic.model_validator(mode="after")
+    def _agrees(self) -> "VariationConfig":
+        _check_order(self, (*DRAWN, "ratio"))
+        if self.ratio[0] < 1:
+            raise ValueError(
+                f"ratio is from {self.ratio[0]:g}, expected at least 1: the longer side to the shorter one"
+            )
+        for name in DRAWN:
+            for value in getattr(self, name) or ():
+                replace(Material(), **{name: value})  # which checks its range
+        return self
+
+
 @config
 class SimulateConfig:
     """Settings of the stage that records sequences.
@@ -135,6 +205,7 @@ class SimulateConfig:
     block: Annotated[int, Gt(0), Le(4096)] = 4  # attempts per job of a worker; changes no outcome
     workers: Annotated[int, Ge(0), Le(1024)] = 0  # processes, 0 for one per core; changes no outcome
     simulation: SimulationConfig = SimulationConfig()
+    variation: VariationConfig | None = None  # of cloths and starts between sequences; without it, all are alike
     limits: Limits = Limits()
     sampling: SamplingConfig = SamplingConfig()
     candidates: CandidateConfig = CandidateConfig()

@@ -4,7 +4,7 @@ import numpy as np
 import warp as wp
 from jaxtyping import Float
 
-from clothkit.cloth.topology import CLOTH_LENGTH, Shape, Topology
+from clothkit.cloth.topology import Shape, Topology
 from clothkit.simulation.kernels.state import CELLS, CONTACTS, EDGE_PAIRS, HELD, MEMORY, PATH, Bend, Solver, State
 from clothkit.simulation.settings import SimulationConfig
 
@@ -12,6 +12,8 @@ GRAVITY = 9.81  # m/s^2
 LANES_ON_CUDA = 256
 LAUNCH_SECONDS = 0.1  # simulated time per launch
 STRETCH_PASSES = 2  # per substep
+SHORTEST_CHORD = 0.3  # of an edge's length: the least distance of its ends where the thread folds back within it
+CHORD_STIFFNESS = 0.1  # of the stretch stiffness: with all of it, the ends of such edges tremble
 LARGEST_SHARES = 0.8  # limit of the shares of `Solver.viscosity` over the four neighbours: stable below 1
 
 
@@ -58,6 +60,9 @@ def make_solver(settings: SimulationConfig, topology: Topology) -> Solver:
         "time_step": dt,
         "stretch_u": compliance(material.stretch_stiffness * ratio),
         "stretch_v": compliance(material.stretch_stiffness / ratio),
+        "chord_u": compliance(material.stretch_stiffness * ratio * CHORD_STIFFNESS),
+        "chord_v": compliance(material.stretch_stiffness / ratio * CHORD_STIFFNESS),
+        "shortest_chord": SHORTEST_CHORD,
         "shear_compliance": compliance((ratio + 1 / ratio) * material.shear_stiffness),  # one of the diagonals resists
         "diagonal_shortest": 0.3 * diagonal * along_u,
         "diagonal_longest": (1 + sheared * np.sin(material.shear_limit)) ** 0.5 * diagonal * along_u,
@@ -145,7 +150,11 @@ def make_state(worlds: int, shape: Shape, device: str) -> State:
 def flat_state(settings: SimulationConfig, topology: Topology | None = None) -> Float[np.ndarray, "u v 3"]:
     """Return the flat cloth on the table, in metres; z is half the thickness, as vertices lie in the middle of it."""
     topology = topology or settings.topology
-    halves = [settings.cloth_side * (length / CLOTH_LENGTH) / 2 for length in topology.sides]
-    along_u, along_v = (np.linspace(-h, h, n) for h, n in zip(halves, topology.shape, strict=True))
-    x, y = np.meshgrid(along_u, along_v, indexing="ij")
-    return np.stack([x, y, np.full_like(x, settings.material.thickness / 2)], axis=-1).astype(np.float32)
+    xy = flat_grid(topology.shape, settings.sides(topology))
+    return np.concatenate([xy, np.full((*topology.shape, 1), settings.material.thickness / 2, np.float32)], axis=-1)
+
+
+def flat_grid(shape: Shape, sides: tuple[float, float]) -> Float[np.ndarray, "u v 2"]:
+    """Return the vertices xy of a centred flat cloth with the given sides, in their unit."""
+    along_u, along_v = (np.linspace(-side / 2, side / 2, n) for side, n in zip(sides, shape, strict=True))
+    return np.stack(np.meshgrid(along_u, along_v, indexing="ij"), axis=-1).astype(np.float32)

@@ -95,11 +95,13 @@ class Worlds:
         States are in metres, in the world frame, float32. All contacts are computed from the initial state, so the same
         arguments give the same outcome to the last bit, independently of earlier calls and of the other worlds. For a
         world whose budget of steps is spent, the state at that time is returned. Raises ValueError for more states than
-        worlds.
+        worlds, and for states of another number of vertices.
         """
         worlds = len(states)
         if worlds > self.count:
             raise ValueError(f"{worlds} states for {self.count} worlds")
+        if states.shape[1:3] != self.topology.shape:
+            raise ValueError(f"states of {states.shape[1:3]} vertices for worlds of {self.topology.shape}")
         if worlds == 0:
             return Outcome(states, *(np.zeros(0, kind) for kind in (bool, np.float32, np.float32, bool)))
         self.begin(states, motion)

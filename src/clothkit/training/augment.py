@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray, Shaped
 
-from clothkit.cloth.symmetry import relabel_batch, relabel_manipulation_batch
+from clothkit.cloth.symmetry import relabel_batch, relabel_cloth, relabel_manipulation_batch
 from clothkit.cloth.topology import SQUARE
 from clothkit.manipulation.turns import planar, turn, turn_manipulation, turn_mesh
 from clothkit.manipulation.vector import swap_grasps
@@ -30,6 +30,8 @@ class Examples(NamedTuple):
     """The state after each manipulation, centred."""
     shifts: Float[Array, "batch n 2"]
     """The displacement of the cloth's centre by each manipulation."""
+    cloth: Float[Array, "batch 3"]
+    """Sides and thickness, in the labels of the first state."""
 
 
 def random_turns(batch: int, *, key: PRNGKeyArray) -> Float[Array, "batch 2 2"]:
@@ -47,6 +49,7 @@ def turned(examples: Examples, matrices: Float[Array, "batch 2 2"]) -> Examples:
         manipulations=turn_manipulation(examples.manipulations, per_step),
         outcomes=turn_mesh(examples.outcomes, per_step),
         shifts=jnp.sum(per_step * examples.shifts[..., None, :], axis=-1),
+        cloth=examples.cloth,
     )
 
 
@@ -57,18 +60,20 @@ def relabelled(examples: Examples, k: Array) -> Examples:
         manipulations=relabel_manipulation_batch(examples.manipulations, k),
         outcomes=relabel_batch(examples.outcomes, k),
         shifts=examples.shifts,
+        cloth=relabel_cloth(examples.cloth, k),
     )
 
 
 def described(examples: Examples, description: Description) -> Examples:
     """The examples, each transformed to the canonical description of its first state."""
-    found = description.frame(examples.state)
+    found = description.frame(examples.state, examples.cloth)
     per_step = jax.tree.map(lambda part: jnp.repeat(part[:, None], examples.shifts.shape[1], axis=1), found)
     return Examples(
         state=description.state(examples.state, found),
         manipulations=description.manipulation(examples.manipulations, per_step),
         outcomes=description.state(examples.outcomes, per_step),
         shifts=turn(examples.shifts, per_step.matrix),
+        cloth=relabel_cloth(examples.cloth, found.k),
     )
 
 

@@ -34,6 +34,7 @@ def voxelised(examples: Examples, *, noise: float, noise_z: float, key: PRNGKeyA
         manipulations=cartesian(before, examples.manipulations),
         outcomes=voxels.observe(examples.outcomes),
         shifts=examples.shifts,
+        cloth=examples.cloth,
     )
 
 
@@ -87,6 +88,7 @@ def task_differences(model: ForwardModel, params: PyTree, data: Sequences) -> Fl
             manipulations=cartesian(data.vertices[:, start:STEPS], data.manipulation[:, start:]),
             outcomes=seen[:, start + 1 :],
             shifts=data.centre[:, start + 1 :] - data.centre[:, start:-1],
+            cloth=data.cloth,
         )
         learner, examples = as_shown(model, examples)
         logits, _ = predict(learner, params, examples.state, examples.manipulations, unroll=True)

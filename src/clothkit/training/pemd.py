@@ -30,6 +30,7 @@ class Sequences(NamedTuple):
     centre: Float[Array, "sequences 4 2"]
     manipulation: Float[Array, "sequences 3 6"]
     length: Int[Array, " sequences"]
+    cloth: Float[Array, "sequences 3"]
     at_least: Int[Array, " lengths"]
     """at_least[n]: number of sequences with n manipulations or more."""
 
@@ -43,6 +44,7 @@ def sequences(dataset: Dataset) -> Sequences:
         centre=jnp.asarray(dataset.centre[order]),
         manipulation=jnp.asarray(dataset.manipulation[order]),
         length=jnp.asarray(dataset.length[order].astype(np.int32)),
+        cloth=jnp.asarray(dataset.cloth[order]),
         at_least=jnp.array(at_least),
     )
 
@@ -63,6 +65,7 @@ def draw(data: Sequences, n: int, batch: int, *, key: PRNGKeyArray) -> Examples:
         manipulations=data.manipulation[sequence[:, None], states[:, :-1]],
         outcomes=vertices[:, 1:],
         shifts=centre[:, 1:] - centre[:, :-1],
+        cloth=data.cloth[sequence],
     )
 
 
@@ -80,7 +83,7 @@ def losses(
     loss_s, eq. (8), is `held_nll` with that `hold`, summed over the steps and averaged over the batch. loss_p is the
     mean squared error of the centre shifts [normalised squared].
     """
-    predicted, found = predict(model, params, examples.state, examples.manipulations, unroll=True)
+    predicted, found = predict(model, params, examples.state, examples.manipulations, cloth=examples.cloth, unroll=True)
     loss_s = jnp.mean(jnp.sum(held_nll(jnp.moveaxis(examples.outcomes, 1, 0), predicted, hold), axis=0))
     return loss_s, loss_position(found, examples)
 
@@ -116,10 +119,14 @@ def task_errors(model: ForwardModel, params: PyTree, data: Sequences) -> Float[A
             manipulations=data.manipulation[:, start:],
             outcomes=data.vertices[:, start + 1 :],
             shifts=data.centre[:, start + 1 :] - data.centre[:, start:-1],
+            cloth=data.cloth,
         )
         learner, examples = as_shown(model, examples)
-        predicted, _ = predict(learner, params, examples.state, examples.manipulations, unroll=True)
-        for i, error in enumerate(meshes.error(predicted.mean, jnp.moveaxis(examples.outcomes, 1, 0))):
+        predicted, _ = predict(
+            learner, params, examples.state, examples.manipulations, cloth=examples.cloth, unroll=True
+        )
+        truth = jnp.moveaxis(examples.outcomes, 1, 0)
+        for i, error in enumerate(meshes.error(predicted.mean, truth, cloth=examples.cloth)):
             errors[start, i + 1] = error
     return jnp.stack([errors[task] for task in TASKS])
 

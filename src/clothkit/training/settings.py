@@ -62,6 +62,24 @@ class TrainPEMDConfig:
 
 
 @config
+class CameraNoise:
+    """What a depth camera does to the points from which VtM's training inputs are made; each example draws its own."""
+
+    noise: NotNegative = 0.005
+    """Standard deviation of each point in x, y and z [normalised]."""
+    bias: NotNegative = 0.004
+    """Standard deviation of the height of all points of an example [normalised]: the table's plane is found, too."""
+    holes: Annotated[int, Ge(0), Le(16)] = 3
+    """Largest number of round holes."""
+    radius: NotNegative = 0.12
+    """Largest radius of a hole [normalised]."""
+    missing: Share = 0.3
+    """Largest share of points that are missing one by one."""
+    shift: NotNegative = 0.02
+    """Standard deviation in x and y of the centre that is observed [normalised]; the mesh is learnt from there, too."""
+
+
+@config
 class TrainVtMConfig:
     """Settings of VtM and its training."""
 
@@ -71,6 +89,8 @@ class TrainVtMConfig:
     """Standard deviation of the noise on the input's points in x and y [normalised]; 0 also omits the duplication."""
     noise_z_factor: NotNegative = 1.0
     """The noise in z as a multiple of that in x and y (design 6.14)."""
+    camera: CameraNoise | None = None
+    """A depth camera's noise, in place of that of `noise`."""
     hold: Share = 0.0
     """Extra weight of uncertain coordinates in the likelihood, 0 (none) to 1 (likelihood.py); for both recipes."""
     flat: Share = 0.05

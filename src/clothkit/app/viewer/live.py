@@ -28,6 +28,7 @@ from clothkit.planning.perception import Estimation
 from clothkit.planning.planner import Planner
 from clothkit.planning.types import Memory, Observation, Plan
 from clothkit.runtime.errors import InputError
+from clothkit.simulation.cloths import simulated_cloths
 from clothkit.simulation.executor import execute
 
 
@@ -70,9 +71,9 @@ def begin(
     system, observation = planner.system, observation_of(planner, start, data, settings)
     truth, mesh = mesh_of(start), mesh_of(goal)
     if truth is None and system.voxels:
-        truth = np.asarray(estimate_mesh(load_vtm(data, settings), start, settings).mesh[0])
+        truth = np.asarray(estimate_mesh(load_vtm(data), start, settings).mesh[0])
     target = goal_of(system, goal, data, settings)
-    memory = plans.begin(planner, target, length)
+    memory = plans.begin(planner, target, length, start.cloth)
     estimate = estimate_state(planner, observation, memory)
     if truth is None:
         truth = estimate.state
@@ -86,8 +87,9 @@ def estimate_state(planner: Planner, observation: Observation, memory: Memory) -
     states, points = agent.perceive(planner, observation, memory)
     sigma, perception = None, planner.perception
     if isinstance(perception, Estimation) and perception.refine and observation.voxels is not None:
-        expected = memory.expected if memory.planned[0] else None
-        sigma = np.asarray(estimate_probabilistic(perception.vtm, observation.voxels, expected).std[0])
+        # Of several hypotheses, that which the state was refined from is the nearest one.
+        found = estimate_probabilistic(perception.vtm, observation.voxels, states, cloth=memory.cloth)
+        sigma = np.asarray(found.std[0])
     return StateEstimate(states[0], sigma, points[0][np.isfinite(points[0]).all(-1)])
 
 
@@ -148,7 +150,7 @@ def perform(live: Live) -> Live:
     session = live.session._replace(states=(*live.session.states, truth), steps=_noted(live, null, truth))
     if not session.over:
         if not null:
-            source = _observe(truth, centre, live.settings)
+            source = _observe(truth, centre, live)
             observation = observation_of(live.planner, source, live.data, live.settings)
             estimate = estimate_state(live.planner, observation, memory)
         session = session._replace(steps=(*session.steps, matched(Step(estimate), truth)))
@@ -173,13 +175,16 @@ def _simulated(live: Live, manipulation: Float[np.ndarray, "6"]) -> tuple[Mesh, 
         (places + live.centre).astype(np.float32),
         manipulation[None, 4:],
         np.asarray(is_single(manipulation[None])),
+        simulated_cloths(live.memory.cloth, live.settings.simulation),
     )[0]
     if not np.isfinite(outcome).all():
         raise InputError("session: the manipulation has an outcome that is not finite")
     return centred(outcome)
 
 
-def _observe(truth: Mesh, centre: Float[np.ndarray, "2"], settings: Settings) -> Input:
+def _observe(truth: Mesh, centre: Float[np.ndarray, "2"], live: Live) -> Input:
     """Observe the simulated cloth as a camera would."""
-    state = MeshState(truth, centre, settings.app.side / CLOTH_LENGTH)
-    return Input("simulation", state, observe(state, cloth_side=settings.app.side, settings=settings.app.cloud))
+    settings = live.settings.app
+    state = MeshState(truth, centre, settings.side / CLOTH_LENGTH)
+    observation = observe(state, cloth_side=settings.side, settings=settings.cloud)
+    return Input("simulation", state, observation, live.memory.cloth[0])

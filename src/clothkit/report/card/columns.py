@@ -25,7 +25,7 @@ _SEQUENCE = ("", "number of the sequence")
 MEANINGS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     "states": {
         "sequence": _SEQUENCE,
-        "state": ("", "0 is the flat cloth, k the cloth at rest after k manipulations"),
+        "state": ("", "0 is the first one, k the cloth at rest after k manipulations"),
         "topology": ("", "which row of `topologies.parquet` the vertices belong to"),
         "vertices": ("m", "x y z of each vertex in turn, world frame: `reshape(-1, 3)`"),
         **_QUALITY,
@@ -53,7 +53,7 @@ MEANINGS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "seed": ("", "of the whole run's random numbers"),
         "accepted": ("", "whether it became a sequence of the dataset"),
         "reason": ("", "the first check that it failed; empty when accepted"),
-        "states": ("count", "states that it reached, with the flat one and the one that was rejected"),
+        "states": ("count", "states that it reached, with the first one and the one that was rejected"),
         "area": ("flat cloth's", "of the silhouette, per state; 0 where there is none"),
         "folds": ("count", "connected creases, per state; 0 where there is none"),
         **{name: (unit, f"per state: {meaning}; NaN if not reached") for name, (unit, meaning) in _QUALITY.items()},
@@ -66,6 +66,20 @@ MEANINGS: Mapping[str, Mapping[str, tuple[str, str]]] = {
             "",
             "three vertex numbers of each triangle in turn, counter-clockwise on the flat cloth: `reshape(-1, 3)`",
         ),
+    },
+    "cloths.parquet": {
+        "sequence": _SEQUENCE,
+        "start": ("", "how the cloth came to lie as it did at first: flat, dragged or dropped"),
+        "side_u": ("m", "of the flat cloth, along u"),
+        "side_v": ("m", "and along v"),
+        "thickness": ("m", "distance of touching layers"),
+        "density": ("kg/m^2", "mass per area"),
+        "stretch_stiffness": ("N/m", "tension per strain along the threads"),
+        "shear_stiffness": ("N/m", "shear force per length and angle"),
+        "bending_stiffness": ("N m", "moment per width and curvature"),
+        "bending_limit": ("1/m", "curvature beyond which the moment no longer grows"),
+        "cloth_friction": ("", "coefficient, of the cloth on itself"),
+        "table_friction": ("", "coefficient, on the table"),
     },
 }
 

@@ -33,7 +33,7 @@ _ATTEMPTS = ("accepted", "reason", "states")
 
 _SOURCE = ("source", "runs")
 
-PARTS = ("states", "manipulations.parquet", "attempts.parquet", "topologies.parquet")
+PARTS = ("states", "manipulations.parquet", "attempts.parquet", "topologies.parquet", "cloths.parquet")
 
 
 @dataclass(frozen=True)

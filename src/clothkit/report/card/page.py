@@ -63,6 +63,7 @@ _FILES = {
     "manipulations.parquet": "`manipulations.parquet`: a row per manipulation",
     "attempts.parquet": "`attempts.parquet`: a row per tried sequence, accepted or not",
     "topologies.parquet": "`topologies.parquet`: a row per triangulation of the cloth",
+    "cloths.parquet": "`cloths.parquet`: a row per sequence, its cloth",
 }
 
 

@@ -209,19 +209,30 @@ def sort_pairs(solver: Solver, state: State, w: int, count: int):
         state.cell[w, e] = start - state.cell[w, e]
     for k in range(count):
         e = state.found[w, k, 0]
-        g = state.found[w, k, 1]
         place = state.cell[w, e]
         state.cell[w, e] = place + 1
-        while place > 0 and state.pair[w, place - 1, 0] == e and state.pair[w, place - 1, 1] > g:
-            state.pair[w, place, 0] = e
-            state.pair[w, place, 1] = state.pair[w, place - 1, 1]
-            state.pair[w, place, 2] = state.pair[w, place - 1, 2]
-            state.pair_gap[w, place] = state.pair_gap[w, place - 1]
-            place -= 1
         state.pair[w, place, 0] = e
-        state.pair[w, place, 1] = g
+        state.pair[w, place, 1] = state.found[w, k, 1]
         state.pair[w, place, 2] = state.found[w, k, 2]
         state.pair_gap[w, place] = state.found_gap[w, k]
+    # Only now: before all are placed, places of other edges hold pairs of an earlier list.
+    first = int(0)
+    for e in range(edges):
+        end = state.cell[w, e]
+        for k in range(first + 1, end):
+            g = state.pair[w, k, 1]
+            side = state.pair[w, k, 2]
+            gap = state.pair_gap[w, k]
+            place = int(k)
+            while place > first and state.pair[w, wp.max(place - 1, 0), 1] > g:
+                state.pair[w, place, 1] = state.pair[w, place - 1, 1]
+                state.pair[w, place, 2] = state.pair[w, place - 1, 2]
+                state.pair_gap[w, place] = state.pair_gap[w, place - 1]
+                place -= 1
+            state.pair[w, place, 1] = g
+            state.pair[w, place, 2] = side
+            state.pair_gap[w, place] = gap
+        first = end
     state.pairs[w] = count
 
 

@@ -24,6 +24,43 @@ def keep_distance(x: Vectors, free: Floats, i: int, j: int, rest: float, complia
 
 
 @wp.func
+def keep_edge(
+    solver: Solver,
+    x: Vectors,
+    previous: Vectors,
+    free: Floats,
+    before: int,
+    stride: int,
+    rest: float,
+    compliance: float,
+    chord_compliance: float,
+):
+    """Keep the ends of a grid edge at its length `rest`, in metres, or let it be the chord of a bent thread.
+
+    `before` is the vertex before the edge on its grid line, whose vertices are `stride` apart. If the line turns by an
+    angle from the edge before to the edge after this one, and does so within it, as where a fold runs between two
+    vertices, its ends are as near as cos(angle / 2) times its length. If edges could not be so short, those in a fold
+    would stand upright or lean to either side: folds would be tall and wavy, and lock at an angle to the grid.
+    """
+    i = before + stride
+    j = i + stride
+    wi = free[i]
+    wj = free[j]
+    xi = x[i]
+    xj = x[j]
+    d = xj - xi
+    length = wp.length(d)
+    if length < rest:
+        turn = wp.dot(previous[i] - previous[before], previous[j + stride] - previous[j]) / (rest * rest)
+        chord = wp.sqrt(wp.clamp(0.5 + 0.5 * turn, solver.shortest_chord * solver.shortest_chord, 1.0))
+        rest = wp.max(length, chord * rest)
+        compliance = chord_compliance
+    s = (length - rest) / ((wi + wj + compliance) * length + 1.0e-12)
+    x[i] = xi + d * (wi * s)
+    x[j] = xj - d * (wj * s)
+
+
+@wp.func
 def bend(settings: Bend, x: Vectors, previous: Vectors, free: Floats, i: int, j: int, k: int):
     """Apply the bending constraint of three successive vertices i, j, k of a grid line.
 
@@ -142,6 +179,7 @@ def solve_shear(solver: Solver, state: State, w: int, lane: int, lanes: int):
 def solve_stretch(solver: Solver, state: State, w: int, lane: int, lanes: int):
     """Solve the distance constraints of all grid edges, in two colours per direction."""
     x = state.position[w]
+    previous = state.previous[w]
     free = state.free[w]
     rows = solver.rows
     n = solver.columns
@@ -150,13 +188,21 @@ def solve_stretch(solver: Solver, state: State, w: int, lane: int, lanes: int):
     row0 = lane / width
     column0 = lane % width
     for colour in range(2):
+        rest = solver.spacing_u
         for i in range(row0 * 2 + colour, rows - 1, lines * 2):
             for j in range(column0, n, width):
                 a = i * n + j
-                keep_distance(x, free, a, a + n, solver.spacing_u, solver.stretch_u)
+                if i > 0 and i < rows - 2:
+                    keep_edge(solver, x, previous, free, a - n, n, rest, solver.stretch_u, solver.chord_u)
+                else:
+                    keep_distance(x, free, a, a + n, rest, solver.stretch_u)
         synchronise()
+        rest = solver.spacing_v
         for i in range(row0, rows, lines):
             for j in range(column0 * 2 + colour, n - 1, width * 2):
                 a = i * n + j
-                keep_distance(x, free, a, a + 1, solver.spacing_v, solver.stretch_v)
+                if j > 0 and j < n - 2:
+                    keep_edge(solver, x, previous, free, a - 1, 1, rest, solver.stretch_v, solver.chord_v)
+                else:
+                    keep_distance(x, free, a, a + 1, rest, solver.stretch_v)
         synchronise()

@@ -61,6 +61,9 @@ class Solver:
 
     stretch_u: float  # 1, compliances of edges along u and along v
     stretch_v: float  # 1
+    chord_u: float  # 1, the same for edges that are shorter than the least chord of a bent thread
+    chord_v: float  # 1
+    shortest_chord: float  # 1, of an edge's length
     shear_compliance: float  # 1
     diagonal_shortest: float  # m, diagonals are limited to this range
     diagonal_longest: float  # m

@@ -1,0 +1,87 @@
+"""Variation of the simulated world: what each sequence draws of its cloth, of the friction and of its start.
+
+The longer side of every cloth is `SimulationConfig.cloth_side`. A cloth of another size behaves like one of that side
+whose thickness, and whose bending stiffness per weight, are scaled to it: they decide how it bends under its own
+weight, by (bending stiffness / (density g))^(1/3), a length. So ranges of these two cover cloths of all sizes.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from clothkit.cloth.topology import CLOTH_LENGTH, Topology
+from clothkit.simulation.cloths import topology_of, with_material
+from clothkit.simulation.kernels.state import PATH
+from clothkit.simulation.settings import DRAWN, LEAST_SPACING, STARTS, SimulationConfig, Start, Starts, VariationConfig
+from clothkit.simulation.solver import flat_state
+from clothkit.simulation.world import Motion
+
+STREAM = 1
+"""Number of the stream of random numbers for variation, so that manipulations are drawn from another one."""
+
+
+class Drawn(NamedTuple):
+    """The world of one sequence."""
+
+    simulation: SimulationConfig
+    topology: Topology
+    start: Start
+
+
+def draw(simulation: SimulationConfig, variation: VariationConfig, *, seed: int, number: int) -> Drawn:
+    """The world of an attempt, which depends on the seed and its number alone."""
+    rng = np.random.default_rng([seed, number, STREAM])
+    sides = (CLOTH_LENGTH, CLOTH_LENGTH)
+    if rng.random() >= variation.squares:
+        sides = (CLOTH_LENGTH, _rounded(CLOTH_LENGTH / _between(rng, variation.ratio)))
+    topology = topology_of(simulation.side, sides)
+    # A little less, so that rounding does not make it too thick.
+    thickest = 0.999 * min(simulation.spacing(topology)) / LEAST_SPACING
+    values = {}
+    for name in DRAWN:
+        if (limits := getattr(variation, name)) is not None:
+            values[name] = _between(
+                rng, (min(limits[0], thickest), min(limits[1], thickest)) if name == "thickness" else limits
+            )
+    shares = np.array([getattr(variation.starts, start) for start in STARTS])
+    start = STARTS[int(rng.choice(len(STARTS), p=shares / shares.sum()))]
+    return Drawn(with_material(simulation, values), topology, start)
+
+
+def opening(drawn: Drawn, starts: Starts, *, seed: int, number: int) -> Motion | None:
+    """The motion that brings the flat cloth to its start, or None if it begins flat. One hand holds any vertex.
+
+    Dragged: the hand is lifted a little, and moves in a straight line in any direction. Dropped: it is lifted and lets
+    the cloth fall.
+    """
+    if drawn.start == "flat":
+        return None
+    rng = np.random.default_rng([seed, number, STREAM + 1])
+    settings, flat = drawn.simulation, flat_state(drawn.simulation, drawn.topology).reshape(-1, 3)
+    vertex = int(rng.integers(len(flat)))
+    turn = rng.uniform(0, 2 * np.pi)
+    along = np.array([np.cos(turn), np.sin(turn), 0.0])
+    up = np.array([0.0, 0.0, 1.0])
+    if drawn.start == "dragged":
+        lift = 2 * settings.material.thickness + 0.02 * settings.cloth_side
+        corners = np.stack([0 * up, lift * up, lift * up + settings.cloth_side * _between(rng, starts.drag) * along])
+    else:
+        height = settings.cloth_side * _between(rng, starts.drop)
+        corners = np.stack([0 * up, height * up + 0.2 * height * rng.random() * along])
+    far = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=-1))])
+    time = np.linspace(0, 1, int(PATH))
+    place = (time**2 * (3 - 2 * time)) * far[-1]
+    offset = np.stack([np.interp(place, far, corners[:, axis]) for axis in range(3)], axis=-1)
+    path = flat[vertex] + np.stack([offset, offset])
+    held = np.array([[[vertex], [-1]]])
+    return Motion(held, path[None], np.array([max(far[-1] / settings.hand_speed, settings.shortest_move)]))
+
+
+def _between(rng: np.random.Generator, limits: tuple[float, float]) -> float:
+    return _rounded(math.exp(rng.uniform(math.log(limits[0]), math.log(limits[1]))))
+
+
+def _rounded(value: float) -> float:
+    """The value as a dataset records it, so that its world can be built again to the last bit."""
+    return float(np.float32(value))
