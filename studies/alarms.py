@@ -8,7 +8,7 @@ T-shirt             instead of the cloth, a T-shirt of its size, flat or folded 
 two cloths          beside and partly on the cloth another state
 hand                a hand and its arm reach in, 3 to 8 cm above the table, over the cloth or beside it
 thicker             all heights times 3, of a cloth whose thickness is told as it was
-far thicker         all heights times 3, of a cloth whose thickness is told as what it is
+thicker, told       all heights times 3, of a cloth whose thickness is told as what it is
 
 A row per scene and state goes to reports/<scale>/studies/alarms.csv: agreement of silhouettes and of heights,
 strangeness, whether the cloth is known, and whether an alarm is raised. The shares of alarms, with 95 % Wilson
@@ -114,7 +114,7 @@ def scenes(truth: Float[np.ndarray, "states u v 3"], cloth: Float[np.ndarray, "s
         "two cloths": lambda i, rng: (two(i, rng), cloth[i]),
         "hand": lambda i, rng: (np.concatenate([of_mesh(truth[i]), hand(of_mesh(truth[i]), rng)]), cloth[i]),
         "thicker": lambda i, rng: (of_mesh(truth[i]) * thicker, cloth[i]),
-        "far thicker": lambda i, rng: (of_mesh(truth[i]) * thicker, cloth[i] * thicker),
+        "thicker, told": lambda i, rng: (of_mesh(truth[i]) * thicker, cloth[i] * thicker),
     }
 
 

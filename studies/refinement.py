@@ -66,7 +66,7 @@ def main() -> None:
                 return estimate_unrefined(net, voxels, cloth=cloth)
             return estimate(net, voxels, settings, cloth=cloth).mesh
 
-        refined(seen[:BATCH], cloth[:BATCH])  # It compiles.
+        in_batches(refined, BATCH, seen[:1], cloth[:1])  # A padded batch, which compiles.
         started = time.process_time()
         mesh: Float[np.ndarray, "states u v 3"] = in_batches(refined, BATCH, seen, cloth)
         milliseconds = 1e3 * (time.process_time() - started) / (-(-len(seen) // BATCH) * BATCH)
