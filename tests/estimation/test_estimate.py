@@ -1,17 +1,23 @@
 """Estimates take the labels of the prediction that they are refined from (design 6.10)."""
 
+from unittest import mock
+
 import jax
+import jax.numpy as jnp
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.cloth.symmetry import equivalents, relabel
 from clothkit.cloth.topology import SQUARE, rectangle
-from clothkit.estimation.estimate import estimate, estimate_unrefined, labelled_like
+from clothkit.estimation import estimate as module
+from clothkit.estimation.estimate import alternatives, estimate, estimate_unrefined, labelled_like
 from clothkit.estimation.refine import RefineConfig
+from clothkit.models.hypotheses import Hypotheses
 from clothkit.models.net import Net
-from clothkit.models.vtm import VtMConfig, initial
+from clothkit.models.vtm import VtMConfig, initial, seen_by
 
 
 def lopsided() -> np.ndarray:
@@ -61,3 +67,46 @@ def test_labels_are_among_the_cloths_own_symmetries() -> None:
     swapped = ProbabilisticMesh(mesh.swapaxes(1, 2), std)
     found = np.asarray(labelled_like(swapped, mesh, topology).mean)
     assert not any(np.allclose(found, np.asarray(m), atol=1e-3) for m in np.asarray(equivalents(mesh, topology)))
+
+
+def quarter(mirrored: bool) -> np.ndarray:
+    """A cloth of which a quarter is folded over at one side, or at the other."""
+    mesh = SQUARE.flat().copy()
+    over = mesh[..., 0] > 0.35
+    mesh[..., 0] = np.where(over, 0.7 - mesh[..., 0], mesh[..., 0])
+    mesh[..., 2] = np.where(over, 0.02, 0.0)
+    return mesh * np.float32([-1, 1, 1]) if mirrored else mesh
+
+
+def two_shapes(*_: object) -> Hypotheses:
+    """What a net answers that takes two shapes for about as probable, for one observation."""
+    mean = jnp.asarray(np.stack([quarter(False), quarter(True)])[None])
+    return Hypotheses(ProbabilisticMesh(mean, jnp.full(mean.shape, 0.01)), jnp.array([[0.6, 0.4]]))
+
+
+def test_a_shape_that_explains_the_voxels_gains_probability() -> None:
+    config = VtMConfig(hidden=4, hypotheses=2)
+    net = Net(config, initial(config, key=jax.random.key(0)))
+    with mock.patch.object(module, "_vtm", two_shapes):
+        for mirrored in (False, True):
+            seen = np.asarray(seen_by(net, quarter(mirrored)[None]))
+            found, mesh = alternatives(net, seen, RefineConfig(iterations=0))
+            assert found.probability[0, 0] > 0.9
+            assert float(jnp.sum(found.probability)) == pytest.approx(1, abs=1e-6)
+            np.testing.assert_allclose(mesh[0, 0], quarter(mirrored), atol=1e-6)
+            np.testing.assert_allclose(found.mesh.mean[0], mesh[0], atol=1e-6)
+            np.testing.assert_array_equal(estimate(net, seen, RefineConfig(iterations=0)).mesh[0], mesh[0, 0])
+            # Without doubt, it is the net's word alone.
+            first = alternatives(net, seen, RefineConfig(iterations=0, doubt=0.0)).mesh[0, 0]
+            np.testing.assert_allclose(first, quarter(False), atol=1e-6)
+
+
+def test_a_prediction_chooses_among_the_shapes() -> None:
+    config = VtMConfig(hidden=4, hypotheses=2)
+    net = Net(config, initial(config, key=jax.random.key(0)))
+    seen = np.asarray(seen_by(net, quarter(False)[None]))
+    with mock.patch.object(module, "_vtm", two_shapes):
+        for mirrored in (False, True):
+            expected = np.asarray(relabel(quarter(mirrored), 3))[None]
+            found = estimate(net, seen, RefineConfig(iterations=0), predicted=expected)
+            np.testing.assert_allclose(found.probabilistic.mean, expected, atol=1e-6)
