@@ -42,7 +42,7 @@ def main() -> None:
         baseline = record.load(SESSIONS)
         planning = camera_planning.planning(dataset, planner, simulator, baseline, s.params, work=pieces / "sessions")
         end_workers()
-        arrays.save(work / "pictures.zarr", estimation.arrays, s.attributes)
+        arrays.save(work / "pictures.zarr", estimation.arrays, arrays.PICTURES, s.attributes)
         write_rows(work / "estimation.parquet", estimation.rows, s.attributes)
         write_rows(work / "planning.parquet", planning, s.attributes)
         write_rows(work / "comparisons.parquet", camera_planning.comparisons(planning), s.attributes)
