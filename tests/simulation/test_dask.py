@@ -1,0 +1,48 @@
+"""Sequences that a Dask cluster records, of which a worker is killed half-way: the same bytes as on one machine."""
+
+import dataclasses
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from clothkit.simulation.settings import SimulateConfig
+from tests.simulation.test_generation import SETTINGS, contents, record
+
+pytest.importorskip("distributed")
+psutil = pytest.importorskip("psutil")
+
+
+def kill_a_worker(work: Path, killed: list[int]) -> None:
+    """Wait for the first stored block, then kill the process of one worker."""
+    for _ in range(3000):
+        if list(work.glob("block_*.npz")):
+            break
+        time.sleep(0.05)
+    for process in psutil.Process().children(recursive=True):
+        # Dask's worker processes are children of this one, and are spawned.
+        if "spawn_main" in " ".join(process.cmdline()):
+            killed.append(process.pid)
+            process.kill()
+            return
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_a_worker_that_is_lost_changes_no_byte(tmp_path: Path) -> None:
+    settings = dataclasses.replace(SETTINGS, sequences=6)
+    alone = record(tmp_path / "alone", settings)
+    killed: list[int] = []
+    killer = threading.Thread(target=kill_a_worker, args=(tmp_path / "dask/work", killed))
+    killer.start()
+    found = record(tmp_path / "dask", dataclasses.replace(settings, executor="dask", workers=2))
+    killer.join()
+    assert len(killed) == 1
+    assert contents(found) == contents(alone)
+
+
+def test_a_scheduler_without_its_executor_is_a_mistake() -> None:
+    with pytest.raises(ValueError, match="expected executor: dask with it"):
+        SimulateConfig(sequences=1, scheduler="tcp://head:8786")
