@@ -10,8 +10,10 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
+from click.testing import CliRunner
 from ruamel.yaml import YAML
 
+from clothkit.app.cli import cli
 from clothkit.app.export import main
 from clothkit.dataset import store
 from clothkit.dataset.regularise import RegulariseConfig, regularise
@@ -122,6 +124,22 @@ def test_some_sequences_of_raw_artifacts(data: Path, tmp_path: Path) -> None:
         assert pq.read_schema(raw / f"{part}.parquet").metadata[b"clothkit"]
     assert next(config["config_name"] for config in header(tmp_path / "some")["configs"]) == "states"
     assert "**2 sequences**" in (tmp_path / "some/README.md").read_text()
+
+
+def test_some_sequences_of_a_store_come_without_raw_artifacts(data: Path, tmp_path: Path) -> None:
+    """A split without sequences has no file."""
+    whole = store.load(data / "meshes.zarr")
+    chosen = [int(whole.indices(split)[0]) for split in ("test", "train")]
+    words = [word for sequence in chosen for word in ("--sequence", str(sequence))]
+    result = CliRunner().invoke(
+        cli, ["export", str(data / "meshes.zarr"), *words, "--format", "huggingface", "--to", str(tmp_path / "some")]
+    )
+    assert result.exit_code == 0, result.output
+    (only,) = header(tmp_path / "some")["configs"]
+    assert [entry["split"] for entry in only["data_files"]] == ["train", "test"]
+    assert not (tmp_path / "some/data/raw").exists()
+    for split, sequence in zip(("test", "train"), chosen, strict=True):
+        assert pd.read_parquet(tmp_path / f"some/data/meshes/{split}-00000-of-00001.parquet")["sequence"][0] == sequence
 
 
 def test_every_byte_and_every_column_is_described(data: Path) -> None:

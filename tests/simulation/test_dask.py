@@ -32,7 +32,7 @@ def kill_a_worker(work: Path, killed: list[int]) -> None:
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_a_worker_that_is_lost_changes_no_byte(tmp_path: Path) -> None:
-    settings = dataclasses.replace(SETTINGS, sequences=6)
+    settings = dataclasses.replace(SETTINGS, sequences=4)
     alone = record(tmp_path / "alone", settings)
     killed: list[int] = []
     killer = threading.Thread(target=kill_a_worker, args=(tmp_path / "dask/work", killed))

@@ -220,7 +220,8 @@ def _of_pictures(columns: Sequence[pa.ChunkedArray], *, quantiles: bool) -> dict
     counts = np.zeros((3, 256), np.int64)
     for column in columns:
         for png in column:
-            picture = cv2.imdecode(np.frombuffer(png["bytes"].as_py(), np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+            coded = np.frombuffer(png["bytes"].as_py(), np.uint8)
+            picture = np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR))[..., ::-1]
             counts += np.stack([np.bincount(picture[..., k].ravel(), minlength=256) for k in range(3)])
     levels, share = np.arange(256) / 255, counts / counts.sum(1, keepdims=True)
     mean = share @ levels

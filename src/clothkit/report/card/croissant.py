@@ -6,7 +6,7 @@ written here, and reads the files through it.
 
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -147,7 +147,9 @@ def _records(part: str, columns: Any) -> dict[str, Any]:
     }
 
 
-def _field(records: str, column: str, kind: str, row: Mapping[str, Any], source: Mapping[str, Any]) -> dict[str, Any]:
+def _field(
+    records: str, column: str, kind: str, row: Mapping[Hashable, Any], source: Mapping[str, Any]
+) -> dict[str, Any]:
     item = re.sub(r"^(?:large_)?list<(.*)>$", r"\1", kind)
     unit = f" [{row['unit']}]" if row["unit"] else ""
     return {

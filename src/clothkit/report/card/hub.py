@@ -72,7 +72,7 @@ def write_hub(folder: Path, source: Path, sequences: Sequence[int] | None) -> No
         parts += [_of_raw(part) for part in PARTS]
     readme = folder / "README.md"
     card = readme.read_text() if readme.exists() else ""
-    readme.write_text("\n".join(part for part in (_header(parts, count), text or "", card) if part))
+    readme.write_text("\n".join(part for part in (_header(parts, count), text, card) if part))
 
 
 def _write_meshes(folder: Path, dataset: Dataset, chosen: np.ndarray) -> Configuration:
