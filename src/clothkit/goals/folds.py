@@ -76,9 +76,9 @@ class Layout(NamedTuple):
     """Whether any fold moved them."""
 
 
-def plane(topology: Topology, places: Float[np.ndarray, "*points 2"] | tuple[Place, ...]) -> np.ndarray:
+def plane(topology: Topology, places: Float[np.ndarray, "*points 2"]) -> Float[np.ndarray, "*points 2"]:
     """The places [*points 2] in normalised units."""
-    return np.asarray(places, float) * (np.array(topology.sides) / 2)
+    return places.astype(float) * (np.array(topology.sides) / 2)
 
 
 def layout(topology: Topology, folds: Folds, points: Float[np.ndarray, "*points 2"] | None = None) -> Layout:
@@ -87,7 +87,7 @@ def layout(topology: Topology, folds: Folds, points: Float[np.ndarray, "*points 
     moved = np.zeros(xy.shape[:-1], bool)
     for number, fold in enumerate(folds):
         start = layout(topology, folds[:number], np.array(fold.point)).xy
-        way = plane(topology, fold.image) - start
+        way = plane(topology, np.array(fold.image)) - start
         across = (xy - start - way / 2) @ way / (way @ way)
         over = across < -ON_LINE
         xy, moved = np.where(over[..., None], xy - 2 * across[..., None] * way, xy), moved | over
@@ -180,7 +180,10 @@ GOALS = {
         Goal("edges-in", "two opposite edges to the middle line", "FabricFlowNet two sides [3]", _edges_in),
         Goal("one-corner-in", "one corner to the middle", "", _one_corner_in),
         Goal(
-            "opposite-corners-in", "two opposite corners to the middle", "FabricFlowNet opposite corners in [3]", _opposite_corners_in
+            "opposite-corners-in",
+            "two opposite corners to the middle",
+            "FabricFlowNet opposite corners in [3]",
+            _opposite_corners_in,
         ),
         Goal("corners-in", "all four corners to the middle", "Foldsformer all corners inward [2]", _corners_in),
         Goal(
@@ -189,7 +192,12 @@ GOALS = {
             "Foldsformer corners-edges inward [2]",
             _corners_and_edges_in,
         ),
-        Goal("eighth", "half, half again the same way, and half the other way", "three folds, as DaXBench Fold-Cloth-3 [4]", _eighth),
+        Goal(
+            "eighth",
+            "half, half again the same way, and half the other way",
+            "three folds, as DaXBench Fold-Cloth-3 [4]",
+            _eighth,
+        ),
     )
 }
 """All named goals, by name. Of a rectangle, the first fold is across its longer side."""

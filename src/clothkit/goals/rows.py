@@ -8,8 +8,6 @@ from jaxtyping import Float
 
 from clothkit.cloth.silhouette import centred, iou, silhouette
 from clothkit.cloth.symmetry import relabel
-from clothkit.dataset.tables import Column, Rule, Table
-from clothkit.dataset.zarr_store import Declared
 from clothkit.evaluation.arrays import NamedArray
 from clothkit.evaluation.errors import errors, labels_of_truth
 from clothkit.goals.folds import GOALS
@@ -17,54 +15,9 @@ from clothkit.goals.measures import softgym
 from clothkit.goals.outcomes import Outcomes
 from clothkit.goals.problems import Problem
 from clothkit.goals.settings import SOURCE_NAMES, START_NAMES, SYSTEM_OF, SourceName
+from clothkit.goals.tidy import PICTURED, TABLE
 
 Evaluated = list[tuple[SourceName, list[Problem], Outcomes]]
-
-_MEASURES = ("error", "softgym", "iou")
-
-_LENGTH = Column("numbers", 0)
-_MAYBE = Column("numbers", 0, missing=True)
-_SHARE = Column("numbers", 0, 1)
-
-TABLE = Table(
-    {
-        "goal": Column("text", among=tuple(GOALS)),
-        "manipulations": Column("whole numbers", 1),
-        "start": Column("text", among=START_NAMES),
-        "source": Column("text", among=SOURCE_NAMES),
-        "system": Column("text", missing=True),
-        "repeat": Column("whole numbers", 0),
-        "ratio": Column("numbers", 1),
-        "thickness": Column("numbers", 0),
-        "length": Column("whole numbers", 1),
-        "error": _LENGTH,
-        "error_no_action": _LENGTH,
-        "softgym": _MAYBE,
-        "softgym_no_action": _MAYBE,
-        "iou": _SHARE,
-        "iou_no_action": _SHARE,
-        "nulls": Column("whole numbers", 0),
-        "expected": _MAYBE,
-    },
-    keys=("goal", "start", "source", "repeat"),
-    rules=(
-        Rule(("length", "nulls"), lambda rows: rows["nulls"] <= rows["length"], "at most as many nulls as its length"),
-    ),
-)
-"""The schema of data/evaluation/goals.parquet."""
-
-PICTURED = {
-    "goal": Declared("i8", ("example",)),
-    "begins": Declared("i8", ("example",)),
-    "source": Declared("i8", ("example",)),
-    "target": Declared("f4", ("example", "u", "v", "xyz")),
-    "start": Declared("f4", ("example", "u", "v", "xyz")),
-    "outcome": Declared("f4", ("example", "u", "v", "xyz")),
-}
-"""The arrays of data/evaluation/goals.zarr: an example for each goal, start and source of the first repeat.
-
-`goal`, `begins` and `source` are places in GOALS, START_NAMES and SOURCE_NAMES.
-"""
 
 
 def rows(evaluated: Evaluated) -> pd.DataFrame:
@@ -104,10 +57,10 @@ def measured(problem: Problem, mesh: Float[np.ndarray, "u v 3"]) -> dict[str, fl
     here, goal, cloth = centred(mesh)[0], problem.goal, problem.cloths.cloth
     aligned = here - (here - goal).mean((0, 1))
     label = int(labels_of_truth(aligned[None], goal[None], cloth=cloth)[0])
-    relabelled = [np.asarray(relabel(each, label)) for each in (mesh, problem.flat)]
+    outcome, flat = (np.asarray(relabel(each, label)) for each in (mesh, problem.flat))
     return {
         "error": float(errors(here[None], goal[None], aligned=True, cloth=cloth)[0]),
-        "softgym": softgym(*relabelled, problem.topology, GOALS[problem.name].folds(problem.topology)),
+        "softgym": softgym(outcome, flat, problem.topology, GOALS[problem.name].folds(problem.topology)),
         "iou": iou(silhouette(here), silhouette(goal)),
     }
 
