@@ -86,8 +86,8 @@ def layout(topology: Topology, folds: Folds, points: Float[np.ndarray, "*points 
     xy = plane(topology, topology.geodesic() if points is None else points)
     moved = np.zeros(xy.shape[:-1], bool)
     for number, fold in enumerate(folds):
-        start = layout(topology, folds[:number], np.array(fold.point)).xy
-        way = plane(topology, np.array(fold.image)) - start
+        start = layout(topology, folds[:number], np.array(fold.point, float)).xy
+        way = plane(topology, np.array(fold.image, float)) - start
         across = (xy - start - way / 2) @ way / (way @ way)
         over = across < -ON_LINE
         xy, moved = np.where(over[..., None], xy - 2 * across[..., None] * way, xy), moved | over

@@ -4,10 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy import ndimage
 
 from clothkit.cloth.topology import CLOTH_LENGTH, Topology
 from clothkit.goals.folds import Folds, layout, plane
-from clothkit.manipulation.geometry import to_cartesian
 
 FIXED = 1.2
 """Weight of the displacement of what shall stay, as in SoftGym's FoldCloth."""
@@ -55,4 +55,7 @@ def softgym(
 
 
 def _at(mesh: Float[np.ndarray, "u v 3"], uv: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, "points 3"]:
-    return np.asarray(to_cartesian(np.broadcast_to(mesh, (len(uv), *mesh.shape)), uv))
+    """Points of the cloth by bilinear interpolation; in NumPy, since each goal has another number of them."""
+    position = (uv.T + 1) / 2 * (np.array(mesh.shape[:2]) - 1)[:, None]
+    along = [ndimage.map_coordinates(mesh[..., axis], position, order=1, mode="nearest") for axis in range(3)]
+    return np.stack(along, axis=-1)

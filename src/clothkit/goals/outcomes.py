@@ -65,7 +65,7 @@ def outcomes(
         planner, sensor = planners[source]
         return planned(some, for_any_labels(planner), execute, sensor)
 
-    with tqdm(total=sum(len(some) for _, some in groups), desc="goals", unit="problem") as bar:
+    with tqdm(total=sum(len(some) for _, some in groups), desc="plans for goals", unit="problem") as bar:
         finished = resumable_map(
             run, groups, folder=work, name="outcomes", storage=OUTCOMES, bar=bar, count=lambda piece: len(piece.mesh)
         )
