@@ -2,6 +2,7 @@
 
 import dataclasses
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,9 @@ from clothkit.cloth.topology import SQUARE
 from clothkit.dataset import tables
 from clothkit.dataset.rows import write_rows
 from clothkit.dataset.store import papers_cloths
+from clothkit.episodes.record import Tasks
 from clothkit.evaluation import arrays
+from clothkit.goals import outcomes as outcomes_module
 from clothkit.goals import problems as problems_module
 from clothkit.goals.folds import GOALS
 from clothkit.goals.outcomes import Outcomes, for_any_labels, outcomes, planned, scripted
@@ -29,7 +32,6 @@ from clothkit.runtime.errors import InputError
 from clothkit.simulation.cloths import Cloths
 from clothkit.simulation.quality import intersections
 from clothkit.simulation.settings import SimulateConfig, SimulationConfig, VariationConfig
-from tests.episodes.test_sessions import finding
 from tests.goals.test_variants import exact
 from tests.planning import toy
 
@@ -80,13 +82,8 @@ def test_an_outcome_that_is_the_goal_has_no_error_wherever_it_lies_and_in_any_la
 
 
 def test_folded_exactly_in_its_place_softgyms_measure_is_0() -> None:
-    """Whichever half was moved: in the labels of the error."""
     given = problem()
-    there = lay(given.made.states[1], ANGLE) + AT
-    assert measured(given, there)["softgym"] < 0.02
-    # A quarter of the way round, labels are other ones, and the same half lies on the same half.
-    relabelled = np.asarray(relabel(there, 4))
-    assert measured(given, relabelled)["softgym"] < 0.02
+    assert measured(given, lay(given.made.states[1], ANGLE) + AT)["softgym"] < 0.02
 
 
 def test_rows_and_pictures_are_as_declared(tmp_path: Path) -> None:
@@ -129,22 +126,31 @@ def test_the_script_turns_with_the_cloth() -> None:
     np.testing.assert_allclose(found.mesh[0], some[0].flat, atol=1e-6)
 
 
-def test_more_manipulations_than_a_session_has_are_planned_in_two() -> None:
-    executed = []
+def test_more_manipulations_than_a_session_has_are_planned_in_two(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each session moves the cloth by 0.1 per manipulation, and does not execute its first one."""
+    asked = []
 
-    def execute(meshes: np.ndarray, grasps: np.ndarray, moves: np.ndarray, *rest: Any) -> np.ndarray:
-        executed.append(len(meshes))
-        return toy.execute(meshes, grasps, moves, *rest)
+    def run_sessions(tasks: Tasks, planner: Any, execute: Any, *, sensor: Any) -> SimpleNamespace:
+        asked.append(tasks)
+        length = np.array([task.length for task in tasks.task])
+        moved = tasks.centre[:, None] + 0.1 * np.arange(4)[:, None]
+        state = np.repeat(tasks.start[:, None], 4, axis=1)
+        null = np.arange(3) < np.ones((len(length), 1))
+        expected = np.full((len(length), 3), 0.1 * len(asked), np.float32)
+        return SimpleNamespace(length=length, state=state, centre=moved, null=null, expected=expected)
 
+    monkeypatch.setattr(outcomes_module, "run_sessions", run_sessions)
     some = [problem("half"), problem("corners-in")]
-    plan = np.array([[-1, -1, -1, -1, 0.6, 0.5]] * 3, np.float32)
-    with finding(plan):
-        found = planned(some, for_any_labels(toy.planner("b1")), execute, None)
-    # What the null check cancels is executed, too, to know what it would have come to.
-    assert sum(executed) == 5
-    assert len(executed) == 4
-    assert np.isfinite(found.expected).all()
-    assert (found.nulls <= [1, 4]).all()
+    found = planned(some, toy.planner("b1"), toy.execute, None)
+    lengths = [[(task.start, task.length) for task in tasks.task] for tasks in asked]
+    assert lengths == [[(0, 1), (0, 3)], [(3, 1)]]
+    np.testing.assert_allclose(asked[1].centre, asked[0].centre[1:] + 0.3, atol=0.01)
+    moved = (found.mesh - np.stack([each.mesh for each in some])).mean((1, 2))[:, :2]
+    np.testing.assert_allclose(moved, [[0.1, 0.1], [0.4, 0.4]], atol=0.01)
+    assert found.nulls.tolist() == [1, 2]
+    np.testing.assert_allclose(found.expected, 0.1)
+    # Other searches than those of other problems, whichever there are.
+    assert asked[0].task[1].sequence == asked[1].task[0].sequence != asked[0].task[0].sequence
 
 
 def test_goals_are_reached_in_any_labels() -> None:
