@@ -1,7 +1,6 @@
 """Plans for named goals, from true meshes and before a depth camera: `python stages/evaluate_goals.py`."""
 
 import hashlib
-from functools import partial
 from pathlib import Path
 
 from clothkit.dataset.rows import write_rows
@@ -12,11 +11,12 @@ from clothkit.goals.outcomes import Planners, outcomes
 from clothkit.goals.problems import problems
 from clothkit.goals.rows import pictured, rows
 from clothkit.goals.store import WORK
+from clothkit.goals.tidy import PICTURED
 from clothkit.planning.objective import Weights
 from clothkit.planning.planner import artifacts, assemble
 from clothkit.planning.systems import SYSTEMS
 from clothkit.runtime.stage import stage
-from clothkit.simulation.executor import end_workers, execute
+from clothkit.simulation.executor import end_workers, make_simulator
 
 DATA = Path("data")
 OUTS = ("goals.parquet", "goals.zarr")
@@ -39,12 +39,12 @@ def main() -> None:
         )
         sensor = depth_camera(picture_settings(camera, s.params.condition), main_planner.perception)
         found = problems(s.params, simulate, work=pieces, goals=WORK)
-        simulator = partial(execute, settings=simulate.simulation, workers=simulate.workers)
+        simulator = make_simulator(simulate)
         planners: Planners = {"mesh": (mesh_planner, None), "camera": (main_planner, sensor)}
         evaluated = outcomes(found, s.params.sources, planners, simulator, work=pieces)
         end_workers()
         write_rows(work / "goals.parquet", rows(evaluated), s.attributes)
-        arrays.save(work / "goals.zarr", pictured(evaluated), s.attributes)
+        arrays.save(work / "goals.zarr", pictured(evaluated), PICTURED, s.attributes)
         for name in OUTS:
             s.publish(work / name, DATA / "evaluation" / name)
 

@@ -100,7 +100,7 @@ def test_rows_and_pictures_are_as_declared(tmp_path: Path) -> None:
     assert (read["error"][:3] < 1e-3).all()
     assert read["error"][3] == pytest.approx(read["error_no_action"][3])
     assert (read["error_no_action"] > 0.1).all()
-    arrays.save(tmp_path / "goals.zarr", pictured(evaluated), {})
+    arrays.save(tmp_path / "goals.zarr", pictured(evaluated), PICTURED, {})
     shown = arrays.load(tmp_path / "goals.zarr", PICTURED)
     # Of the first repeat alone.
     assert len(shown["goal"]) == 3

@@ -8,7 +8,6 @@ from jaxtyping import Float
 
 from clothkit.cloth.silhouette import centred, iou, silhouette
 from clothkit.cloth.symmetry import relabel
-from clothkit.evaluation.arrays import NamedArray
 from clothkit.evaluation.errors import errors, labels_of_truth
 from clothkit.goals.folds import GOALS
 from clothkit.goals.measures import softgym
@@ -65,7 +64,7 @@ def measured(problem: Problem, mesh: Float[np.ndarray, "u v 3"]) -> dict[str, fl
     }
 
 
-def pictured(evaluated: Evaluated) -> dict[str, NamedArray]:
+def pictured(evaluated: Evaluated) -> dict[str, np.ndarray]:
     """The arrays of PICTURED; meshes are centred."""
     examples = [
         (source, problem, mesh)
@@ -82,7 +81,4 @@ def pictured(evaluated: Evaluated) -> dict[str, NamedArray]:
         "start": np.stack([centred(problem.mesh)[0] for _, problem, _ in examples]),
         "outcome": np.stack([centred(mesh)[0] for _, _, mesh in examples]),
     }
-    return {
-        name: NamedArray(values[name].astype(declared.dtype), declared.dimensions)
-        for name, declared in PICTURED.items()
-    }
+    return {name: values[name].astype(declared.dtype) for name, declared in PICTURED.items()}

@@ -1,5 +1,6 @@
 """What the evaluation of named goals leaves: the schemas of its rows and of its arrays."""
 
+from clothkit.dataset.store import NORMALISED
 from clothkit.dataset.tables import Column, Rule, Table
 from clothkit.dataset.zarr_store import Declared
 from clothkit.goals.folds import GOALS
@@ -40,9 +41,9 @@ PICTURED = {
     "goal": Declared("i8", ("example",)),
     "begins": Declared("i8", ("example",)),
     "source": Declared("i8", ("example",)),
-    "target": Declared("f4", ("example", "u", "v", "xyz")),
-    "start": Declared("f4", ("example", "u", "v", "xyz")),
-    "outcome": Declared("f4", ("example", "u", "v", "xyz")),
+    "target": Declared("f4", ("example", "u", "v", "xyz"), NORMALISED),
+    "start": Declared("f4", ("example", "u", "v", "xyz"), NORMALISED),
+    "outcome": Declared("f4", ("example", "u", "v", "xyz"), NORMALISED),
 }
 """The arrays of data/evaluation/goals.zarr: an example for each goal, start and source of the first repeat.
 

@@ -9,6 +9,7 @@ al., "Accurate uncertainties for deep learning using calibrated regression", ICM
 import dataclasses
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.optimize import minimize
@@ -45,7 +46,7 @@ def _estimate(net: Net, truth: Float[np.ndarray, "batch u v 3"], cloth: Cloth) -
     """Return the absolute errors of the net's means, and its standard deviations."""
     found = vtm.estimate(net, vtm.seen_by(net, truth), cloth)
     nearest = relabel_batch(truth, best_label(found.mean, truth, cloth=cloth))
-    return ProbabilisticMesh(abs(found.mean - nearest), found.std)
+    return ProbabilisticMesh(jnp.abs(jnp.asarray(found.mean) - nearest), found.std)
 
 
 def fit(
