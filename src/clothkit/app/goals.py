@@ -51,13 +51,13 @@ def command(
     They are made of your cloth in the simulator and kept, so that the first call takes minutes and later ones a second.
     NAMEs choose some of them. The cloth's longer side runs along x.
 
-    \\b
+    \b
     clothkit goals --list
     clothkit goals half quarter --sides 0.5 0.3 --thickness 0.004 --out towel.png --meshes towel
     """
     chosen = [named(name) for name in dict.fromkeys(names or GOALS)]
     if only_list:
-        click.echo("\\n".join(line(goal) for goal in chosen))
+        click.echo("\n".join(line(goal) for goal in chosen))
         return
     check_target(out, ("png",))
     settings = load_settings(Path("data"))

@@ -128,7 +128,7 @@ class ObservationOptions(NamedTuple):
     @property
     def topology(self) -> Topology:
         """The grid of a mesh of this cloth."""
-        return topology_of(SQUARE.shape[0], (CLOTH_LENGTH, float(self.cloth[1])))
+        return topology_of(SQUARE.shape[0], (float(self.cloth[0]), float(self.cloth[1])))
 
 
 @dataclasses.dataclass(frozen=True)
