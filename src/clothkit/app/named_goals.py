@@ -52,7 +52,8 @@ def goal_name(goal: str | None, turn: str | None, mirror: bool | None) -> str | 
         if os.path.lexists(goal):
             click.echo(f"notice: --goal {goal}: the named goal is meant, and not the file ./{goal}", err=True)
         return goal
-    if goal is not None and not Path(goal).suffix and not os.path.lexists(goal):
+    # A state of a dataset (data/meshes.zarr:0/1) is no file either.
+    if goal is not None and goal.replace("-", "").isalnum() and not os.path.lexists(goal):
         raise InputError(f"--goal: expected a file or one of {', '.join(GOALS)}, found {goal!r}")
     for name, given in (("turn", turn), ("mirror", mirror)):
         if given is not None:
