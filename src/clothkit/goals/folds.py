@@ -151,12 +151,17 @@ def _corners_and_edges_in(topology: Topology) -> Folds:
 
 
 def _triangle(topology: Topology) -> Folds:
-    """A rectangle's diagonal is no line of symmetry: its corner comes to lie beside the cloth."""
+    """A rectangle's diagonal is no line of symmetry: its corner comes to lie beside the cloth.
+
+    Hands on both edges hold the corner's sides apart: by the corner alone, rough cloth is dragged into creases.
+    """
     along_u, along_v = topology.sides
     # Twice the way from the corner to the diagonal, as a share of the way to the opposite corner for a square.
     share = 4 * along_u * along_v / (along_u**2 + along_v**2)
     image = (-1 + share * along_v / along_u, -1 + share * along_u / along_v)
-    return (Fold(((-1, -1),), point=(-1, -1), image=image),)
+    beside = min(topology.sides) / 2
+    grasps = ((-1 + beside / along_u, -1.0), (-1.0, -1 + beside / along_v))
+    return (Fold(grasps, point=(-1, -1), image=image),)
 
 
 def _double_triangle(topology: Topology) -> Folds:
