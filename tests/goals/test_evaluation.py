@@ -71,19 +71,25 @@ def test_goal_and_flat_cloth_lie_as_the_cloth_lies() -> None:
 def test_an_outcome_that_is_the_goal_has_no_error_wherever_it_lies_and_in_any_labels(k: int) -> None:
     given = problem()
     there = np.asarray(relabel(given.goal, k)) + AT
-    found = measured(given, there)
+    found = measured(given, there, given.flat)
     assert found["error"] == pytest.approx(0, abs=1e-4)
     assert found["iou"] > 0.97
-    moved = measured(given, there + np.array([0.7, 0, 0], np.float32))
+    moved = measured(given, there + np.array([0.7, 0, 0], np.float32), given.flat)
     assert moved["error"] == pytest.approx(0, abs=1e-4)
     # SoftGym's measure counts the way: 1.2 times half a cloth length, all else equal.
-    other = measured(given, there + np.array([1.4, 0, 0], np.float32))
+    other = measured(given, there + np.array([1.4, 0, 0], np.float32), given.flat)
     assert other["softgym"] - moved["softgym"] == pytest.approx(0.6, abs=0.15)
 
 
-def test_folded_exactly_in_its_place_softgyms_measure_is_0() -> None:
+@pytest.mark.parametrize("k", range(8))
+def test_folded_exactly_in_its_place_softgyms_measure_is_0_in_any_labels(k: int) -> None:
     given = problem()
-    assert measured(given, lay(given.made.states[1], ANGLE) + AT)["softgym"] < 0.02
+    given = given._replace(mesh=np.asarray(relabel(given.mesh, k)))
+    np.testing.assert_allclose(given.flattened, given.mesh, atol=0.01)
+    outcome = np.asarray(relabel(lay(given.made.states[1], ANGLE) + AT, k))
+    assert measured(given, outcome, given.flattened)["softgym"] < 0.02
+    # Doing nothing: half the cloth has all its way to go.
+    assert measured(given, given.mesh, given.flattened)["softgym"] == pytest.approx(0.5, abs=0.03)
 
 
 def test_rows_and_pictures_are_as_declared(tmp_path: Path) -> None:

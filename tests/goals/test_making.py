@@ -7,7 +7,8 @@ import pytest
 
 from clothkit.cloth.silhouette import centred, silhouette
 from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE, Topology, rectangle, square
-from clothkit.goals.folds import GOALS, layout
+from clothkit.goals import making
+from clothkit.goals.folds import GOALS, Fold, Goal, layout
 from clothkit.goals.making import Made, careful, make, rigid
 from clothkit.manipulation.vector import is_single
 from clothkit.runtime.errors import InputError
@@ -74,6 +75,20 @@ def test_what_never_rests_is_refused() -> None:
     hasty = dataclasses.replace(COARSE, settling=Settling(longest=0.1))
     with pytest.raises(InputError, match=r"goal half, fold 1: no try left this cloth clean \(not at rest"):
         make(GOALS["half"], COARSE_CLOTH, hasty)
+
+
+def test_what_does_not_come_about_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(making, "MOST", 1e-4)
+    with pytest.raises(InputError, match=r"goal half, fold 1: the closest try is 0.0\d cloth lengths off, expected"):
+        make(GOALS["half"], COARSE_CLOTH, COARSE)
+
+
+def test_other_grasps_are_tried_where_the_first_ones_do_not_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a fold with grasps in the middle of the edge and at its ends, these: they leave no sagging corners."""
+    poor = Fold(((-1.0, 0.0),), (-1.0, 0.0), (1.0, 0.0), others=(((-1.0, -1.0), (-1.0, 1.0)),))
+    goal = Goal("half", "", "", lambda _: (poor,))
+    made = make(goal, COARSE_CLOTH, COARSE)
+    assert made.manipulations[0, :4].tolist() == [-1, -1, -1, 1]
 
 
 def test_hands_are_slow_and_grasp_all_layers() -> None:

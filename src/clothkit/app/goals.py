@@ -1,5 +1,6 @@
 """`clothkit goals`: the named goals, with pictures of how they are folded."""
 
+import re
 from pathlib import Path
 
 import click
@@ -86,6 +87,7 @@ def command(
 
 def line(goal: Goal, error: InputError | None = None) -> str:
     """What is told of a goal."""
-    source = f" ({goal.source})" if goal.source else ""
+    # Without the numbers of its references, which stand in the module.
+    source = re.sub(r"(.+)", r" (\1)", re.sub(r" \[\d\]", "", goal.source))
     told = f"{goal.name:<21} {goal.manipulations}  {goal.summary}{source}"
     return told if error is None else f"{told}; not of this cloth: {error}"

@@ -1,6 +1,7 @@
 """Names in the place of goal files: the goal is made of the user's cloth, and lies as the cloth lies."""
 
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -52,8 +53,8 @@ def goal_name(goal: str | None, turn: str | None, mirror: bool | None) -> str | 
         if os.path.lexists(goal):
             click.echo(f"notice: --goal {goal}: the named goal is meant, and not the file ./{goal}", err=True)
         return goal
-    # A state of a dataset (data/meshes.zarr:0/1) is no file either.
-    if goal is not None and goal.replace("-", "").isalnum() and not os.path.lexists(goal):
+    # Files have an ending, and a dataset's state (data/meshes.zarr:0/1) has more than that.
+    if goal is not None and re.fullmatch(r"[\w-]+", goal):
         raise InputError(f"--goal: expected a file or one of {', '.join(GOALS)}, found {goal!r}")
     for name, given in (("turn", turn), ("mirror", mirror)):
         if given is not None:

@@ -35,15 +35,20 @@ Place = tuple[float, float]
 """A place u, v in the plane in which the flat cloth lay: its geodesic coordinates, beyond -1..1 if beside the cloth."""
 
 
+Grasps = tuple[Place, ...]
+"""The point of the cloth that each hand grasps, with all layers below it; geodesic."""
+
+
 class Fold(NamedTuple):
     """One manipulation: all cloth on the hands' side of a line is mirrored across it."""
 
-    grasps: tuple[Place, ...]
-    """The point of the cloth that each hand grasps, with all layers below it; geodesic."""
+    grasps: Grasps
     point: Place
     """A point of the cloth on the hands' side; geodesic. The line is half way between its place and its image."""
     image: Place
     """Where that point comes to lie."""
+    others: tuple[Grasps, ...] = ()
+    """Other grasps for the same fold, for cloths that crease or curl with the first ones."""
 
 
 Folds = tuple[Fold, ...]
@@ -95,83 +100,85 @@ def layout(topology: Topology, folds: Folds, points: Float[np.ndarray, "*points 
 
 
 def _half(topology: Topology) -> Folds:
-    return (Fold(((-1, -1), (-1, 1)), point=(-1, 0), image=(1, 0)),)
+    return (Fold(((-1.0, -1.0), (-1.0, 1.0)), point=(-1.0, 0.0), image=(1.0, 0.0)),)
 
 
 def _quarter(topology: Topology) -> Folds:
     # Hands that grasped the crease would hold but one of the two layers.
-    return (*_half(topology), Fold(((0.2, -1), (0.8, -1)), point=(0.5, -1), image=(0.5, 1)))
+    return (*_half(topology), Fold(((0.2, -1.0), (0.8, -1.0)), point=(0.5, -1.0), image=(0.5, 1.0)))
 
 
 def _thirds(topology: Topology) -> Folds:
     third = 1 / 3
     return (
-        Fold(((1, -1), (1, 1)), point=(1, 0), image=(-third, 0)),
-        Fold(((-1, -1), (-1, 1)), point=(-1, 0), image=(third, 0)),
+        Fold(((1.0, -1.0), (1.0, 1.0)), point=(1.0, 0.0), image=(-third, 0.0)),
+        Fold(((-1.0, -1.0), (-1.0, 1.0)), point=(-1.0, 0.0), image=(third, 0.0)),
     )
 
 
 def _eighth(topology: Topology) -> Folds:
     return (
         *_half(topology),
-        Fold(((0, -1), (0, 1)), point=(0, 0), image=(1, 0)),
-        Fold(((0.6, -1), (0.9, -1)), point=(0.75, -1), image=(0.75, 1)),
+        Fold(((0.0, -1.0), (0.0, 1.0)), point=(0.0, 0.0), image=(1.0, 0.0)),
+        Fold(((0.6, -1.0), (0.9, -1.0)), point=(0.75, -1.0), image=(0.75, 1.0)),
     )
 
 
 def _edges_in(topology: Topology) -> Folds:
-    return _edge_in(-1), _edge_in(1)
+    return _edge_in(-1.0), _edge_in(1.0)
 
 
-def _edge_in(end: int) -> Fold:
-    return Fold(((end, -1), (end, 1)), point=(end, 0), image=(end * (1 - INWARD), 0))
+def _edge_in(end: float) -> Fold:
+    return Fold(((end, -1.0), (end, 1.0)), point=(end, 0.0), image=(end * (1.0 - INWARD), 0.0))
 
 
-def _corner_in(topology: Topology, u: int, v: int) -> Fold:
+def _corner_in(topology: Topology, u: float, v: float) -> Fold:
     """A corner goes in half way between its edges: to the middle of a square, to the middle line of a rectangle."""
     along_u, along_v = topology.sides
     inward = INWARD * min(topology.sides)
-    return Fold(((u, v),), point=(u, v), image=(u * (1 - inward / along_u), v * (1 - inward / along_v)))
+    return Fold(((u, v),), point=(u, v), image=(u * (1.0 - inward / along_u), v * (1.0 - inward / along_v)))
 
 
 def _one_corner_in(topology: Topology) -> Folds:
-    return (_corner_in(topology, -1, -1),)
+    return (_corner_in(topology, -1.0, -1.0),)
 
 
 def _opposite_corners_in(topology: Topology) -> Folds:
-    return _corner_in(topology, -1, -1), _corner_in(topology, 1, 1)
+    return _corner_in(topology, -1.0, -1.0), _corner_in(topology, 1.0, 1.0)
+
+
+_CORNERS = ((-1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (1.0, -1.0))
 
 
 def _corners_in(topology: Topology) -> Folds:
-    return tuple(_corner_in(topology, u, v) for u, v in ((-1, -1), (1, 1), (-1, 1), (1, -1)))
+    return tuple(_corner_in(topology, u, v) for u, v in _CORNERS)
 
 
 def _corners_and_edges_in(topology: Topology) -> Folds:
-    return _corner_in(topology, -1, -1), _corner_in(topology, -1, 1), _edge_in(1)
+    return _corner_in(topology, -1.0, -1.0), _corner_in(topology, -1.0, 1.0), _edge_in(1.0)
 
 
 def _triangle(topology: Topology) -> Folds:
-    """A rectangle's diagonal is no line of symmetry: its corner comes to lie beside the cloth.
-
-    Hands on both edges hold the corner's sides apart: by the corner alone, rough cloth is dragged into creases.
-    """
+    """A rectangle's diagonal is no line of symmetry: its corner comes to lie beside the cloth."""
     along_u, along_v = topology.sides
     # Twice the way from the corner to the diagonal, as a share of the way to the opposite corner for a square.
     share = 4 * along_u * along_v / (along_u**2 + along_v**2)
-    image = (-1 + share * along_v / along_u, -1 + share * along_u / along_v)
-    beside = min(topology.sides) / 2
-    grasps = ((-1 + beside / along_u, -1.0), (-1.0, -1 + beside / along_v))
-    return (Fold(grasps, point=(-1, -1), image=image),)
+    image = (-1.0 + share * along_v / along_u, -1.0 + share * along_u / along_v)
+    # By its corner alone, rough cloth is dragged into creases; held beside it, the corner of limp cloth curls.
+    beside = [way * min(topology.sides) for way in (1 / 8, 1 / 4, 3 / 8)]
+    others = tuple(((-1.0 + way / along_u, -1.0), (-1.0, -1.0 + way / along_v)) for way in beside)
+    return (Fold(((-1.0, -1.0),), point=(-1.0, -1.0), image=image, others=others),)
 
 
 def _double_triangle(topology: Topology) -> Folds:
     """One end of the diagonal onto the other. Of a rectangle's pentagon, a second corner goes with it."""
     along_u, along_v = topology.sides
-    # At the very end of the diagonal a hand would hold but one of the two layers.
-    grasps: tuple[Place, ...] = ((-0.8, 1.0),)
+    corner: Grasps = ()
     if along_u != along_v:
-        grasps = ((-0.85, 1.0), (-1.0, -1.0) if along_u > along_v else (1.0, 1.0))
-    return (*_triangle(topology), Fold(grasps, point=(-1, 1), image=(1, -1)))
+        corner = ((-1.0, -1.0) if along_u > along_v else (1.0, 1.0),)
+    # At the very end of the diagonal a hand would hold but one of the two layers.
+    first, *others = (((along, 1.0), *corner) for along in (-0.8, -0.85, -0.9))
+    return (*_triangle(topology), Fold(first, point=(-1.0, 1.0), image=(1.0, -1.0), others=tuple(others)))
 
 
 GOALS = {

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from clothkit.cloth.topology import CLOTH_LENGTH, Topology
-from clothkit.goals.folds import Folds, Goal, Layout, layout
+from clothkit.goals.folds import Folds, Goal, Grasps, Layout, layout
 from clothkit.manipulation.geometry import to_cartesian
 from clothkit.manipulation.vector import SHORTEST
 from clothkit.runtime.errors import InputError
@@ -27,7 +27,13 @@ TRIES = 5
 """Most displacements that are tried for a fold."""
 
 CLOSE = 0.005
-"""Distance from its place at which a fold is close enough, along the way of the hands [cloth length]."""
+"""Distance from its place at which what the hands held is close enough, along their way [cloth length]."""
+
+GOOD = 0.01
+"""Distance of the vertices from their places up to which no other grasps are tried, root mean square [cloth length]."""
+
+MOST = 0.06
+"""The same beyond which what came about is not the goal: thick cloth in many layers slides apart."""
 
 LIMITS = Limits(height=2.0)
 """What a clean state keeps to; many layers may lie as high as they do."""
@@ -44,20 +50,21 @@ class Made(NamedTuple):
 def make(goal: Goal, topology: Topology, simulation: SimulationConfig) -> Made:
     """Fold a flat cloth to a goal by hands that grasp all layers.
 
-    Cloth that is let go slides on, so each fold is tried again with another displacement until its hands' points come
-    to lie within CLOSE of their places, or TRIES times; the closest is taken. Raises InputError if a manipulation would
-    be null, or no try leaves the cloth clean: at rest, without intersections, and within LIMITS.
+    Cloth that is let go slides on, so each fold is tried with several displacements, until what the hands held lies
+    within CLOSE of its place, or TRIES times; and with other grasps, if the fold has any, until its vertices lie within
+    GOOD of their places. The fold whose vertices lie nearest is taken. Raises InputError if a manipulation would be
+    null, if no try leaves the cloth clean (at rest, without intersections, and within LIMITS), or its vertices within
+    MOST of their places.
     """
     settings = careful(simulation)
     worlds = Worlds(1, settings, topology)
     folds = goal.folds(topology)
     states, manipulations = [flat_state(settings, topology)], []
-    for number, fold in enumerate(folds):
-        done = folds[: number + 1]
-        mesh, displacement = _folded(worlds, states[-1], topology, done, f"goal {goal.name}, fold {number + 1}")
-        states.append(mesh)
-        first, last = fold.grasps[0], fold.grasps[-1]
-        manipulations.append([*first, *last, *displacement])
+    for number in range(len(folds)):
+        name = f"goal {goal.name}, fold {number + 1}"
+        best = _best_fold(worlds, states[-1], topology, folds[: number + 1], name)
+        states.append(best.mesh)
+        manipulations.append([*best.grasps[0], *best.grasps[-1], *best.displacement])
     scale = CLOTH_LENGTH / settings.cloth_side
     return Made((np.stack(states) * np.float32(scale)).astype(np.float32), np.array(manipulations, np.float32))
 
@@ -67,48 +74,76 @@ def careful(simulation: SimulationConfig) -> SimulationConfig:
     return dataclasses.replace(simulation, grasp="all", hand_speed=min(simulation.hand_speed, CAREFUL))
 
 
-def _folded(
-    worlds: Worlds, state: Float[np.ndarray, "u v 3"], topology: Topology, folds: Folds, name: str
-) -> tuple[Float[np.ndarray, "u v 3"], Float[np.ndarray, "2"]]:
-    """The cloth [m] after the last of the folds, from the state before it, and its displacement [normalised]."""
-    scale = worlds.settings.cloth_side / CLOTH_LENGTH
-    fold, before, after = folds[-1], layout(topology, folds[:-1]), layout(topology, folds)
-    geodesic = np.array(fold.grasps, np.float32)
-    grasps = np.asarray(to_cartesian(np.broadcast_to(state, (len(geodesic), *state.shape)), geodesic), float)[:, :2]
-    images = _placed(layout(topology, folds, geodesic).xy * scale, before, state, scale)
-    way = (images - grasps).mean(0)
-    distance, ahead = float(np.linalg.norm(way)), way / np.linalg.norm(way)
+class _Try(NamedTuple):
+    """A fold as it was tried."""
+
+    grasps: Grasps
+    displacement: Float[np.ndarray, "2"]
+    """Normalised."""
+    mesh: Float[np.ndarray, "u v 3"]
+    """The outcome [m]."""
+    unclean: str
+    """Why it is not clean; empty if it is."""
+    off: float
+    """Distance of the vertices from their places in x and y, root mean square [cloth length]."""
+
+
+def _best_fold(worlds: Worlds, state: Float[np.ndarray, "u v 3"], topology: Topology, folds: Folds, name: str) -> _Try:
+    """The best try of the last of the folds, from the state before it [m]."""
+    tries: list[_Try] = []
+    for grasps in (folds[-1].grasps, *folds[-1].others):
+        tries += _tries(worlds, state, topology, folds, grasps, name)
+        clean = [one for one in tries if not one.unclean]
+        if clean and min(one.off for one in clean) <= GOOD:
+            break
+    if not clean:
+        raise InputError(f"{name}: no try left this cloth clean ({tries[-1].unclean})")
+    best = min(clean, key=lambda one: one.off)
+    if best.off > MOST:
+        raise InputError(
+            f"{name}: the closest try is {best.off:.2f} cloth lengths off, expected at most {MOST:g}; this cloth slides "
+            "apart, or is too thick"
+        )
+    return best
+
+
+def _tries(
+    worlds: Worlds, state: Float[np.ndarray, "u v 3"], topology: Topology, folds: Folds, grasps: Grasps, name: str
+) -> list[_Try]:
+    """Tries of the last of the folds with some grasps, each with another displacement."""
+    settings, side = worlds.settings, worlds.settings.cloth_side
+    scale = side / CLOTH_LENGTH
+    before, after = layout(topology, folds[:-1]), layout(topology, folds)
+    uv = np.array(grasps, np.float32)
+    hands_at = np.asarray(to_cartesian(np.broadcast_to(state, (len(uv), *state.shape)), uv), float)[:, :2]
+    images = _placed(layout(topology, folds, uv).xy * scale, before, state, scale)
+    way = (images - hands_at).mean(0)
+    distance = float(np.linalg.norm(way))
     if distance / scale < SHORTEST:
         raise InputError(
-            f"{name}: moves the cloth by {distance / scale / CLOTH_LENGTH:.2f} cloth lengths, expected at least "
+            f"{name}: moves the cloth by {distance / side:.2f} cloth lengths, expected at least "
             f"{SHORTEST / CLOTH_LENGTH:g}, the least that is no null manipulation; the cloth is too narrow"
         )
+    ahead, pair = way / distance, hands_at[[0, -1]]
+    limits = SimulateConfig(sequences=1, simulation=settings, limits=LIMITS)
+    found: list[_Try] = []
     tried: list[tuple[float, float]] = []
-    best, found, why = np.inf, None, ""
-    length = (1 - SLIDES) * distance
-    for _ in range(TRIES):
-        both = np.stack([grasps[0], grasps[-1]])
-        hands, outcome = perform(worlds, state[None], both[None], (length * ahead)[None], np.array([len(grasps) == 1]))
+    length, beyond = (1 - SLIDES) * distance, np.inf
+    while len(tried) < TRIES and abs(beyond) > CLOSE * side:
+        hands, outcome = perform(worlds, state[None], pair[None], (length * ahead)[None], np.array([len(uv) == 1]))
         mesh = outcome.states[0]
-        held = np.concatenate([hand[hand >= 0] for hand in hands[0].vertices])
-        shall = after.xy.reshape(-1, 2)[held] * scale
-        settings = SimulateConfig(sequences=1, simulation=worlds.settings, limits=LIMITS)
-        unclean = reason(measure(outcome.states, worlds.settings, topology), outcome, settings, 0)
+        unclean = reason(measure(outcome.states, settings, topology), outcome, limits, 0)
         if not np.isfinite(mesh).all():
-            why = unclean
+            found.append(_Try(grasps, length * ahead / scale, mesh, unclean, np.inf))
             break
-        beyond = float(((mesh.reshape(-1, 3)[held, :2] - _placed(shall, after, mesh, scale)) @ ahead).mean())
+        away = mesh[..., :2] - _placed(after.xy * scale, after, mesh, scale)
+        held = np.concatenate([hand[hand >= 0] for hand in hands[0].vertices])
+        beyond = float((away.reshape(-1, 2)[held] @ ahead).mean())
+        off = float(np.sqrt((away**2).sum(-1).mean())) / side
+        found.append(_Try(grasps, length * ahead / scale, mesh, unclean, off))
         tried.append((length, beyond))
-        if unclean:
-            why = unclean
-        elif abs(beyond) < best:
-            best, found = abs(beyond), (mesh, length)
-        if best <= CLOSE * worlds.settings.cloth_side:
-            break
         length = _next(tried)
-    if found is None:
-        raise InputError(f"{name}: no try left this cloth clean ({why})")
-    return found[0], found[1] * ahead / scale
+    return found
 
 
 def _next(tried: list[tuple[float, float]]) -> float:
@@ -121,8 +156,8 @@ def _next(tried: list[tuple[float, float]]) -> float:
 
 
 def _placed(
-    places: Float[np.ndarray, "places 2"], ideal: Layout, mesh: Float[np.ndarray, "u v 3"], scale: float
-) -> Float[np.ndarray, "places 2"]:
+    places: Float[np.ndarray, "*places 2"], ideal: Layout, mesh: Float[np.ndarray, "u v 3"], scale: float
+) -> Float[np.ndarray, "*places 2"]:
     """Places [m] of the plane in which the flat cloth lay, moved as the points that no fold moves have moved since."""
     still = ~ideal.moved
     turn, shift = rigid(ideal.xy[still] * scale, mesh[still][:, :2].astype(float))

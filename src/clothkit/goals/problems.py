@@ -9,8 +9,10 @@ from jaxtyping import Float
 from tqdm import tqdm
 
 from clothkit.cloth.silhouette import centre
+from clothkit.cloth.symmetry import relabel
 from clothkit.cloth.topology import Topology
 from clothkit.dataset.store import STEPS
+from clothkit.evaluation.errors import labels_of_truth
 from clothkit.goals.folds import GOALS
 from clothkit.goals.making import Made
 from clothkit.goals.settings import EvaluateGoalsConfig, StartName
@@ -53,8 +55,16 @@ class Problem(NamedTuple):
 
     @property
     def flat(self) -> Float[np.ndarray, "u v 3"]:
-        """The flat cloth, turned as the cloth lies and with its centre where that of the cloth is [normalised]."""
+        """The flat cloth, in the goal's labels, turned as the cloth lies and with its centre where that of the cloth is
+        [normalised]."""
         return lay(self.made.states[0], self.angle) + np.append(centre(self.mesh), np.float32(0))
+
+    @property
+    def flattened(self) -> Float[np.ndarray, "u v 3"]:
+        """The same in the labels of the cloth that lies there: each of its points as near as it can be."""
+        flat = self.flat
+        k = labels_of_truth(flat[None], self.mesh[None], cloth=self.cloths.cloth)[0]
+        return np.asarray(relabel(flat, int(k)))
 
 
 def problems(settings: EvaluateGoalsConfig, simulate: SimulateConfig, *, work: Path, goals: Path) -> list[Problem]:

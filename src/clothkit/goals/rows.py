@@ -15,6 +15,7 @@ from clothkit.goals.outcomes import Outcomes
 from clothkit.goals.problems import Problem
 from clothkit.goals.settings import SOURCE_NAMES, START_NAMES, SYSTEM_OF, SourceName
 from clothkit.goals.tidy import PICTURED, TABLE
+from clothkit.goals.variants import lay
 
 Evaluated = list[tuple[SourceName, list[Problem], Outcomes]]
 
@@ -31,7 +32,8 @@ def rows(evaluated: Evaluated) -> pd.DataFrame:
     for source, problems, outcomes in evaluated:
         for number, problem in enumerate(problems):
             along_u, along_v = problem.topology.sides
-            start = problem.flat if source == "script" else problem.mesh
+            flat = problem.flat if source == "script" else problem.flattened
+            start = flat if source == "script" else problem.mesh
             columns: dict[str, Any] = {
                 "goal": problem.name,
                 "manipulations": GOALS[problem.name].manipulations,
@@ -44,28 +46,28 @@ def rows(evaluated: Evaluated) -> pd.DataFrame:
                 "length": len(problem.made.manipulations) if source == "script" else problem.length,
             }
             for name, mesh in (("", outcomes.mesh[number]), ("_no_action", start)):
-                columns |= {f"{measure}{name}": value for measure, value in measured(problem, mesh).items()}
+                columns |= {f"{measure}{name}": value for measure, value in measured(problem, mesh, flat).items()}
             columns["nulls"] = int(outcomes.nulls[number])
             columns["expected"] = float(outcomes.expected[number])
             found.append(columns)
     return pd.DataFrame(found)[list(TABLE.columns)]
 
 
-def measured(problem: Problem, mesh: Float[np.ndarray, "u v 3"]) -> dict[str, float]:
-    """error, softgym and iou of a cloth at its place on the table [normalised]."""
+def measured(problem: Problem, mesh: Float[np.ndarray, "u v 3"], flat: Float[np.ndarray, "u v 3"]) -> dict[str, float]:
+    """error, softgym and iou of a cloth at its place on the table; `flat` is it before any fold, in the same labels."""
     here, goal, cloth = centred(mesh)[0], problem.goal, problem.cloths.cloth
     aligned = here - (here - goal).mean((0, 1))
     label = int(labels_of_truth(aligned[None], goal[None], cloth=cloth)[0])
-    outcome, flat = (np.asarray(relabel(each, label)) for each in (mesh, problem.flat))
+    outcome, before = (np.asarray(relabel(each, label)) for each in (mesh, flat))
     return {
         "error": float(errors(here[None], goal[None], aligned=True, cloth=cloth)[0]),
-        "softgym": softgym(outcome, flat, problem.topology, GOALS[problem.name].folds(problem.topology)),
+        "softgym": softgym(outcome, before, problem.topology, GOALS[problem.name].folds(problem.topology)),
         "iou": iou(silhouette(here), silhouette(goal)),
     }
 
 
 def pictured(evaluated: Evaluated) -> dict[str, np.ndarray]:
-    """The arrays of PICTURED; meshes are centred."""
+    """The arrays of PICTURED; meshes are centred, and turned back by the angles at which the cloths lie."""
     examples = [
         (source, problem, mesh)
         for source, problems, outcomes in evaluated
@@ -77,8 +79,12 @@ def pictured(evaluated: Evaluated) -> dict[str, np.ndarray]:
         "goal": np.array([names.index(problem.name) for _, problem, _ in examples]),
         "begins": np.array([START_NAMES.index(problem.start) for _, problem, _ in examples]),
         "source": np.array([SOURCE_NAMES.index(source) for source, _, _ in examples]),
-        "target": np.stack([problem.goal for _, problem, _ in examples]),
-        "start": np.stack([centred(problem.mesh)[0] for _, problem, _ in examples]),
-        "outcome": np.stack([centred(mesh)[0] for _, _, mesh in examples]),
+        "target": np.stack([_turned_back(problem.goal, problem) for _, problem, _ in examples]),
+        "start": np.stack([_turned_back(problem.mesh, problem) for _, problem, _ in examples]),
+        "outcome": np.stack([_turned_back(mesh, problem) for _, problem, mesh in examples]),
     }
     return {name: values[name].astype(declared.dtype) for name, declared in PICTURED.items()}
+
+
+def _turned_back(mesh: Float[np.ndarray, "u v 3"], problem: Problem) -> Float[np.ndarray, "u v 3"]:
+    return centred(lay(mesh, -problem.angle))[0]

@@ -168,8 +168,8 @@ GOALS_SOFTGYM = (
 )
 GOALS_IOU = "Mean intersection over union of the silhouettes of outcome and goal, both centred.\n"
 GOALS_PICTURED = (
-    "The first cloth. At the left each goal; then, by how the cloth lay at first (white), the outcomes of plans from "
-    "each source (light blue)."
+    "The first cloth, turned back by the angle at which it lay. At the left each goal; then, by how the cloth lay at "
+    "first (white), the outcomes of plans from each source (light blue)."
 )
 BY_CLOTH = (
     "Mean errors on the test set by the cloth's thickness, in percent of its longer side, by the ratio of its sides, "
