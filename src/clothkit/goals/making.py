@@ -101,8 +101,8 @@ def _best_fold(worlds: Worlds, state: Float[np.ndarray, "u v 3"], topology: Topo
     best = min(clean, key=lambda one: one.off)
     if best.off > MOST:
         raise InputError(
-            f"{name}: the closest try is {best.off:.2f} cloth lengths off, expected at most {MOST:g}; this cloth slides "
-            "apart, or is too thick"
+            f"{name}: the closest try is {best.off:.2f} cloth lengths off, expected at most {MOST:g}; "
+            "this cloth slides apart, or is too thick"
         )
     return best
 
