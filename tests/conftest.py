@@ -32,6 +32,7 @@ FLOORS = (
     "episodes",
     "evaluation",
     "report",
+    "environment",
     "app",
 )
 

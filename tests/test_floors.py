@@ -19,6 +19,7 @@ FLOORS = [
     "evaluation",
     "training",
     "report",
+    "environment",
     "app",
 ]
 ABOVE_MODELS = FLOORS[FLOORS.index("observation") : FLOORS.index("training")]

@@ -1,0 +1,79 @@
+"""The examples' agents, on small cloths and with nets that have learned nothing."""
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+gymnasium = pytest.importorskip("gymnasium")
+
+import clothkit
+import clothkit.environment
+from clothkit.cloth.topology import SQUARE
+from clothkit.simulation.settings import SimulationConfig
+from tests.tiny import ROOT, write_nets, write_params
+
+COARSE = SimulationConfig(side=8, grasp="all")
+
+
+def example(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(f"example_{name}", ROOT / f"examples/{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def made(**options: Any) -> Any:
+    return gymnasium.make(clothkit.environment.ID, **options)
+
+
+def test_a_random_agent_is_the_same_for_the_same_seed() -> None:
+    goal = SQUARE.flat()[::4, ::4]
+    errors = [example("random_agent").play(made(simulation=COARSE, goal=goal), episodes=2, seed=7) for _ in range(2)]
+    assert errors[0] == errors[1]
+    assert len(errors[0]) == 2
+
+
+def test_a_scripted_agent_reaches_the_goal_that_it_knows() -> None:
+    agent = example("scripted_agent")
+    env = agent.made(COARSE)
+    total, error = agent.play(env)
+    assert error == pytest.approx(0, abs=1e-5)
+    _, info = env.reset(seed=0)
+    assert total == pytest.approx(info["error_start"], abs=1e-5)
+    assert total > 0.1
+
+
+def test_a_clothkit_agent_has_its_plans_executed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_params(tmp_path / "params.yaml")
+    write_nets(tmp_path / "data")
+    monkeypatch.chdir(tmp_path)
+    agent = example("clothkit_agent")
+    env = made(steps=1, observation="voxels", goal=folded())
+    found, start = agent.play(env, clothkit.Agent("data"), seed=0)
+    assert np.isfinite(found)
+    assert start > 0.1
+
+
+def test_a_plan_is_the_action_that_grasps_where_it_does(tmp_path: Path) -> None:
+    """A plan for the flat cloth, 0.1 cloth lengths away, by hand."""
+    from tests.app import plans
+
+    plan = clothkit.Plan.model_validate(plans.content())
+    at = np.array(plans.AT)
+    action = example("clothkit_agent").action_of(plan, np.array([0.1, 0.0]))
+    corners = (np.array([[0.2, -0.2], [0.2, 0.2]]) + at) / 0.4 + [0.1, 0]
+    np.testing.assert_allclose(action, [*corners.ravel(), -1.3 / 1.4, 0], atol=1e-5)
+
+
+def folded() -> np.ndarray:
+    """Half of the cloth on the other half."""
+    mesh = SQUARE.flat().copy()
+    mesh[16:, :, 0] *= -1
+    mesh[16:, :, 2] = 0.01
+    return mesh
