@@ -1,7 +1,8 @@
 """What the documentation says is true: its Python and its commands are run, page by page, on small data.
 
 What takes too long says so before its block (`<!-- no-run: why -->`). Of that it is checked that programs, options,
-stages, settings and files are there. Sources and the reference are taken from the tree when the site is built.
+stages, settings and files are there. What needs an optional library (`<!-- needs: gymnasium -->`) is run where that is
+installed. Sources and the reference are taken from the tree when the site is built.
 """
 
 import importlib.util
@@ -60,6 +61,8 @@ def test_every_block_of_a_page_runs(
     module = ModuleType(f"page_{page.stem.replace('-', '_')}")
     monkeypatch.setitem(sys.modules, module.__name__, module)
     for block in blocks(page):
+        if block.needs is not None and importlib.util.find_spec(block.needs) is None:
+            continue
         if block.language == "python":
             assert block.why_not is None, f"{page.name}, line {block.line}: Python is run, always"
             # Lines keep their numbers, for what tracebacks say.

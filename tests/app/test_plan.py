@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from clothkit.app import agent_state
 from clothkit.app import plan as plan_command
 from clothkit.app import simulate as simulate_command
 from clothkit.app.inputs import observation_options, reach_of
@@ -262,7 +263,7 @@ def test_after_takes_up_what_is_left(here: Path, files: Path) -> None:
     np.save(here / "start.npy", toy.bent())
     np.save(here / "goal.npy", goal)
     memories = []
-    original = plan_command.decide
+    original = agent_state.decide
 
     def spy(planner: Planner, observation: Observation, memory: Memory, *, seed: int) -> Any:
         memories.append(memory)
@@ -270,7 +271,7 @@ def test_after_takes_up_what_is_left(here: Path, files: Path) -> None:
 
     with (
         mock.patch.object(plan_command, "load_planner", toy_planner),
-        mock.patch.object(plan_command, "decide", spy),
+        mock.patch.object(agent_state, "decide", spy),
     ):
         common = ("plan", "--goal", here / "goal.npy")
         succeed(*common, "--state", here / "start.npy", "--steps", 2)

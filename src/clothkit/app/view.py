@@ -17,9 +17,12 @@ import click
 import jax
 import viser
 
+from clothkit.app.extras import optional
 from clothkit.app.inputs import load_settings, observation_options, read_input, with_observation_options
+from clothkit.app.output import check_target
 from clothkit.app.viewer.page import build
 from clothkit.app.viewer.recorded import systems_in
+from clothkit.app.viewer.recording import ENDING
 from clothkit.app.viewer.tasks import SessionFiles
 from clothkit.planning.planner import artifacts
 from clothkit.planning.systems import SYSTEMS
@@ -53,6 +56,12 @@ from clothkit.runtime.errors import InputError
     "--port", type=click.IntRange(0, 65535), default=8080, show_default=True, help="The next free one from here on."
 )
 @click.option("--no-browser", is_flag=True, help="Only tell the page's address.")
+@click.option(
+    "--record",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="A recording of Rerun (.rrd) of the session that the page shows, written anew whenever it changes.",
+)
 @with_observation_options
 def command(
     *,
@@ -64,6 +73,7 @@ def command(
     host: str,
     port: int,
     no_browser: bool,
+    record: Path | None,
     mask: str | None,
     **values: Any,
 ) -> None:
@@ -81,6 +91,9 @@ def command(
     clothkit view --state start.obj --goal goal.obj --steps 2
     """
     settings = load_settings(data)
+    if record is not None:
+        optional("rerun", "rerun")
+        check_target(record, (ENDING[1:],))
     if (state is None) != (goal is None):
         raise InputError(
             f"--{'goal' if goal is None else 'state'}: missing, expected both or neither of state and goal"
@@ -104,7 +117,16 @@ def command(
         with tempfile.TemporaryDirectory(prefix="clothkit-view-") as uploads:
             name_of_host = "localhost" if host in ("127.0.0.1", "0.0.0.0") else f"[{host}]" if ":" in host else host
             address = f"http://{name_of_host}:{server.get_port()}"
-            build(server, data=data, chosen=name, own=own, settings=settings, options=options, uploads=Path(uploads))
+            build(
+                server,
+                data=data,
+                chosen=name,
+                own=own,
+                settings=settings,
+                options=options,
+                uploads=Path(uploads),
+                record=record,
+            )
             # Not before the page is there: an interrupt while stores are read would leave tracebacks of zarr's threads.
             click.echo(f"{address} (Ctrl-C ends it)")
             if not no_browser and _has_screen():
