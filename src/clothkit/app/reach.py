@@ -60,13 +60,12 @@ def limits_of(
     if not regions:
         both = () if app.reach is None else (app.reach,)
         regions = tuple(_region(f"params.yaml: app.{'reach' if both else 'hands'}", one) for one in both or app.hands)
-    zones = tuple(Box(*corners("--keep-out", zone)) for zone in keep_out) or tuple(
-        _region("params.yaml: app.keep_out", zone) for zone in app.keep_out
-    )
+    zones: list[Region] = [Box(*corners("--keep-out", zone)) for zone in keep_out]
+    zones = zones or [_region("params.yaml: app.keep_out", zone) for zone in app.keep_out]
     apart = app.apart if apart is None else apart
     if not (np.isfinite(apart) and apart >= 0):
         raise InputError(f"--apart: {apart:g}, expected metres, at least 0")
-    return Limits(regions, zones, apart)
+    return Limits(regions, tuple(zones), apart)
 
 
 def reached(
