@@ -24,4 +24,4 @@ def play(env: gymnasium.Env, *, episodes: int, seed: int) -> list[float]:
 
 
 if __name__ == "__main__":
-    play(gymnasium.make(clothkit.environment.ID, steps=2), episodes=5, seed=0)
+    play(gymnasium.make(clothkit.environment.ID, goal=("half", "triangle"), start="flat", steps=2), episodes=5, seed=0)

@@ -1,5 +1,6 @@
 """The environment: its library's own checker; rewards, observations and manipulations against other computations."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,18 +14,24 @@ import clothkit.environment
 from clothkit.cloth import voxels
 from clothkit.cloth.mesh import error
 from clothkit.cloth.silhouette import centred
+from clothkit.cloth.topology import Topology, square
 from clothkit.environment.fold import FoldEnv
-from clothkit.environment.goals import RandomFolds
+from clothkit.goals import store
+from clothkit.goals.folds import GOALS, Goal
+from clothkit.goals.making import Made
+from clothkit.goals.measures import softgym
+from clothkit.goals.variants import lay
 from clothkit.observation.camera import CameraConfig, DepthImage, back_project
 from clothkit.runtime.errors import InputError
 from clothkit.simulation.executor import execute
 from clothkit.simulation.settings import SimulationConfig
-from clothkit.simulation.world import Worlds
+from tests.goals.test_variants import exact
 
 COARSE = SimulationConfig(side=8)
 """A cloth that is simulated in no time."""
 CAMERA = CameraConfig(columns=40, rows=30, focal=37.0)
 FLAT = COARSE.topology.flat()
+SQUARE_12 = square(12).flat()
 HALF = np.array([1, -1, 1, 1, -0.95, 0], np.float32)
 """Both corners of one edge to the opposite edge."""
 SHORT = np.array([1, -1, 1, 1, -0.3, 0.1], np.float32)
@@ -82,13 +89,78 @@ def test_an_episode_is_truncated_when_its_manipulations_are_used_up() -> None:
 
 
 def test_another_measure_is_the_reward() -> None:
-    env = made(measure=lambda mesh, goal: float(np.ptp(mesh[..., 0])), tolerance=0.9)
+    env = made(measure=lambda mesh, goal: float(np.ptp(mesh[..., 0])))
     env.reset()
     _, reward, terminated, _, info = env.step(HALF)
     width = float(np.ptp(folded()[..., 0]))
     assert reward == pytest.approx(1.4 - width, abs=1e-5)
-    assert terminated == (width <= 0.9)
-    assert info["error_start"] == pytest.approx(1.4)
+    assert info["measure_start"] == pytest.approx(1.4)
+    assert info["measure"] == pytest.approx(width, abs=1e-5)
+    # The error ends an episode, whatever the reward is.
+    assert terminated
+    assert info["error"] == pytest.approx(0, abs=1e-5)
+
+
+@pytest.fixture
+def exactly(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """Goals are folded exactly instead of in the simulator; the folder in which they are kept."""
+
+    def make(goal: Goal, topology: Topology, simulation: object) -> Made:
+        return exact(goal.name, topology)
+
+    monkeypatch.setattr(store, "make", make)
+    return tmp_path
+
+
+def test_named_goals_have_the_measure_of_softgym(exactly: Path) -> None:
+    """The flat cloth lies turned, beside the middle of the table, and the goal is turned with it."""
+    angle, away = 0.3, np.float32([0.4, 0, 0])
+    env = made(goal="half", start=lay(FLAT, angle) + away, goals=exactly)
+    seen, info = env.reset(seed=0)
+    assert (info["goal_name"], seen["left"].tolist()) == ("half", [1])
+    assert (
+        float(
+            error(
+                env.goal, lay(exact("half", COARSE.topology).states[-1], angle), aligned=True, topology=COARSE.topology
+            )
+        )
+        < 0.01
+    )
+    folds = GOALS["half"].folds(COARSE.topology)
+    assert info["measure"] == pytest.approx(softgym(FLAT, FLAT, COARSE.topology, folds), abs=1e-3)
+    # The goal's own hands, turned as the cloth is.
+    move = np.array([-1, -1, -1, 1, 0.95 * np.cos(angle), 0.95 * np.sin(angle)], np.float32)
+    _, reward, _, _, info = env.step(move)
+    before = lay(FLAT, angle) + away
+    by_hand = softgym(env.mesh, before, COARSE.topology, folds)
+    assert info["measure"] == pytest.approx(by_hand, abs=1e-3)
+    assert reward == pytest.approx(info["measure_start"] - info["measure"])
+    assert reward > 0.3
+
+
+def test_one_of_several_goals_is_drawn_and_the_error_may_be_the_reward(exactly: Path) -> None:
+    env = made(goal=("half", "quarter"), start="flat", measure="error", goals=exactly)
+    names = set()
+    for seed in range(6):
+        seen, info = env.reset(seed=seed)
+        assert seen["left"] == [2]
+        assert info["measure"] == info["error"]
+        names.add(info["goal_name"])
+        again, other = env.reset(seed=seed)
+        assert other["goal_name"] == info["goal_name"]
+        np.testing.assert_array_equal(again["cloth"], seen["cloth"])
+        np.testing.assert_array_equal(again["goal"], seen["goal"])
+    assert names == {"half", "quarter"}
+
+
+def test_starts_by_name_lie_at_random() -> None:
+    """As those of stage evaluate_goals: clean, at some angle; a dropped cloth is no flat one."""
+    env = made(start="crumpled", simulation=SimulationConfig(side=12, time_step=2e-3), goal=SQUARE_12, steps=1)
+    first, _ = env.reset(seed=0)
+    second, _ = env.reset(seed=1)
+    assert (first["cloth"] != second["cloth"]).any()
+    assert np.isfinite(first["cloth"]).all()
+    assert np.ptp(first["cloth"][..., 2]) > 0.05
 
 
 def test_grasp_points_on_the_cloth_and_on_the_table_below_it_are_the_same() -> None:
@@ -130,19 +202,6 @@ def test_observations_show_the_cloth_where_it_lies() -> None:
     assert seen["goal_mask"].sum() < 0.7 * seen["mask"].sum()
 
 
-def test_the_same_seed_draws_the_same_folds() -> None:
-    worlds = Worlds(1, SimulationConfig(side=16))
-    draw = RandomFolds(1, 2, worlds)
-    one, same, other = (draw(np.random.default_rng(seed)) for seed in (0, 0, 1))
-    np.testing.assert_array_equal(one, same)
-    flat = worlds.topology.flat()
-    for mesh, least in ((one, 0.02), (other, 0.02)):
-        assert float(error(mesh, flat, aligned=True, topology=worlds.topology)) > least
-    assert float(error(one, other, aligned=True, topology=worlds.topology)) > 0.02
-    by_seed = [made(goal=None, simulation=SimulationConfig(side=16), steps=1).reset(seed=s)[0] for s in (5, 5)]
-    np.testing.assert_array_equal(by_seed[0]["goal"], by_seed[1]["goal"])
-
-
 def test_goals_of_ones_own_for_an_environment_or_an_episode() -> None:
     drawn = []
 
@@ -179,6 +238,9 @@ def test_pictures() -> None:
     [
         ({"observation": "images"}, "observation: expected one of vertices, voxels, depth, found 'images'"),
         ({"grasps": "air"}, "grasps: expected cloth or table, found 'air'"),
+        ({"goal": "halves"}, "goal: expected one of half, triangle, .*, found 'halves'"),
+        ({"goal": ("half", 3)}, r"goal: expected a mesh, a function that draws one, or names of goals, found"),
+        ({"measure": "iou"}, "measure: expected softgym, error, or a function of mesh and goal, found 'iou'"),
         ({"steps": 0}, "steps: expected at least 1, found 0"),
         ({"render_mode": "human"}, "render_mode: expected rgb_array or None, found 'human'"),
     ],
@@ -193,9 +255,15 @@ def test_bad_options_are_told_in_one_sentence(options: dict[str, Any], says: str
     [
         ({"goal": FLAT[:4]}, r"goal: has shape \[4, 8, 3\], expected a mesh \[8, 8, 3\], normalised"),
         ({"start": np.full_like(FLAT, np.inf)}, "start: has vertices that are not finite"),
+        ({"start": "thrown"}, "start: expected a mesh, a function that draws one, or one of flat, dragged, crumpled"),
         ({"end": FLAT}, "options: has end, expected goal or start"),
     ],
 )
 def test_bad_goals_are_told_in_one_sentence(options: dict[str, Any], says: str) -> None:
     with pytest.raises(InputError, match=says):
         made().reset(options=options)
+
+
+def test_softgyms_measure_needs_a_goal_with_a_name() -> None:
+    with pytest.raises(InputError, match="measure: softgym is of named goals, but the goal is a mesh"):
+        made(measure="softgym").reset()

@@ -4,7 +4,7 @@ import copy
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -20,14 +20,17 @@ from clothkit.app.inputs import (
     load_settings,
     observation_options,
 )
+from clothkit.app.named_goals import goal_like, goal_name, manipulations_of, named_goal, variant_before
 from clothkit.app.observables import Mask, Observable, input_of
 from clothkit.app.output import check_target
-from clothkit.app.plan_arrays import check_nets, check_steps_left, memory_of, traces_before
+from clothkit.app.plan_arrays import check_nets, memory_of, steps_left, traces_before
 from clothkit.app.plan_file import Plan, read_plan
 from clothkit.app.reach import limits_of
 from clothkit.app.viewer.recording import ENDING, write_recording
 from clothkit.app.viewer.session import Session, StateEstimate, Step, shown_plan
 from clothkit.cloth.mesh import error
+from clothkit.dataset.store import STEPS
+from clothkit.goals.variants import Turn, Variant
 from clothkit.manipulation.geometry import to_cartesian
 from clothkit.observation.plane import plane_of
 from clothkit.observation.pose import Pose
@@ -59,6 +62,14 @@ class ObservedCloth:
     """How far the estimate agrees with the observation; None if nothing was estimated."""
     notices: tuple[str, ...]
     """What was not seen of the cloth, and what speaks against the estimate, a sentence each."""
+
+
+class _NamedGoal(NamedTuple):
+    """A named goal whose cloth has not been observed yet."""
+
+    name: str
+    turn: Turn | None
+    mirror: bool | None
 
 
 class Agent:
@@ -143,6 +154,7 @@ class Agent:
         self._now: AgentState | None = None
         self._session: Session | None = None
         self._agreements: tuple[EstimateAgreement | None, EstimateAgreement | None] = (None, None)
+        self._unlaid: _NamedGoal | None = None
 
     @property
     def state(self) -> AgentState:
@@ -165,30 +177,51 @@ class Agent:
         """An agent that knows the same and goes its own way from here."""
         return copy.copy(self)
 
-    def begin(self, goal: Observable, steps: int | None = None, *, after: Plan | str | Path | None = None) -> "Agent":
+    def begin(
+        self,
+        goal: Observable,
+        steps: int | None = None,
+        *,
+        turn: Turn | None = None,
+        mirror: bool | None = None,
+        after: Plan | str | Path | None = None,
+    ) -> "Agent":
         """Begin a session: a goal, wherever it lies, and how many manipulations (1 to 3) to reach it in.
+
+        A goal can be a name of `clothkit goals`, such as "half": it is made of the agent's cloth in the simulator and
+        lies turned as the cloth lies that is observed first; `turn` (degrees) and `mirror` tell from which side of the
+        cloth its folds are made, and `steps` are by default as many as it needs.
 
         With `after`, a plan whose first step has been executed, the session goes on with what is left of that plan: its
         later steps, its labels and its memory. Returns the agent.
         """
-        name = Path(after) if isinstance(after, str | Path) else Path("the plan before")
-        previous = read_plan(name) if isinstance(after, str | Path) else after
+        source = Path(after) if isinstance(after, str | Path) else Path("the plan before")
+        previous = read_plan(source) if isinstance(after, str | Path) else after
+        name = goal_name(goal, turn, mirror)
+        variant, traces = None, None
         if previous is not None:
-            check_nets(previous, self._planner, self._settings.data, name)
-            check_steps_left(previous, name)
-            traces = traces_before(previous, self._planner, name)
-            steps = len(previous.steps) - 1
-        if steps not in (1, 2, 3):
+            check_nets(previous, self._planner, self._settings.data, source)
+            steps = steps_left(previous, source, steps)
+            traces = traces_before(previous, self._planner, source)
+            variant = variant_before(name, previous, source, turn, mirror) if name else None
+        elif name and steps is None:
+            steps = manipulations_of(name)
+        if steps not in range(1, STEPS + 1):
             raise InputError(f"steps: expected 1, 2 or 3 manipulations, found {steps}")
-        source = input_of(goal, self._options, name="goal")
-        now = agent_state.begin(self._planner, self._settings, source, steps)
-        agreement = compare_goal(self._planner.system, source, now.target, self._settings)
-        if previous is not None:
+        if name:
+            form = variant or Variant(turn=turn or 0, mirror=bool(mirror))
+            wanted = named_goal(name, form, self._options, self._settings)
+        else:
+            wanted = input_of(goal, self._options, name="goal")
+        now = agent_state.begin(self._planner, self._settings, wanted, steps)
+        agreement = compare_goal(self._planner.system, wanted, now.target, self._settings)
+        if previous is not None and traces is not None:
             if previous.turned and not self._planner.system.voxels:
                 now = agent_state.turned(now, np.array(previous.turned))
             now = dataclasses.replace(now, memory=memory_of(previous, self._planner, now.memory, traces))
         self._now, self._agreements = now, (None, agreement)
-        self._session = Session(f"{self._planner.system.name}, {source.file}", steps, now.target, (), ())
+        self._unlaid = _NamedGoal(name, turn, mirror) if name and variant is None else None
+        self._session = Session(f"{self._planner.system.name}, {wanted.file}", steps, now.target, (), ())
         return self
 
     def observe(
@@ -218,13 +251,15 @@ class Agent:
         source = input_of(cloth, options._replace(stated=stated), name="cloth", mask=mask)
         if before.planned is not None and executed is not False:
             before = agent_state.advanced(before, executed=before.planned.improves if executed is None else True)
+        if self._unlaid is not None:
+            before = agent_state.with_goal(before, goal_like(source, *self._unlaid, self._options, self._settings))
         now = agent_state.observe(before, source)
         assert now.perceived is not None
         agreement = compare_state(self._planner.system, source, now.perceived.state, self._settings)
         # A cloth that is observed again, with nothing done in between, takes the place of what was seen before.
         last = now.left != self.session.length - len(self.session.states)
-        self._session = _with_state(self.session, now.perceived, replacing=last)
-        self._now, self._agreements = now, (agreement, self._agreements[1])
+        self._session = _with_state(self.session._replace(goal=now.target), now.perceived, replacing=last)
+        self._now, self._agreements, self._unlaid = now, (agreement, self._agreements[1]), None
         return self._observed(now.perceived)
 
     def plan(self, *, seed: int = 0) -> Plan:

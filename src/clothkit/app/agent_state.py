@@ -102,6 +102,13 @@ def plan(now: AgentState, *, seed: int, limits: Limits = Limits()) -> AgentState
     return dataclasses.replace(now if turn is None else turned(now, turn), planned=planned)
 
 
+def with_goal(now: AgentState, goal: Input) -> AgentState:
+    """The state with another goal in the place of its own, turned as that was. Raises InputError."""
+    target = goal_of(now.planner.system, goal, now.settings.data, now.settings)
+    found = dataclasses.replace(now, goal=goal, memory=now.memory._replace(goal=target[None]), matrix=None)
+    return found if now.matrix is None else turned(found, now.matrix)
+
+
 def turned(now: AgentState, matrix: Float[np.ndarray, "2 2"]) -> AgentState:
     """The state with its goal, a mesh, turned or mirrored by a matrix."""
     memory = now.memory._replace(goal=plans.turned_goal(now.target, matrix)[None])

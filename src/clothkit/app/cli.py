@@ -13,7 +13,8 @@ COMMANDS = {
     "predict": "What the nets expect of a plan, as meshes.",
     "simulate": "What a plan comes to in the simulator.",
     "bag": "A plan as timed poses of the grippers, for ROS 2.",
-    "export": "States of a dataset as OBJ, PLY or GLB.",
+    "goals": "Named goals, with pictures.",
+    "export": "States as mesh files, or a dataset for LeRobot or the Hugging Face Hub.",
     "view": "A local page on which sessions are played.",
 }
 """Help text by command. The command is `command` in the module of that name; help need not import these modules."""

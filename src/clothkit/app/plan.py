@@ -1,6 +1,7 @@
 """`clothkit plan`: make a plan from one observation to a goal, and write the plan file."""
 
 import os
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +16,17 @@ from clothkit.app.inputs import (
     load_settings,
     observation_options,
     read_input,
+    tell,
     with_observation_options,
 )
+from clothkit.app.named_goals import goal_option, manipulations_of, variant_before, with_variant_options
 from clothkit.app.output import check_target, part
-from clothkit.app.plan_arrays import cloth_of
+from clothkit.app.plan_arrays import cloth_of, steps_left
 from clothkit.app.plan_file import Plan, Source, read_plan, write_plan
 from clothkit.app.planner import load_planner
 from clothkit.app.reach import limits_of
+from clothkit.dataset.store import STEPS
+from clothkit.goals.folds import GOALS
 from clothkit.planning.optimisers import OPTIMISERS, optimiser_of
 from clothkit.planning.systems import SYSTEMS, System, system
 from clothkit.runtime.errors import InputError
@@ -29,8 +34,18 @@ from clothkit.runtime.errors import InputError
 
 @click.command(short_help="A plan that brings a cloth into a given shape.")
 @click.option("--state", required=True, metavar="FILE", help="The cloth as it lies.")
-@click.option("--goal", required=True, metavar="FILE", help="The shape that it shall have, wherever it lies.")
-@click.option("--steps", type=click.IntRange(1, 3), help="Manipulations; needed but with --after.")
+@click.option(
+    "--goal",
+    required=True,
+    metavar="FILE|NAME",
+    help="The shape that it shall have, wherever it lies: a file, or a name of clothkit goals, such as half.",
+)
+@with_variant_options
+@click.option(
+    "--steps",
+    type=click.IntRange(1, STEPS),
+    help="Manipulations; needed but with --after. [default: as many as a named goal needs]",
+)
 @click.option("--out", type=click.Path(path_type=Path), default=Path("plan.json"), show_default=True, metavar="FILE")
 @click.option(
     "--after",
@@ -112,6 +127,8 @@ def command(
     reach_ball: tuple[tuple[float, ...], ...],
     keep_out: tuple[tuple[float, ...], ...],
     apart: float | None,
+    turn: str | None,
+    mirror: bool | None,
     mask: str | None,
     **values: Any,
 ) -> None:
@@ -119,7 +136,9 @@ def command(
 
     STATE and GOAL are files: a mesh (OBJ, PLY, GLB in metres; NPY, NPZ normalised; data/meshes.zarr:SEQUENCE/STATE),
     voxels [32, 32, 16] (NPY, NPZ, zarr), or a point cloud in metres (PLY without faces, PCD, NPY, NPZ) with what tells
-    its cloth from the table: a mask, the table's colour, or its plane if nothing but the cloth is there.
+    its cloth from the table: a mask, the table's colour, or its plane if nothing but the cloth is there. GOAL may be
+    the name of a folded shape, too (clothkit goals): it is made of your cloth in the simulator, and lies as your cloth
+    lies.
 
     The plan is JSON (docs/plan.schema.json): for each step grasp and release points and timed waypoints of each hand,
     the predicted states of each net, the expected error and how unsure the nets are. If nothing is expected to come
@@ -130,6 +149,7 @@ def command(
 
     \b
     clothkit plan --state cloud.ply --goal goal.obj --steps 2 --table 0 0 -1 -0.8
+    clothkit plan --state cloud.ply --goal half --sides 0.5 0.3 --table 0 0 -1 -0.8
     clothkit plan --state cloud2.ply --goal goal.obj --after plan.json --out plan2.json --table 0 0 -1 -0.8
     """
     settings = load_settings(data)
@@ -142,17 +162,24 @@ def command(
         values |= cloth_of(previous, values, after)
     options = observation_options(settings.app, **values)
     limits = limits_of(settings.app, boxes=reach, balls=reach_ball, keep_out=keep_out, apart=apart)
-    length = _length(steps, previous, after)
+    named, angle = goal_option(goal, turn, mirror)
+    length = _length(steps, previous, after, named)
+    if named:
+        variant_before(named, previous, after, angle, mirror)
     keep_compiled_programs()
     with part("observe"):
-        start, goal_input = read_input(state, options, mask=mask), read_input(goal, options)
+        start = read_input(state, options, mask=mask)
+        goal_input = None if named else read_input(goal, options)
     chosen = _system(name, start, previous, after)
     with part("load nets"):
         planner = load_planner(chosen, data, settings, optimiser=optimiser)
         agent = Agent.of(planner, settings, options, frame=frame, limits=limits)
+    with part("make the goal") if named else nullcontext():
+        agent.begin(goal_input or goal, length, turn=angle, mirror=mirror, after=after)
     with part("estimate"):
-        agent.begin(goal_input, length, after=after)
         agent.observe(start)
+    if named:
+        tell(agent.state.goal.notices)
     with part(f"search by {optimiser_of(planner.settings.search.optimiser).name}"):
         plan = agent.plan(seed=seed)
     for estimate in agent.agreements:
@@ -161,15 +188,21 @@ def command(
     click.echo(summary(plan, out))
 
 
-def _length(steps: int | None, previous: Plan | None, after: Path | None) -> int:
-    if previous is None:
-        if steps is None:
-            raise click.UsageError("Missing option '--steps': how many manipulations, 1 to 3.")
+def _length(steps: int | None, previous: Plan | None, after: Path | None, named: str | None) -> int:
+    if previous is not None and after is not None:
+        return steps_left(previous, after, steps)
+    if steps is not None:
         return steps
-    left = len(previous.steps) - 1
-    if steps not in (None, left):
-        raise InputError(f"--steps: expected {left}, what is left of {after}, found {steps}")
-    return left
+    if named is None:
+        raise click.UsageError("Missing option '--steps': how many manipulations, 1 to 3.")
+    needed = GOALS[named].manipulations
+    if needed > STEPS:
+        click.echo(
+            f"notice: {named} needs {needed} manipulations, and a plan has at most {STEPS}: execute its first step, "
+            "look, and plan anew",
+            err=True,
+        )
+    return manipulations_of(named)
 
 
 def _system(name: str | None, start: Input, previous: Plan | None, after: Path | None) -> System:

@@ -76,10 +76,17 @@ def traces_before(plan: Plan, planner: Planner, name: Path) -> Traces:
     return found
 
 
-def check_steps_left(plan: Plan, name: Path) -> None:
-    """Check that something is left of a plan after its first step. Raises InputError."""
-    if len(plan.steps) < 2:
+def steps_left(plan: Plan, name: Path, steps: int | None = None) -> int:
+    """The number of manipulations that are left of a plan after its first step.
+
+    Raises InputError if none is, or if there are not `steps`.
+    """
+    left = len(plan.steps) - 1
+    if not left:
         raise InputError(f"{name}: has one step, so nothing is left to plan after it; plan afresh, without --after")
+    if steps not in (None, left):
+        raise InputError(f"--steps: expected {left}, what is left of {name}, found {steps}")
+    return left
 
 
 def memory_of(plan: Plan, planner: Planner, blank: Memory, traces: Traces) -> Memory:

@@ -1,21 +1,23 @@
 """The environment: an episode is a cloth that is folded into a goal, manipulation by manipulation, in the simulator."""
 
 from collections.abc import Callable, Mapping
-from functools import partial
-from typing import Any
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
 
 import gymnasium
-import jax
 import numpy as np
 from gymnasium import spaces
 from jaxtyping import Float, UInt8
 
-from clothkit.cloth.mesh import error
 from clothkit.cloth.silhouette import centred
 from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE
 from clothkit.cloth.voxels import double
-from clothkit.environment.goals import Mesh, MeshSampler, RandomFolds, drawn
+from clothkit.dataset.store import STEPS
+from clothkit.environment.goals import Goal, Mesh, Start, Target, needed, start_mesh, target_of
 from clothkit.environment.observations import Observer
+from clothkit.evaluation.errors import errors
+from clothkit.goals.rows import measured
+from clothkit.goals.store import user_folder
 from clothkit.manipulation.geometry import to_cartesian
 from clothkit.manipulation.vector import SHORTEST
 from clothkit.observation.camera import CameraConfig
@@ -25,11 +27,20 @@ from clothkit.simulation.executor import perform
 from clothkit.simulation.settings import SimulationConfig
 from clothkit.simulation.world import Worlds
 
-Measure = Callable[[Mesh, Mesh], float]
-"""mesh, goal (both normalised, centred) -> how far the mesh is from the goal; 0: it is the goal"""
+Measure = Literal["softgym", "error"] | Callable[[Mesh, Mesh], float]
+"""How far a cloth is from the goal. A function takes mesh and goal, both normalised and centred."""
 
 GOAL_TABLE = (0.85, 0.93, 1.0)
 """Colour of the table in pictures of the goal."""
+
+
+class Found(NamedTuple):
+    """How far the cloth is from the goal."""
+
+    error: float
+    """[cloth length]"""
+    measure: float
+    """That of which the reward is the decrease."""
 
 
 class FoldEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
@@ -41,9 +52,9 @@ class FoldEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     displacement shorter than 0.35 is no manipulation, and nothing is done (section 4.4).
 
     An observation is of the kind `observation` (see `observations`), of cloth and goal, with the number of
-    manipulations that are left. The reward is the decrease of the measure, by default the error of planning outcomes
-    (section 6.3) [cloth length]. An episode terminates when the measure is at most `tolerance`, and is truncated
-    after `steps` manipulations.
+    manipulations that are left. The reward is the decrease of the `measure`: of a named goal SoftGym's
+    (`goals.measures.softgym`), else the error of planning outcomes (section 6.3) [cloth length]. An episode terminates
+    when the error is at most `tolerance`, and is truncated after `steps` manipulations.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 2}  # noqa: RUF012
@@ -51,22 +62,26 @@ class FoldEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     def __init__(
         self,
         *,
-        goal: Mesh | MeshSampler | None = None,
-        start: Mesh | MeshSampler | None = None,
-        steps: int = 3,
+        goal: Goal = "half",
+        start: Start | None = None,
+        steps: int | None = None,
         observation: str = "vertices",
         grasps: str | None = None,
         measure: Measure | None = None,
         tolerance: float = 0.02,
         simulation: SimulationConfig | None = None,
         camera: CameraConfig | None = None,
+        goals: Path | None = None,
         render_mode: str | None = None,
     ) -> None:
-        """Goals and starts are meshes [normalised] or draw them.
+        """A goal is a mesh [normalised], what draws one, or a name or several (`clothkit goals`).
 
-        By default a goal is what one to `steps` random folds make of the flat cloth, and the start is the flat cloth.
-        Grasp points are by default on the cloth if its vertices are observed, else on the table. Raises InputError.
+        A start is a mesh, what draws one, or the name of a way in which cloths lie at random: flat, dragged, crumpled;
+        by default the cloth lies flat and straight. There are by default as many `steps` as a named goal needs, else 3.
+        Grasp points are by default on the cloth if its vertices are observed, else on the table. Named goals, which are
+        made in the simulator, are kept in the folder `goals` (default: the user's cache). Raises InputError.
         """
+        steps = steps if steps is not None else needed(goal) or STEPS
         if steps < 1:
             raise InputError(f"steps: expected at least 1, found {steps}")
         if render_mode not in (None, *self.metadata["render_modes"]):
@@ -74,14 +89,15 @@ class FoldEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         grasps = grasps or ("cloth" if observation == "vertices" else "table")
         if grasps not in ("cloth", "table"):
             raise InputError(f"grasps: expected cloth or table, found {grasps!r}")
+        if not (measure is None or measure in ("softgym", "error") or callable(measure)):
+            raise InputError(f"measure: expected softgym, error, or a function of mesh and goal, found {measure!r}")
         self.render_mode = render_mode
         self._steps, self._grasps, self._tolerance = steps, grasps, tolerance
         simulation = simulation or SimulationConfig()
         self._worlds = Worlds(1, simulation)
         self._topology = self._worlds.topology
-        self._goals = goal if goal is not None else RandomFolds(1, steps, self._worlds)
-        self._starts = start if start is not None else self._topology.flat()
-        self._measure = measure or partial(_error, topology=self._topology)
+        self._goals, self._starts, self._measure = goal, self._topology.flat() if start is None else start, measure
+        self._folder = goals or user_folder()
         # A manipulation moves a cloth by less than two of its lengths.
         farthest = 1.0 + 2.0 * steps
         self._observer = Observer(
@@ -101,8 +117,8 @@ class FoldEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         )
         self.action_space = spaces.Box(-1, 1, (6,), np.float32)
         self._mesh = self._topology.flat()
-        self._goal = self._topology.flat()
-        self._left, self._distance, self._distance_start = 0, np.nan, np.nan
+        self._target = Target(self._topology.flat(), None)
+        self._left, self._found, self._found_start = 0, Found(np.nan, np.nan), Found(np.nan, np.nan)
 
     @property
     def mesh(self) -> Mesh:
@@ -112,7 +128,7 @@ class FoldEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     @property
     def goal(self) -> Mesh:
         """The goal, centred [normalised]."""
-        return self._goal
+        return self._target.mesh
 
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
@@ -121,12 +137,14 @@ class FoldEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         super().reset(seed=seed)
         if unknown := set(options or {}) - {"goal", "start"}:
             raise InputError(f"options: has {min(unknown)}, expected goal or start")
-        chosen = {"start": self._starts, "goal": self._goals, **(options or {})}
-        shape = self._topology.shape
-        self._mesh = drawn(chosen["start"], self.np_random, shape, name="start")
-        self._goal = centred(drawn(chosen["goal"], self.np_random, shape, name="goal"))[0]
-        self._left = self._steps
-        self._distance = self._distance_start = self._away()
+        chosen: dict[str, Any] = {"start": self._starts, "goal": self._goals, **(options or {})}
+        world = (self.np_random, self._worlds.settings, self._topology)
+        start = start_mesh(chosen["start"], *world)
+        target = target_of(chosen["goal"], start, *world, folder=self._folder)
+        if self._measure == "softgym" and target.problem is None:
+            raise InputError("measure: softgym is of named goals, but the goal is a mesh; expected error or a function")
+        self._mesh, self._target, self._left = start, target, self._steps
+        self._found = self._found_start = self._measured()
         return self._observation(), self._info(null=False, failed=False)
 
     def step(self, action: Float[np.ndarray, "6"]) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
@@ -135,22 +153,21 @@ class FoldEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
             raise InputError("environment: no manipulation is left, expected reset()")
         # Of the precision of recorded manipulations, so that one of these has its recorded outcome.
         displacement = (np.asarray(action[4:], np.float64) * CLOTH_LENGTH).astype(np.float32)
-        null, failed, before = bool(np.linalg.norm(displacement) < SHORTEST), False, self._distance
+        null, failed, before = bool(np.linalg.norm(displacement) < SHORTEST), False, self._found.measure
         if not null:
             outcome = self._executed(self._grasp_points(action), displacement)
             failed = outcome is None
             self._mesh = self._mesh if outcome is None else outcome
         self._left -= 1
-        self._distance = self._away()
-        terminated = self._distance <= self._tolerance
+        self._found = self._measured()
         info = self._info(null=null, failed=failed)
-        return self._observation(), before - self._distance, terminated, not self._left, info
+        return self._observation(), before - self._found.measure, info["is_success"], not self._left, info
 
     def render(self) -> UInt8[np.ndarray, "row column 3"] | None:  # type: ignore[override]
         """The goal at the left, the cloth at the right, from above; None without a `render_mode`."""
         if self.render_mode is None:
             return None
-        pictures = [draw(_fine(self._goal), table=GOAL_TABLE), draw(_fine(centred(self._mesh)[0]))]
+        pictures = [draw(_fine(self.goal), table=GOAL_TABLE), draw(_fine(centred(self._mesh)[0]))]
         return np.concatenate(pictures, axis=1)
 
     def _grasp_points(self, action: Float[np.ndarray, "6"]) -> Float[np.ndarray, "2 2"]:
@@ -174,18 +191,26 @@ class FoldEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         found = (outcome.states[0].astype(np.float64) / scale).astype(np.float32)
         return found if np.isfinite(found).all() else None
 
-    def _away(self) -> float:
-        return float(self._measure(centred(self._mesh)[0], self._goal))
+    def _measured(self) -> Found:
+        mesh, problem, measure = centred(self._mesh)[0], self._target.problem, self._measure
+        if problem is None:
+            found = {"error": float(errors(mesh[None], self.goal[None], aligned=True, topology=self._topology)[0])}
+        else:
+            found = measured(problem, self._mesh, problem.flattened)
+        if callable(measure):
+            return Found(found["error"], float(measure(mesh, self.goal)))
+        return Found(found["error"], found[measure or ("error" if problem is None else "softgym")])
 
     def _observation(self) -> dict[str, np.ndarray]:
-        goal = {_of_goal(name): part for name, part in self._observer(self._goal).items() if name != "centre"}
+        goal = {_of_goal(name): part for name, part in self._observer(self.goal).items() if name != "centre"}
         return {**self._observer(self._mesh), **goal, "left": np.array([self._left], np.int32)}
 
     def _info(self, *, null: bool, failed: bool) -> dict[str, Any]:
         return {
-            "error": self._distance,
-            "error_start": self._distance_start,
-            "is_success": self._distance <= self._tolerance,
+            **self._found._asdict(),
+            **{f"{name}_start": value for name, value in self._found_start._asdict().items()},
+            "goal_name": None if self._target.problem is None else self._target.problem.name,
+            "is_success": self._found.error <= self._tolerance,
             "null": null,
             "failed": failed,
         }
@@ -200,10 +225,3 @@ def _fine(mesh: Mesh) -> Float[np.ndarray, "fine_u fine_v 3"]:
     while min(mesh.shape[:2]) < SQUARE.shape[0]:
         mesh = np.asarray(double(mesh))
     return mesh
-
-
-def _error(mesh: Mesh, goal: Mesh, *, topology: Any) -> float:
-    return float(_aligned(mesh, goal, topology=topology))
-
-
-_aligned = jax.jit(partial(error, aligned=True), static_argnames="topology")
