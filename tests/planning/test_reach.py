@@ -240,7 +240,7 @@ def test_breaches_name_the_step_and_the_limit() -> None:
     assert (inside.step, inside.limit) == (2, "inside the ball of radius 0.2 around (0, 0, 0)")
     assert inside.distance == pytest.approx(0.2)
     assert close.distance == pytest.approx(0.15)
-    assert "nearer to the other one than 0.25 m" in close.limit
+    assert close.limit == "nearer to the other one than the 0.25 m between them"
     two = Limits((box, Box((0.3, -1, -1), (1, 1, 1))))
     assert hands_of(two, np.array([[[0.9, 0, 0]], [[0.1, 0, 0]]])) == (1, 0)
     assert hands_of(two, np.array([[[0.1, 0, 0]], [[0.9, 0, 0]]])) == (0, 1)

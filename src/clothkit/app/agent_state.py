@@ -89,12 +89,23 @@ def plan(now: AgentState, *, seed: int, limits: Limits = Limits()) -> AgentState
     if not now.memory.left[0]:
         raise InputError("agent: the session is over, expected manipulations that are left to plan")
     planned, _ = decide(*_known(now.planner, perceived.state), now.memory, seed=seed)
+    return kept_within(limits, dataclasses.replace(now, planned=planned), seed=seed)
+
+
+def kept_within(limits: Limits, now: AgentState, *, seed: int) -> AgentState:
+    """The state with its plan within the limits of the hands: as it is, turned with its goal, or another one.
+
+    Raises InputError when no such plan does anything.
+    """
+    perceived, planned = now.perceived, now.planned
+    assert perceived is not None, "a state with an observation"
+    assert planned is not None, "a state with a plan"
     planned, turn = reached(
         now.planner,
         planned,
         now.memory,
         perceived.candidates,
-        perceived.source,
+        perceived.source.pose,
         now.settings.app.motion,
         limits,
         seed=seed,

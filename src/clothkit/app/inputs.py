@@ -25,7 +25,6 @@ from clothkit.observation.pose import Pose
 from clothkit.observation.settings import CloudConfig, Triple
 from clothkit.observation.side import Stated
 from clothkit.observation.states import MeshState, PointCloud, VoxelState
-from clothkit.observation.waypoints import ReachConfig
 from clothkit.params import load_params
 from clothkit.planning.objective import Weights
 from clothkit.planning.settings import PlanConfig
@@ -372,17 +371,6 @@ def _thickness(app: AppConfig, thickness: float | None) -> float:
     if not (np.isfinite(found) and found > 0):
         raise InputError(f"--thickness: {found:g}, expected metres above 0")
     return found
-
-
-def reach_of(app: AppConfig, box: tuple[float, ...] | None) -> ReachConfig | None:
-    """Return the box that the hands reach, from the option or else the settings (None: no limit). Raises InputError."""
-    if box is None:
-        reach = app.reach
-        if reach is not None:
-            ordered("params.yaml: app.reach", reach.low, reach.high)
-        return reach
-    low, high = corners("--reach", box)
-    return ReachConfig(low=low, high=high)
 
 
 def corners(name: str, box: tuple[float, ...]) -> tuple[Triple, Triple]:

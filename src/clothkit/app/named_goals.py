@@ -55,7 +55,7 @@ def goal_name(goal: object, turn: Turn | None, mirror: bool | None) -> str | Non
     # Files have an ending, and a dataset's state (data/meshes.zarr:0/1) has more than that.
     if isinstance(goal, str) and re.fullmatch(r"[\w-]+", goal):
         raise InputError(f"--goal: expected a file or one of {', '.join(GOALS)}, found {goal!r}")
-    told = "not given" if goal is None else goal if isinstance(goal, str | Path) else "no name"
+    told = "not given" if goal is None else goal if isinstance(goal, str | Path) else "given as arrays"
     for name, given in (("turn", turn), ("mirror", mirror)):
         if given is not None:
             raise InputError(f"--{name}: is for named goals, but the goal is {told}")

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from clothkit.app.describe import paths_of
-from clothkit.app.inputs import Input, corners, ordered, reach_of
+from clothkit.app.inputs import corners, ordered
 from clothkit.app.planner import Planned, State, planned_of, turned_plan
 from clothkit.app.settings import AppConfig, BallConfig
 from clothkit.cloth.topology import CLOTH_LENGTH
@@ -52,20 +52,19 @@ def limits_of(
 
     Each of `boxes` and `keep_out` has the numbers of two corners, each of `balls` those of a centre and a radius.
     """
-    told: list[Region] = [_region("--reach", reach_of(app, box)) for box in boxes]
-    told += [_ball(ball) for ball in balls]
-    regions = tuple(told)
+    regions: list[Region] = [Box(*corners("--reach", box)) for box in boxes]
+    regions += [_ball(ball) for ball in balls]
     if len(regions) > 2:
         raise InputError(f"--reach, --reach-ball: expected one for both hands or one for each, found {len(regions)}")
-    if not regions:
-        both = () if app.reach is None else (app.reach,)
-        regions = tuple(_region(f"params.yaml: app.{'reach' if both else 'hands'}", one) for one in both or app.hands)
+    if not regions and app.reach is not None:
+        regions = [_region("reach", app.reach)]
+    regions = regions or [_region("hands", region) for region in app.hands]
     zones: list[Region] = [Box(*corners("--keep-out", zone)) for zone in keep_out]
-    zones = zones or [_region("params.yaml: app.keep_out", zone) for zone in app.keep_out]
+    zones = zones or [_region("keep_out", zone) for zone in app.keep_out]
     apart = app.apart if apart is None else apart
     if not (np.isfinite(apart) and apart >= 0):
         raise InputError(f"--apart: {apart:g}, expected metres, at least 0")
-    return Limits(regions, tuple(zones), apart)
+    return Limits(tuple(regions), tuple(zones), apart)
 
 
 def reached(
@@ -73,7 +72,7 @@ def reached(
     planned: Planned,
     memory: Memory,
     candidates: Float[np.ndarray, "candidate 2"],
-    start: Input,
+    place: Pose,
     motion: MotionConfig,
     limits: Limits,
     *,
@@ -81,29 +80,43 @@ def reached(
 ) -> tuple[Planned, np.ndarray | None]:
     """Return a plan whose hands keep the limits, and the matrix that turned it, if one did.
 
-    `memory` is that before the plan, and `candidates` are the grasp points of the state. Raises InputError when no such
-    plan does anything. Plans in voxels are not turned: symmetries are known for meshes only.
+    `memory` is that before the plan, `candidates` are the state's grasp points, and `place` is where the cloth lies.
+    Raises InputError when no such plan does anything.
     """
-
-    def broken(form: Planned) -> list[Breach]:
-        return breaches(limits, [path.points for path in paths_of(planner, form, start.pose, motion)])
-
-    if not (limits and (found := broken(planned))):
-        return planned, None
-    goal = memory.goal[0]
-    for matrix in [] if planner.system.voxels else symmetries(planned.state)[1:]:
-        turned = turned_plan(planner, planned, goal, matrix)
-        if not broken(turned):
-            return turned, matrix
+    fits = within_by_symmetry(planner, planned, memory.goal[0], place, motion, limits)
+    if fits is not None:
+        return fits
+    found = breaches_of(planner, planned, place, motion, limits)
     farthest = max(found, key=lambda breach: breach.distance)
     told = f"in step {farthest.step} of the plan a hand is {farthest.distance:.3g} m {farthest.limit}"
-    within = _graspable(planner, planned.state, candidates, start.pose, limits)
-    if not len(within):
+    able = _graspable(planner, planned.state, candidates, place, limits)
+    if not len(able):
         raise InputError(f"reach: {told}, and no point that a plan may grasp first is within reach")
-    other = _searched(planner, planned, memory, within, start.pose, motion, limits, seed=seed)
-    if broken(other) or bool(np.all(is_null(other.plan))):
+    other = _searched(planner, planned, memory, able, place, motion, limits, seed=seed)
+    if breaches_of(planner, other, place, motion, limits) or bool(np.all(is_null(other.plan))):
         raise InputError(f"reach: {told}, and no plan was found that stays within reach and does anything")
     return other, None
+
+
+def within_by_symmetry(
+    planner: Planner, planned: Planned, goal: State, place: Pose, motion: MotionConfig, limits: Limits
+) -> tuple[Planned, np.ndarray | None] | None:
+    """Return a plan that keeps the limits, as it is or turned by a symmetry of the cloth, and the matrix of the turn.
+
+    None if no form of it does. Plans in voxels are not turned: symmetries are known for meshes only.
+    """
+    if not (limits and breaches_of(planner, planned, place, motion, limits)):
+        return planned, None
+    for matrix in [] if planner.system.voxels else symmetries(planned.state)[1:]:
+        turned = turned_plan(planner, planned, goal, matrix)
+        if not breaches_of(planner, turned, place, motion, limits):
+            return turned, matrix
+    return None
+
+
+def breaches_of(planner: Planner, planned: Planned, place: Pose, motion: MotionConfig, limits: Limits) -> list[Breach]:
+    """Return the limits that the hands do not keep in a plan for a cloth that lies at `place`."""
+    return breaches(limits, [path.points for path in paths_of(planner, planned, place, motion)])
 
 
 def _searched(
@@ -148,12 +161,12 @@ def _graspable(
     planner: Planner, state: State, candidates: Float[np.ndarray, "candidate 2"], place: Pose, limits: Limits
 ) -> Float[np.ndarray, "within 2"]:
     """The grasp points that some hand can be at."""
-    there = candidates[np.isfinite(candidates).all(-1)]
+    all_points = candidates[np.isfinite(candidates).all(-1)]
     if planner.system.voxels:
-        points = np.column_stack([there, np.zeros(len(there))])
+        points = np.column_stack([all_points, np.zeros(len(all_points))])
     else:
-        points = np.array([np.asarray(to_cartesian(state, uv), float) for uv in there]).reshape(-1, 3)
-    return there[graspable(limits, place.normalised_to_table(points))]
+        points = np.array([np.asarray(to_cartesian(state, uv), float) for uv in all_points]).reshape(-1, 3)
+    return all_points[graspable(limits, place.normalised_to_table(points))]
 
 
 def _ball(ball: tuple[float, ...]) -> Ball:
@@ -163,9 +176,8 @@ def _ball(ball: tuple[float, ...]) -> Ball:
     return Ball(ball[:3], ball[3])
 
 
-def _region(name: str, region: ReachConfig | BallConfig | None) -> Region:
-    assert region is not None
+def _region(setting: str, region: ReachConfig | BallConfig) -> Region:
     if isinstance(region, BallConfig):
         return Ball(region.centre, region.radius)
-    ordered(name, region.low, region.high)
+    ordered(f"params.yaml: app.{setting}", region.low, region.high)
     return Box(region.low, region.high)

@@ -19,6 +19,7 @@ import viser
 
 from clothkit.app.extras import optional
 from clothkit.app.inputs import load_settings, observation_options, read_input, with_observation_options
+from clothkit.app.named_goals import goal_name
 from clothkit.app.output import check_target
 from clothkit.app.viewer.page import build
 from clothkit.app.viewer.recorded import systems_in
@@ -47,7 +48,7 @@ from clothkit.runtime.errors import InputError
     help="What plans when you press plan; as in clothkit plan.",
 )
 @click.option("--state", metavar="FILE", help="Your own cloth; needs --goal.")
-@click.option("--goal", metavar="FILE", help="The shape that it shall have.")
+@click.option("--goal", metavar="FILE|NAME", help="The shape that it shall have: a file, or a name of clothkit goals.")
 @click.option(
     "--steps", type=click.IntRange(1, 3), default=1, show_default=True, help="Manipulations on the way there."
 )
@@ -89,6 +90,7 @@ def command(
     \b
     clothkit view
     clothkit view --state start.obj --goal goal.obj --steps 2
+    clothkit view --state cloud.ply --goal half --table 0 0 -1 -0.8
     """
     settings = load_settings(data)
     if record is not None:
@@ -108,7 +110,9 @@ def command(
     options = observation_options(settings.app, **values)
     if own is not None:
         # A bad file must be reported here, and not on a page that nobody has opened yet.
-        read_input(own.state, options, mask=mask), read_input(own.goal, options)
+        read_input(own.state, options, mask=mask)
+        if goal_name(own.goal, None, None) is None:
+            read_input(own.goal, options)
     with contextlib.redirect_stdout(io.StringIO()):  # viser prints its address even if verbose is False
         server = viser.ViserServer(host=host, port=port, verbose=False)
     # `kill` must end the command as Ctrl-C does, because a shell's background jobs do not receive Ctrl-C.

@@ -303,7 +303,7 @@ def breaches(limits: Limits, paths: Sequence[np.ndarray]) -> list[Breach]:
         for zone in limits.keep_out:
             found.append(Breach(step, float(in_zone(zone, both, single).max()), f"inside {zone}"))
         close = float(too_close(limits.apart, both, single))
-        found.append(Breach(step, close, f"nearer to the other one than {float(limits.apart):g} m, by as much"))
+        found.append(Breach(step, close, f"nearer to the other one than the {float(limits.apart):g} m between them"))
     return [breach for breach in found if breach.distance > 0]
 
 

@@ -16,6 +16,7 @@ from clothkit.app import agent_state
 from clothkit.app.agent_state import AgentState
 from clothkit.app.inputs import Input, Settings
 from clothkit.app.planner import Planned, estimate_mesh, load_vtm, mesh_of
+from clothkit.app.reach import limits_of
 from clothkit.app.viewer.search_progress import OnProgress, Progress, search_in_batches
 from clothkit.app.viewer.session import Mesh, Session, StateEstimate, Step, error_of, matched, shown_plan
 from clothkit.cloth.silhouette import centred
@@ -101,7 +102,8 @@ def estimate_of(agent: AgentState) -> StateEstimate:
 def plan(live: Live, *, seed: int, on_progress: OnProgress) -> Live:
     """Search for a plan for the manipulations that are left, and return the session with it.
 
-    Raises InputError when no manipulation is left.
+    The plan is within the limits of the hands that the settings tell, if it can be. Raises InputError when it can't, or
+    when no manipulation is left.
     """
     if not live.left:
         raise InputError("session: is over, expected manipulations that are left to plan")
@@ -115,7 +117,12 @@ def plan(live: Live, *, seed: int, on_progress: OnProgress) -> Live:
         seed=seed,
         on_progress=on_progress,
     )
-    return with_progress(live, progress)
+    found = with_progress(live, progress)
+    limits = limits_of(live.agent.settings.app)
+    if found.plan is None or not limits:
+        return found
+    agent = agent_state.kept_within(limits, found.agent, seed=seed)
+    return found if agent.planned is found.plan else _with_plan(found, agent, progress)
 
 
 def with_progress(live: Live, progress: Progress) -> Live:
@@ -123,10 +130,15 @@ def with_progress(live: Live, progress: Progress) -> Live:
     if progress.best is None:
         agent = dataclasses.replace(live.agent, planned=None)
         return dataclasses.replace(live, agent=agent, session=_with_step(live.session, Step(live.estimate)))
-    agent = agent_state.with_plan(live.agent, progress.best)
+    return _with_plan(live, agent_state.with_plan(live.agent, progress.best), progress)
+
+
+def _with_plan(live: Live, agent: AgentState, progress: Progress) -> Live:
+    """Return the session with the agent's plan, and with its goal if that was turned."""
     assert agent.planned is not None
     shown = shown_plan(agent.planner, agent.planned, progress=progress.lowest, tried=progress.tried)
-    return dataclasses.replace(live, agent=agent, session=_with_step(live.session, Step(live.estimate, shown)))
+    session = live.session if agent.matrix is live.agent.matrix else live.session._replace(goal=agent.target)
+    return dataclasses.replace(live, agent=agent, session=_with_step(session, Step(live.estimate, shown)))
 
 
 def _with_step(session: Session, step: Step) -> Session:
