@@ -46,6 +46,8 @@ def here(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterato
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("HF_DATASETS_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr("clothkit.app.named_goals.user_folder", lambda: root / "goals")
+    if importlib.util.find_spec("gymnasium") is not None:
+        monkeypatch.setattr("clothkit.environment.fold.user_folder", lambda: root / "goals")
     registries: list[dict[str, Any]] = [FABRICS, OPTIMISERS, SYSTEMS]
     kept = [registry.copy() for registry in registries]
     yield tmp_path
