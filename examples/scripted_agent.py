@@ -23,8 +23,8 @@ def script(name: str, simulation: SimulationConfig) -> np.ndarray:
 
 def play(env: gymnasium.Env, actions: np.ndarray) -> tuple[float, float]:
     """The sum of the rewards, and the error in the end, of an episode."""
-    env.reset(seed=0)
-    total, info = 0.0, {}
+    _, info = env.reset(seed=0)
+    total = 0.0
     for action in actions:
         _, reward, terminated, _, info = env.step(action)
         total += float(reward)

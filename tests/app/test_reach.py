@@ -15,7 +15,7 @@ from clothkit.app.agent import Agent
 from clothkit.app.inputs import load_settings, observation_options
 from clothkit.app.plan_file import Plan, read_plan
 from clothkit.app.planner import decide
-from clothkit.app.reach import limits_of
+from clothkit.app.reach import check_limits, limits_of
 from clothkit.app.settings import AppConfig, BallConfig
 from clothkit.cloth.silhouette import centred
 from clothkit.cloth.topology import SQUARE
@@ -184,6 +184,26 @@ def test_bad_limits_are_told_in_one_sentence(options: dict[str, object], says: s
     box = ReachConfig(low=(0.0, 0.0, 0.0), high=(1.0, 1.0, 1.0))
     with pytest.raises(ValueError, match="reach and hands both say what the hands reach"):
         AppConfig(reach=box, hands=(box,))
+
+
+@pytest.mark.parametrize(
+    ("limits", "says"),
+    [
+        (Limits((EVERYWHERE,) * 3), "limits: hands: expected one region for both hands or one for each, found 3"),
+        (Limits((Box((0, 0, 0), (1, -1, 1)),)), r"hands: the box \(0, 0, 0\)..\(1, -1, 1\), expected the low corner"),
+        (
+            Limits(keep_out=(Ball((0, 0, 0), 0.0),)),
+            "limits: keep_out: the ball of radius 0 .*, expected a radius above 0",
+        ),
+        (Limits(keep_out=(Ball((0, np.nan, 0), 1.0),)), "limits: keep_out: .* has numbers that are none"),
+        (Limits(apart=-0.1), "limits: apart: -0.1, expected metres, at least 0"),
+    ],
+)
+def test_bad_limits_of_an_agent_are_told_in_one_sentence(limits: Limits, says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        check_limits(limits)
+    half = Limits((Box((0, -np.inf, -np.inf), (np.inf, np.inf, np.inf)),), apart=0.1)
+    assert check_limits(half) is half
 
 
 def test_a_turned_plan_is_remembered_as_it_is(here: Path) -> None:

@@ -25,7 +25,7 @@ from clothkit.app.observables import Mask, Observable, input_of
 from clothkit.app.output import check_target
 from clothkit.app.plan_arrays import check_nets, memory_of, steps_left, traces_before
 from clothkit.app.plan_file import Plan, read_plan
-from clothkit.app.reach import limits_of
+from clothkit.app.reach import check_limits, limits_of
 from clothkit.app.viewer.recording import ENDING, write_recording
 from clothkit.app.viewer.session import Session, StateEstimate, Step, shown_plan
 from clothkit.cloth.mesh import error
@@ -150,7 +150,7 @@ class Agent:
         limits: Limits | None,
     ) -> None:
         self._planner, self._settings, self._options, self._frame = planner, settings, options, frame
-        self._limits = limits_of(settings.app) if limits is None else limits
+        self._limits = limits_of(settings.app) if limits is None else check_limits(limits)
         self._now: AgentState | None = None
         self._session: Session | None = None
         self._agreements: tuple[EstimateAgreement | None, EstimateAgreement | None] = (None, None)
@@ -206,7 +206,7 @@ class Agent:
             variant = variant_before(name, previous, source, turn, mirror) if name else None
         elif name and steps is None:
             steps = manipulations_of(name)
-        if steps not in range(1, STEPS + 1):
+        if steps is None or steps not in range(1, STEPS + 1):
             raise InputError(f"steps: expected 1, 2 or 3 manipulations, found {steps}")
         if name:
             form = variant or Variant(turn=turn or 0, mirror=bool(mirror))
@@ -257,8 +257,8 @@ class Agent:
         assert now.perceived is not None
         agreement = compare_state(self._planner.system, source, now.perceived.state, self._settings)
         # A cloth that is observed again, with nothing done in between, takes the place of what was seen before.
-        last = now.left != self.session.length - len(self.session.states)
-        self._session = _with_state(self.session._replace(goal=now.target), now.perceived, replacing=last)
+        again = now.left != self.session.length - len(self.session.states)
+        self._session = _with_state(self.session._replace(goal=now.target), now.perceived, replacing=again)
         self._now, self._agreements, self._unlaid = now, (agreement, self._agreements[1]), None
         return self._observed(now.perceived)
 

@@ -67,6 +67,25 @@ def limits_of(
     return Limits(tuple(regions), tuple(zones), apart)
 
 
+def check_limits(limits: Limits) -> Limits:
+    """Return the limits. Raises InputError if they are none that hands can have."""
+    if len(limits.hands) > 2:
+        raise InputError(
+            f"limits: hands: expected one region for both hands or one for each, found {len(limits.hands)}"
+        )
+    for name, regions in (("hands", limits.hands), ("keep_out", limits.keep_out)):
+        for region in regions:
+            if np.isnan(np.concatenate([np.ravel(part) for part in region])).any():
+                raise InputError(f"limits: {name}: {region} has numbers that are none, expected metres")
+            if isinstance(region, Ball) and not region.radius > 0:
+                raise InputError(f"limits: {name}: {region}, expected a radius above 0")
+            if isinstance(region, Box) and not np.less_equal(region.low, region.high).all():
+                raise InputError(f"limits: {name}: {region}, expected the low corner first")
+    if not (np.isfinite(limits.apart) and limits.apart >= 0):
+        raise InputError(f"limits: apart: {float(limits.apart):g}, expected metres, at least 0")
+    return limits
+
+
 def reached(
     planner: Planner,
     planned: Planned,

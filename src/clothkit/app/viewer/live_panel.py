@@ -120,9 +120,9 @@ class LivePanel:
         keep_compiled_programs()
         planner = load_planner(system(self._system.value), self._data, self._settings)
         start = read_input(files.state, self._options, mask=files.mask)
-        name = goal_name(files.goal, None, None)
-        if name:
-            goal = goal_like(start, name, None, None, self._options, self._settings._replace(data=self._data))
+        named = goal_name(files.goal, None, None)
+        if named:
+            goal = goal_like(start, named, None, None, self._options, self._settings._replace(data=self._data))
         else:
             goal = read_input(files.goal, self._options)
         title = f"{Path(files.state).name} to {Path(files.goal).name}" if files is own else name
