@@ -193,7 +193,7 @@ def test_bad_limits_are_told_in_one_sentence(options: dict[str, object], says: s
         (Limits((Box((0, 0, 0), (1, -1, 1)),)), r"hands: the box \(0, 0, 0\)..\(1, -1, 1\), expected the low corner"),
         (
             Limits(keep_out=(Ball((0, 0, 0), 0.0),)),
-            "limits: keep_out: the ball of radius 0 .*, expected a radius above 0",
+            "keep_out: the ball of radius 0 .*, expected a radius above 0",
         ),
         (Limits(keep_out=(Ball((0, np.nan, 0), 1.0),)), "limits: keep_out: .* has numbers that are none"),
         (Limits(apart=-0.1), "limits: apart: -0.1, expected metres, at least 0"),
