@@ -11,12 +11,12 @@ with a `half` of 0.3, 0.25, 0.2, 0.15 and 0.1 m. Two ways are compared:
 turning             the plan as it is, or turned by a symmetry of the cloth; else there is none
 terms               as `clothkit plan --reach`: likewise, but else another search has reach as a term of its objective
 
-Plans are executed to their end without a look in between; the error is that of the outcome against the goal, which is
-turned with the plan, and that of the cloth as it lies where there is no plan. A row per region and task goes to
-reports/<scale>/studies/reach.csv: how its plan came about (found, turned, searched, none), the errors of its outcome,
-of the plan without limits and of no action [cloth length], and the error that the plan expected. Shares of plans that
-stay inside and mean errors, with 95 % bootstrap intervals over sequences, go to reach_summary.csv, and a figure to
-reach.png.
+Plans are executed to their end without a look in between, even if nothing is expected to come of them; the error is
+that of the outcome against the goal, which is turned with the plan, and that of the cloth as it lies where there is no
+plan. A row per region and task goes to reports/<scale>/studies/reach.csv: how its plan came about (found, turned,
+searched, none), the errors of its outcome, of the plan without limits and of no action [cloth length], and the error
+that the plan expected. Shares of plans that stay inside and mean errors, with 95 % bootstrap intervals over sequences,
+go to reach_summary.csv, and a figure to reach.png.
 
 A row that is there is not computed again; those made with other nets or other settings (`fingerprint`) are dropped.
 `--draw` summarises and draws the rows that are there. Needs the nets, the normalisation and the dataset

@@ -49,6 +49,8 @@ def test_importing_clothkit_imports_nothing_else() -> None:
     ended = subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, check=True)
     assert ended.stdout.strip() == "[]"
     assert clothkit.Agent is Agent
+    # Types are for who calls it, too.
+    assert (Path(clothkit.__file__).parent / "py.typed").exists()
     assert set(clothkit.__all__) <= set(dir(clothkit))
     with pytest.raises(AttributeError, match="no attribute 'agents'"):
         clothkit.agents  # noqa: B018

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -27,8 +27,8 @@ from clothkit.simulation.executor import perform
 from clothkit.simulation.settings import SimulationConfig
 from clothkit.simulation.world import Worlds
 
-Measure = Literal["softgym", "error"] | Callable[[Mesh, Mesh], float]
-"""How far a cloth is from the goal. A function takes mesh and goal, both normalised and centred."""
+Measure = str | Callable[[Mesh, Mesh], float]
+"""How far a cloth is from the goal: softgym, error, or a function of mesh and goal, both normalised and centred."""
 
 GOAL_TABLE = (0.85, 0.93, 1.0)
 """Colour of the table in pictures of the goal."""
@@ -71,7 +71,7 @@ class FoldEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         tolerance: float = 0.02,
         simulation: SimulationConfig | None = None,
         camera: CameraConfig | None = None,
-        goals: Path | None = None,
+        goals_folder: Path | None = None,
         render_mode: str | None = None,
     ) -> None:
         """A goal is a mesh [normalised], what draws one, or a name or several (`clothkit goals`).
@@ -79,7 +79,7 @@ class FoldEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         A start is a mesh, what draws one, or the name of a way in which cloths lie at random: flat, dragged, crumpled;
         by default the cloth lies flat and straight. There are by default as many `steps` as a named goal needs, else 3.
         Grasp points are by default on the cloth if its vertices are observed, else on the table. Named goals, which are
-        made in the simulator, are kept in the folder `goals` (default: the user's cache). Raises InputError.
+        made in the simulator, are kept in `goals_folder` (default: the user's cache). Raises InputError.
         """
         steps = steps if steps is not None else needed(goal) or STEPS
         if steps < 1:
@@ -97,7 +97,7 @@ class FoldEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         self._worlds = Worlds(1, simulation)
         self._topology = self._worlds.topology
         self._goals, self._starts, self._measure = goal, self._topology.flat() if start is None else start, measure
-        self._folder = goals or user_folder()
+        self._folder = goals_folder or user_folder()
         # A manipulation moves a cloth by less than two of its lengths.
         farthest = 1.0 + 2.0 * steps
         self._observer = Observer(

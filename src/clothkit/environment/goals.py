@@ -54,22 +54,30 @@ def names_of(goal: object) -> tuple[str, ...]:
     return tuple(named(name).name for name in names)
 
 
-def needed(goal: Goal) -> int | None:
+def needed(goal: object) -> int | None:
     """How many manipulations a named goal needs, the most of several; None for meshes."""
     return max((GOALS[name].manipulations for name in names_of(goal)), default=None)
 
 
-def start_mesh(start: Start, rng: np.random.Generator, simulation: SimulationConfig, topology: Topology) -> Mesh:
+def start_mesh(start: object, rng: np.random.Generator, simulation: SimulationConfig, topology: Topology) -> Mesh:
     """The cloth as it lies at first, at its place on the table. Raises InputError."""
     if not isinstance(start, str):
         return drawn(start, rng, topology.shape, name="start")
-    if start not in START_NAMES:
-        raise InputError(f"start: expected a mesh, a function that draws one, or one of {', '.join(START_NAMES)}")
-    return start_of(int(rng.integers(DRAWS)), start, *_evaluated(simulation)).mesh
+    for name in START_NAMES:
+        if name == start:
+            return start_of(int(rng.integers(DRAWS)), name, *_evaluated(simulation)).mesh
+    names = ", ".join(START_NAMES)
+    raise InputError(f"start: expected a mesh, a function that draws one, or one of {names}, found {start!r}")
 
 
 def target_of(
-    goal: Goal, start: Mesh, rng: np.random.Generator, simulation: SimulationConfig, topology: Topology, *, folder: Path
+    goal: object,
+    start: Mesh,
+    rng: np.random.Generator,
+    simulation: SimulationConfig,
+    topology: Topology,
+    *,
+    folder: Path,
 ) -> Target:
     """The goal of an episode; a named one lies turned as the cloth does, and is kept in `folder`. Raises InputError."""
     names = names_of(goal)
