@@ -3,10 +3,10 @@
 A plan is made for each task of the first validation sequences (default: 30), by system main as `clothkit plan` makes
 it, of a cloth of 0.4 m that first lay flat in the middle of the table. Then both hands are kept in a region:
 
-square              x and y are within -half..half
-side                x is at least -half: the table's far part, as an arm on one side reaches it
+square              x and y are within -size..size, for sizes of 0.3 to 0.15 m
+side                x is at least -size, for sizes of 0.21 to 0 m: what arms at the other side of the table reach
 
-with a `half` of 0.3, 0.25, 0.2, 0.15 and 0.1 m. Two ways are compared:
+Half of the cloth's side is 0.2 m. Two ways are compared:
 
 turning             the plan as it is, or turned by a symmetry of the cloth; else there is none
 terms               as `clothkit plan --reach`: likewise, but else another search has reach as a term of its objective
@@ -60,8 +60,8 @@ from clothkit.runtime.cache import ensure_jax_cache
 from clothkit.runtime.errors import InputError
 from clothkit.simulation.executor import make_simulator
 
-HALVES = (0.3, 0.25, 0.2, 0.15, 0.1)
-"""Sizes of regions [m]; half of the cloth's side is 0.2."""
+SIZES = {"square": (0.3, 0.25, 0.21, 0.18, 0.15), "side": (0.21, 0.15, 0.1, 0.05, 0.0)}
+"""Of regions [m]."""
 
 FAR = 9.0
 """Where there is no limit [m]."""
@@ -72,7 +72,7 @@ SIDE = 0.4
 SEED = 0
 """Of every search."""
 
-REGION, KEYS = ["region", "half"], ["sequence", "start", "length"]
+REGION, KEYS = ["region", "size"], ["sequence", "start", "length"]
 
 WAYS = {"turning": ("found", "turned"), "terms": ("found", "turned", "searched")}
 """How the plans came about that each way has."""
@@ -80,9 +80,12 @@ WAYS = {"turning": ("found", "turned"), "terms": ("found", "turned", "searched")
 
 def regions() -> dict[tuple[str, float], Limits]:
     """Return the limits of both hands by the region's name and size."""
-    square = {("square", half): Box((-half, -half, -FAR), (half, half, FAR)) for half in HALVES}
-    side = {("side", half): Box((-half, -FAR, -FAR), (FAR, FAR, FAR)) for half in HALVES}
-    return {key: Limits((box,)) for key, box in {**square, **side}.items()}
+    found = {}
+    for name, sizes in SIZES.items():
+        for size in sizes:
+            low, high = ((-size, -size), (size, size)) if name == "square" else ((-size, -FAR), (FAR, FAR))
+            found[name, size] = Limits((Box((*low, -FAR), (*high, FAR)),))
+    return found
 
 
 class Kept(NamedTuple):
@@ -153,12 +156,12 @@ def rows_of(
     error = dict(zip(distinct, outcome_errors(list(distinct.values()), tasks, simulator), strict=True))
     still = float(errors(tasks.start, tasks.goal, aligned=True, cloth=tasks.cloths.cloth)[0])
     rows = []
-    for (region, half), one in zip(wanted, kept, strict=True):
+    for (region, size), one in zip(wanted, kept, strict=True):
         assert one.now.planned is not None
         rows.append(
             {
                 "split": tasks.split[0],
-                **dict(zip(REGION, (region, half), strict=True)),
+                **dict(zip(REGION, (region, size), strict=True)),
                 **dict(zip(KEYS, tasks.task[0], strict=True)),
                 "how": one.how,
                 "error": still if one.how == "none" else error[id(one.now.planned)],
@@ -202,8 +205,14 @@ def mean_of(values: pd.Series, sequence: pd.Series, name: str) -> dict[str, floa
 def missing(table: pd.DataFrame, task: Task) -> dict[tuple[str, float], Limits]:
     """Return the regions for which the table has no row of a task."""
     own = table[(table[KEYS] == list(task)).all(axis=1)]
-    known = set(zip(own["region"], own["half"], strict=True))
+    known = set(zip(own["region"], own["size"], strict=True))
     return {key: limits for key, limits in regions().items() if key not in known}
+
+
+def in_force(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows whose regions are among those of the study."""
+    known = regions()
+    return table[[key in known for key in zip(table["region"], table["size"], strict=True)]]
 
 
 def conclude(table: pd.DataFrame, folder: Path) -> None:
@@ -243,7 +252,7 @@ def main() -> None:
     how = (settings.plan, settings.weights, settings.grasping, simulate.simulation, settings.app.motion)
     current = fingerprint(inputs, *how, SEED, WEIGHT, MARGIN)
     dataset, simulator = store.load(meshes), make_simulator(simulate)
-    table = read(path, [*REGION, *KEYS], current)
+    table = in_force(read(path, [*REGION, *KEYS], current))
     for task in tqdm(chosen(dataset, asked.sequences), desc="reach", unit="task"):
         if wanted := missing(table, task):
             tasks = tasks_of_dataset(dataset, [task], "validation")

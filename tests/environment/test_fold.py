@@ -117,7 +117,7 @@ def test_named_goals_have_the_measure_of_softgym(exactly: Path) -> None:
     angle, away = 0.3, np.float32([0.4, 0, 0])
     env = made(goal="half", start=lay(FLAT, angle) + away, goals_folder=exactly)
     seen, info = env.reset(seed=0)
-    assert (info["goal_name"], seen["left"].tolist()) == ("half", [1])
+    assert (info["goal_name"], seen["left"].tolist()) == ("half", [2])
     assert (
         float(
             error(
@@ -143,7 +143,7 @@ def test_one_of_several_goals_is_drawn_and_the_error_may_be_the_reward(exactly: 
     names = set()
     for seed in range(6):
         seen, info = env.reset(seed=seed)
-        assert seen["left"] == [2]
+        assert seen["left"] == [3]
         assert info["measure"] == info["error"]
         names.add(info["goal_name"])
         again, other = env.reset(seed=seed)

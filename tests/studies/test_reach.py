@@ -115,7 +115,7 @@ def rows(sequences: int = 12) -> pd.DataFrame:
         [
             {
                 "region": region,
-                "half": half,
+                "size": size,
                 "sequence": sequence,
                 "start": start,
                 "length": length,
@@ -125,7 +125,7 @@ def rows(sequences: int = 12) -> pd.DataFrame:
                 "error_no_action": 0.5,
             }
             for region in ("square", "side")
-            for half in (0.3, 0.1)
+            for size in ((0.3, 0.25) if region == "square" else (0.1, 0.0))
             for sequence in range(sequences)
             for start, length in TASKS
         ]
@@ -133,7 +133,7 @@ def rows(sequences: int = 12) -> pd.DataFrame:
 
 
 def test_summary(study: ModuleType, tmp_path: Path) -> None:
-    found = study.summary(rows()).set_index(["region", "half", "way"])
+    found = study.summary(rows()).set_index(["region", "size", "way"])
     assert len(found) == 8
     for way in study.WAYS:
         one = found.loc[("square", 0.3, way)]
@@ -157,7 +157,12 @@ def test_summary(study: ModuleType, tmp_path: Path) -> None:
 def test_what_is_there_is_not_computed_again(study: ModuleType) -> None:
     table = rows(1)
     left = study.missing(table, Task(0, 0, 1))
-    assert set(study.regions()) - set(left) == {(region, half) for region in ("square", "side") for half in (0.3, 0.1)}
+    there = {("square", 0.3), ("square", 0.25), ("side", 0.1), ("side", 0.0)}
+    assert set(study.regions()) - set(left) == there
     assert study.missing(table, Task(1, 0, 1)) == study.regions()
-    box = study.regions()["side", 0.1].hands[0]
-    assert (box.low[0], box.high[0]) == (-0.1, study.FAR)
+    other = table.assign(size=table["size"] + 0.001)
+    pd.testing.assert_frame_equal(study.in_force(pd.concat([table, other])), table)
+    assert len(study.in_force(table[:0])) == 0
+    side, square = (study.regions()[key].hands[0] for key in (("side", 0.1), ("square", 0.25)))
+    assert (side.low[:2], side.high[:2]) == ((-0.1, -study.FAR), (study.FAR, study.FAR))
+    assert (square.low[:2], square.high[:2]) == ((-0.25, -0.25), (0.25, 0.25))

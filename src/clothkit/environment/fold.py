@@ -77,11 +77,13 @@ class FoldEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         """A goal is a mesh [normalised], what draws one, or a name or several (`clothkit goals`).
 
         A start is a mesh, what draws one, or the name of a way in which cloths lie at random: flat, dragged, crumpled;
-        by default the cloth lies flat and straight. There are by default as many `steps` as a named goal needs, else 3.
-        Grasp points are by default on the cloth if its vertices are observed, else on the table. Named goals, which are
-        made in the simulator, are kept in `goals_folder` (default: the user's cache). Raises InputError.
+        by default the cloth lies flat and straight. There are by default one more of `steps` than a named goal needs,
+        else 3. Grasp points are by default on the cloth if its vertices are observed, else on the table. Named goals,
+        which are made in the simulator, are kept in `goals_folder` (default: the user's cache). Raises InputError.
         """
-        steps = steps if steps is not None else needed(goal) or STEPS
+        if steps is None:
+            least = needed(goal)
+            steps = STEPS if least is None else least + 1
         if steps < 1:
             raise InputError(f"steps: expected at least 1, found {steps}")
         if render_mode not in (None, *self.metadata["render_modes"]):

@@ -272,8 +272,8 @@ REACH = {
 """Name, colour and marker of each way of keeping plans within reach."""
 
 REGIONS = {
-    "square": "hands within half a side of the middle, along x and y",
-    "side": "hands on one side of a line that far from the middle",
+    "square": "hands at most so far from the middle, in x and in y",
+    "side": "hands at most so far from the middle, on one side",
 }
 
 
@@ -281,7 +281,7 @@ def reach(table: pd.DataFrame, path: Path) -> None:
     """Writes charts of the share of plans within reach and of the error against the size of a region, a row per region.
 
     Lines are means, with 95 % intervals, a line per way; dotted lines are the errors without limits and of no action.
-    Columns of `table`: region (of REGIONS), half [m], way (of REACH), inside (share) and error [cloth length] and, with
+    Columns of `table`: region (of REGIONS), size [m], way (of REACH), inside (share) and error [cloth length] and, with
     _low and _high, their intervals; error_free, error_no_action.
     """
     figure, axes = panels.chart(4, width=4.1, height=2.5, columns=2)
@@ -289,18 +289,19 @@ def reach(table: pd.DataFrame, path: Path) -> None:
     for axis, (region, (column, title)) in zip(axes, product(REGIONS, titles.items()), strict=True):
         rows, scale = table[table["region"] == region], 100.0 if column == "inside" else 1.0
         for way, (label, colour, marker) in REACH.items():
-            own = rows[rows["way"] == way].sort_values("half")
+            own = rows[rows["way"] == way].sort_values("size")
             mean, low, high = (scale * own[f"{column}{ending}"].to_numpy(float) for ending in ("", "_low", "_high"))
-            axis.plot(own["half"], mean, f"{marker}-", color=colour, linewidth=1.2, markersize=4, label=label)
-            axis.fill_between(own["half"], low, high, color=colour, alpha=0.13, linewidth=0)
+            axis.plot(own["size"], mean, f"{marker}-", color=colour, linewidth=1.2, markersize=4, label=label)
+            axis.fill_between(own["size"], low, high, color=colour, alpha=0.13, linewidth=0)
         if column == "error":
             for level, name in (("error_free", "no limit"), ("error_no_action", "nothing done")):
                 axis.axhline(float(rows[level].mean()), color=panels.INK, linewidth=0.8, linestyle=(0, (1, 2)))
                 at = (0.99, float(rows[level].mean()))
                 axis.annotate(name, at, xycoords=axis.get_yaxis_transform(), fontsize=7, ha="right", va="bottom")
-        axis.set_ylim(bottom=0)
+        axis.set_ylim(0, 105 if column == "inside" else 1.15 * max(rows["error_no_action"].max(), rows["error"].max()))
+        axis.set_xticks(np.sort(rows["size"].unique()))
         axis.set_title(REGIONS[region], fontsize=8.5, color=panels.INK)
-        axis.set_xlabel("half side [m]" if region == "square" else "distance of the line [m]", fontsize=8)
+        axis.set_xlabel("size of the region [m]", fontsize=8)
         axis.set_ylabel(title, fontsize=8)
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, fontsize=8, frameon=False, loc="outside upper center", ncols=len(labels))
