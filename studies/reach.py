@@ -212,7 +212,7 @@ def missing(table: pd.DataFrame, task: Task) -> dict[tuple[str, float], Limits]:
 def in_force(table: pd.DataFrame) -> pd.DataFrame:
     """Return the rows whose regions are among those of the study."""
     known = regions()
-    return table[[key in known for key in zip(table["region"], table["size"], strict=True)]]
+    return table[np.array([key in known for key in zip(table["region"], table["size"], strict=True)], bool)]
 
 
 def conclude(table: pd.DataFrame, folder: Path) -> None:

@@ -368,18 +368,18 @@ def test_a_live_plan_keeps_to_the_limits_of_the_settings(
     np.save(tmp_path / "flat.npy", SQUARE.flat())
     session = under_way(folder, monkeypatch, state=str(tmp_path / "flat.npy"))
 
-    def limited(radius: float) -> live.Live:
-        zone = BallConfig(centre=(-0.2, -0.2, 0.0), radius=radius)
+    def limited(corner: float, radius: float) -> live.Live:
+        zone = BallConfig(centre=(corner, corner, 0.0), radius=radius)
         settings = session.agent.settings
         settings = settings._replace(app=dataclasses.replace(settings.app, keep_out=(zone,)))
         return dataclasses.replace(session, agent=dataclasses.replace(session.agent, settings=settings))
 
     corner = np.array([[-1, -1, -1, -1, 0.7, 0.6], [0, 0, 0, 0, 0.1, 0]], np.float32)
     with finding(corner):
-        as_found = live.plan(limited(0.01), seed=0, on_progress=lambda _: True)
-        turned = live.plan(limited(0.15), seed=0, on_progress=lambda _: True)
+        as_found = live.plan(limited(0.2, 0.1), seed=0, on_progress=lambda _: True)
+        turned = live.plan(limited(-0.2, 0.15), seed=0, on_progress=lambda _: True)
         with pytest.raises(InputError, match="inside the ball of radius 5"):
-            live.plan(limited(5.0), seed=0, on_progress=lambda _: True)
+            live.plan(limited(0.2, 5.0), seed=0, on_progress=lambda _: True)
     assert as_found.plan is not None
     assert turned.plan is not None
     np.testing.assert_array_equal(as_found.plan.plan, corner)
