@@ -33,6 +33,7 @@ FLOORS = (
     "evaluation",
     "goals",
     "report",
+    "environment",
     "app",
 )
 

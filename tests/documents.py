@@ -20,6 +20,7 @@ PIPELINE = YAML(typ="safe").load(ROOT / "dvc.yaml")["stages"]
 
 _FENCE = re.compile(r'^```(?P<language>\w+)(?: title="(?P<title>[^"]*)")?$')
 _NO_RUN = re.compile(r"^<!-- no-run: (.+) -->$")
+_NEEDS = re.compile(r"^<!-- needs: (\w+) -->$")
 
 
 class Block(NamedTuple):
@@ -33,6 +34,8 @@ class Block(NamedTuple):
     code: str
     why_not: str | None
     """Why it is not run, if it isn't."""
+    needs: str | None = None
+    """The optional library without which it can't be run."""
 
 
 def blocks(page: Path) -> list[Block]:
@@ -45,10 +48,10 @@ def blocks(page: Path) -> list[Block]:
             fence = _FENCE.match(lines[start])
             if fence is None:
                 raise ValueError(f"{page.name}, line {start + 1}: a block of what? {lines[start]!r}")
-            marked = _NO_RUN.match(lines[start - 1]) if start else None
+            marks = [mark.match(lines[start - 1]) if start else None for mark in (_NO_RUN, _NEEDS)]
             code = "\n".join(lines[start + 1 : number])
-            reason = marked[1] if marked else None
-            found.append(Block(page, start + 2, fence["language"], fence["title"] or "", code, reason))
+            reason, needs = (mark[1] if mark else None for mark in marks)
+            found.append(Block(page, start + 2, fence["language"], fence["title"] or "", code, reason, needs))
             start = None
         elif start is None:
             start = number

@@ -1,7 +1,8 @@
 """What the documentation says is true: its Python and its commands are run, page by page, on small data.
 
 What takes too long says so before its block (`<!-- no-run: why -->`). Of that it is checked that programs, options,
-stages, settings and files are there. Sources and the reference are taken from the tree when the site is built.
+stages, settings and files are there. What needs an optional library (`<!-- needs: gymnasium -->`) is run where that is
+installed. Sources and the reference are taken from the tree when the site is built.
 """
 
 import importlib.util
@@ -45,6 +46,8 @@ def here(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterato
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("HF_DATASETS_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr("clothkit.app.named_goals.user_folder", lambda: root / "goals")
+    if importlib.util.find_spec("gymnasium") is not None:
+        monkeypatch.setattr("clothkit.environment.fold.user_folder", lambda: root / "goals")
     registries: list[dict[str, Any]] = [FABRICS, OPTIMISERS, SYSTEMS]
     kept = [registry.copy() for registry in registries]
     yield tmp_path
@@ -62,6 +65,8 @@ def test_every_block_of_a_page_runs(
     module = ModuleType(f"page_{page.stem.replace('-', '_')}")
     monkeypatch.setitem(sys.modules, module.__name__, module)
     for block in blocks(page):
+        if block.needs is not None and importlib.util.find_spec(block.needs) is None:
+            continue
         if block.language == "python":
             assert block.why_not is None, f"{page.name}, line {block.line}: Python is run, always"
             # Lines keep their numbers, for what tracebacks say.

@@ -20,6 +20,7 @@ FLOORS = [
     "goals",
     "training",
     "report",
+    "environment",
     "app",
 ]
 ABOVE_MODELS = FLOORS[FLOORS.index("observation") : FLOORS.index("training")]

@@ -73,6 +73,7 @@ def content(
                 "grasp_m": points[0],
                 "release_m": points[-1],
                 "waypoints": [{"time_s": t, "position_m": at} for t, at in zip(times, points, strict=True)],
+                "hand": None,
             }
             for points in poses[0].table_to_camera(paths.points).round(6).tolist()
         ]

@@ -9,6 +9,7 @@ import pytest
 
 from clothkit.app import goals as goals_command
 from clothkit.app import named_goals
+from clothkit.app.agent import Agent
 from clothkit.app.plan_file import read_plan
 from clothkit.cloth.mesh import error
 from clothkit.cloth.topology import SQUARE, rectangle
@@ -143,6 +144,39 @@ def test_what_follows_a_plan_keeps_its_goal(start: Path, here: Path) -> None:
             result = run("plan", "--state", "later.npy", "--after", "plan.json", "--out", "rest.json", *asked)
             assert result.exit_code == 1
             assert result.stderr.splitlines()[-1] == f"plan: {sentence}"
+
+
+def test_an_agent_lays_a_named_goal_as_the_cloth_lies_that_it_first_observes(start: Path, here: Path) -> None:
+    goal = placed(exact("quarter", SQUARE), Variant(turn=90, angle=ANGLE))
+    agent = Agent("data", system="b1").begin("quarter", turn=90)
+    assert agent.left == 2
+    other = agent.copy()
+    agent.observe(start)
+    np.testing.assert_allclose(agent.state.target, goal, atol=1e-3)
+    np.testing.assert_array_equal(agent.session.goal, agent.state.target)
+    with finding(FOUND[:2]):
+        plan = agent.plan()
+    assert plan.goal.named is not None
+    assert (plan.goal.file, plan.goal.named.turn_deg) == ("quarter", 90)
+    assert plan.goal.named.angle_rad == pytest.approx(ANGLE, abs=1e-3)
+    # It stays, however the cloth lies later, and for who goes on from a plan.
+    np.save("later.npy", SQUARE.flat())
+    again = Agent("data", system="b1").begin("quarter", after=plan)
+    for later in (agent, again):
+        later.observe("later.npy")
+        assert later.left == 1
+        np.testing.assert_allclose(later.state.target, goal, atol=1e-3)
+    # The copy has seen nothing yet.
+    other.observe("later.npy")
+    np.testing.assert_allclose(other.state.target, placed(exact("quarter", SQUARE), Variant(turn=90)), atol=1e-3)
+    for wrong, options, says in (
+        ("halve", {"steps": 1}, "expected a file or one of half, triangle"),
+        (0.3 * SQUARE.flat(), {"steps": 1, "turn": 90}, "--turn: is for named goals, but the goal is given as arrays"),
+        ("thirds", {"after": plan}, "--goal: expected quarter, for which the plan before was planned, found thirds"),
+        ("quarter", {"after": plan, "steps": 2}, "--steps: expected 1, what is left of the plan before, found 2"),
+    ):
+        with pytest.raises(InputError, match=says):
+            other.begin(wrong, **options)
 
 
 def test_an_outcome_is_held_against_the_goal_that_was_planned_for(

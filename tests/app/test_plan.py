@@ -10,9 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from clothkit.app import agent_state
 from clothkit.app import plan as plan_command
 from clothkit.app import simulate as simulate_command
-from clothkit.app.inputs import observation_options, reach_of
+from clothkit.app.inputs import observation_options
 from clothkit.app.plan_arrays import placed_state
 from clothkit.app.plan_file import UNLIKELY, Plan, read_plan, schema
 from clothkit.app.planner import begin, decide, for_one_cloth, turned_plan
@@ -22,7 +23,6 @@ from clothkit.cloth.topology import SQUARE
 from clothkit.manipulation.geometry import to_cartesian
 from clothkit.observation.camera import CameraConfig
 from clothkit.observation.files import read
-from clothkit.observation.waypoints import ReachConfig
 from clothkit.planning.planner import Planner
 from clothkit.planning.types import Memory, Observation
 from tests.app.conftest import AT, ROOT, run, succeed
@@ -262,7 +262,7 @@ def test_after_takes_up_what_is_left(here: Path, files: Path) -> None:
     np.save(here / "start.npy", toy.bent())
     np.save(here / "goal.npy", goal)
     memories = []
-    original = plan_command.decide
+    original = agent_state.decide
 
     def spy(planner: Planner, observation: Observation, memory: Memory, *, seed: int) -> Any:
         memories.append(memory)
@@ -270,7 +270,7 @@ def test_after_takes_up_what_is_left(here: Path, files: Path) -> None:
 
     with (
         mock.patch.object(plan_command, "load_planner", toy_planner),
-        mock.patch.object(plan_command, "decide", spy),
+        mock.patch.object(agent_state, "decide", spy),
     ):
         common = ("plan", "--goal", here / "goal.npy")
         succeed(*common, "--state", here / "start.npy", "--steps", 2)
@@ -354,11 +354,8 @@ def test_a_plan_is_turned_into_reach_and_its_goal_with_it(here: Path, files: Pat
     assert not (here / "none.json").exists()
 
 
-def test_reach_and_side_come_from_params_unless_options_say_otherwise() -> None:
-    box = ReachConfig(low=(0.0, 0.0, 0.0), high=(1.0, 1.0, 1.0))
-    app = AppConfig(side=0.5, reach=box, table=(0.0, 0.0, 2.0, 1.0))
-    assert reach_of(app, None) == box
-    assert reach_of(app, (0.0, 0.0, 0.0, 2.0, 2.0, 2.0)) == ReachConfig(low=(0.0, 0.0, 0.0), high=(2.0, 2.0, 2.0))
+def test_side_and_table_come_from_params_unless_options_say_otherwise() -> None:
+    app = AppConfig(side=0.5, table=(0.0, 0.0, 2.0, 1.0))
     how = observation_options(app, side=None, table=None, table_colour=(1, 2, 3, 4, 5, 6), box=None)
     assert how.side == 0.5
     assert how.table is not None

@@ -95,6 +95,8 @@ ABSURD: list[tuple[str, str, object, str]] = [
         "waypoints.20.time_s: input should be less than",
     ),
     ("b1", "steps.0.hands.0.waypoints", waypoints({20: 9.0}), "steps.0.hands: expected waypoints at the same times"),
+    ("b1", "steps.0.hands.0.hand", 1, "steps.0.hands: expected different ones of the robot's hands, or null for both"),
+    ("b1", "steps.0.hands.0.hand", 2, "steps.0.hands.0.hand: input should be less than or equal to 1"),
     ("b1", "steps.0.hands.0.waypoints.4.position_m", [0, 0, 99], "steps.0.hands.0.waypoints: expected within 20 cloth"),
     (
         "b1",
@@ -359,5 +361,7 @@ def test_a_plan_that_no_file_may_hold_is_not_written(tmp_path: Path) -> None:
     expected = {"sides_m": None, "thickness_m": None, **PLANS["b1"]}
     expected |= {part: {**PLANS["b1"][part], "named": None} for part in ("state", "goal")}
     assert json.loads(plan.model_dump_json()) == json.loads(json.dumps(expected))
+    # As files were before hands were told apart.
+    assert plan_of(changed(PLANS["b1"], "steps.0.hands.0.hand", ...)) == plan
     with pytest.raises(InputError, match=r"the plan found: expected\.loss: input should be a finite number, found nan"):
         plan_of(changed(PLANS["b1"], "expected.loss", float("nan")))

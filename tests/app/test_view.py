@@ -1,5 +1,6 @@
 """What the viewer shows, as arrays: no browser is needed to tell whether it is right."""
 
+import dataclasses
 import io
 import os
 import shutil
@@ -17,6 +18,7 @@ import zarr
 from clothkit.app.inputs import load_settings, observation_options, read_input
 from clothkit.app.plan_file import UNLIKELY
 from clothkit.app.planner import for_one_cloth
+from clothkit.app.settings import BallConfig
 from clothkit.app.viewer import colours, live
 from clothkit.app.viewer.canvas import finer, two_sided
 from clothkit.app.viewer.colours import Scale, legend, round_up
@@ -319,11 +321,13 @@ def test_a_search_in_lots_tells_how_far_it_is_and_can_be_stopped() -> None:
     assert nothing.best is None
 
 
-def under_way(folder: Path, monkeypatch: pytest.MonkeyPatch) -> live.Live:
-    """A live session of the toy world, before its first plan."""
+def under_way(folder: Path, monkeypatch: pytest.MonkeyPatch, state: str | None = None) -> live.Live:
+    """A live session of the toy world, from its first state or another one, before its first plan."""
     monkeypatch.chdir(folder)  # without params.yaml
     how = observation_options(load_settings(folder).app, side=None, table=None, table_colour=None, box=None)
-    start, goal = (read_input(f"{folder}/meshes.zarr:0/{state}", how) for state in (0, 2))
+    start, goal = (
+        read_input(file, how) for file in (state or f"{folder}/meshes.zarr:0/0", f"{folder}/meshes.zarr:0/2")
+    )
     return live.begin(
         for_one_cloth(toy.planner("b1")), start, goal, 2, title="toy", data=folder, settings=load_settings(folder)
     )
@@ -355,6 +359,38 @@ def test_a_live_session_goes_from_plan_to_plan(folder: Path, monkeypatch: pytest
     assert end < 0.1 * before
     with pytest.raises(InputError, match="is over"):
         live.plan(session, seed=0, on_progress=lambda _: True)
+
+
+def test_a_live_plan_keeps_to_the_limits_of_the_settings(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is turned with its goal, which a flat cloth allows, or refused."""
+    np.save(tmp_path / "flat.npy", SQUARE.flat())
+    session = under_way(folder, monkeypatch, state=str(tmp_path / "flat.npy"))
+
+    def limited(corner: float, radius: float) -> live.Live:
+        zone = BallConfig(centre=(corner, corner, 0.0), radius=radius)
+        settings = session.agent.settings
+        settings = settings._replace(app=dataclasses.replace(settings.app, keep_out=(zone,)))
+        return dataclasses.replace(session, agent=dataclasses.replace(session.agent, settings=settings))
+
+    corner = np.array([[-1, -1, -1, -1, 0.7, 0.6], [0, 0, 0, 0, 0.1, 0]], np.float32)
+    with finding(corner):
+        as_found = live.plan(limited(0.2, 0.1), seed=0, on_progress=lambda _: True)
+        turned = live.plan(limited(-0.2, 0.15), seed=0, on_progress=lambda _: True)
+        with pytest.raises(InputError, match="inside the ball of radius 5"):
+            live.plan(limited(0.2, 5.0), seed=0, on_progress=lambda _: True)
+    assert as_found.plan is not None
+    assert turned.plan is not None
+    np.testing.assert_array_equal(as_found.plan.plan, corner)
+    assert (as_found.session.goal == session.session.goal).all()
+    shown = turned.session.steps[-1].plan
+    assert shown is not None
+    np.testing.assert_array_equal(shown.manipulations, turned.plan.plan)
+    assert turned.agent.matrix is not None
+    np.testing.assert_allclose(turned.plan.plan[0, 4:], turned.agent.matrix @ corner[0, 4:], atol=1e-5)
+    np.testing.assert_allclose(turned.session.goal, turned.agent.target)
+    assert float(np.abs(turned.session.goal - session.session.goal).max()) > 0.1
 
 
 def recorded_plan() -> np.ndarray:

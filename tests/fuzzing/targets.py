@@ -12,7 +12,7 @@ import numpy as np
 import trimesh
 from click.testing import CliRunner
 
-from clothkit.app import plan as plan_command
+from clothkit.app import agent_state
 from clothkit.app import simulate as simulate_command
 from clothkit.app import view as view_command
 from clothkit.app.cli import cli
@@ -81,7 +81,7 @@ def command(*words: str, reads: tuple[Input, ...], writes: tuple[str, ...], sear
 
     def call(changed: Mapping[str, str]) -> Any:
         given = [changed.get(before, word) for before, word in zip(("", *words), words, strict=False)]
-        with contextlib.nullcontext() if searches else mock.patch.object(plan_command, "decide", _decided):
+        with contextlib.nullcontext() if searches else mock.patch.object(agent_state, "decide", _decided):
             ended = CliRunner().invoke(cli, given)
         if ended.exit_code == 0:
             moved = dict(zip(words, given, strict=True))
@@ -108,7 +108,7 @@ def _beside(line: str) -> bool:
 def quick() -> Iterator[None]:
     """Without search and simulation, which take long to compile: all around them is run."""
     with (
-        mock.patch.object(plan_command, "decide", _decided),
+        mock.patch.object(agent_state, "decide", _decided),
         mock.patch.object(simulate_command, "execute", _executed),
         serving(),
     ):

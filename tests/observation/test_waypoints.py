@@ -1,4 +1,4 @@
-"""Arcs by hand, in metres and seconds; turns that keep the cloth as it is; boxes that a robot reaches."""
+"""Arcs by hand, in metres and seconds; turns that keep the cloth as it is."""
 
 import numpy as np
 import pytest
@@ -7,17 +7,13 @@ from clothkit.cloth.silhouette import centred
 from clothkit.cloth.topology import SQUARE
 from clothkit.observation.pose import Pose
 from clothkit.observation.waypoints import (
-    HandPaths,
     MotionConfig,
-    ReachConfig,
-    beyond,
     hand_paths,
     symmetries,
 )
 from tests.observation.scenes import SCALE, folded
 from tests.observation.scenes import turned as turned_mesh
 
-EVERYWHERE = ReachConfig(low=(-9.0, -9.0, -9.0), high=(9.0, 9.0, 9.0))
 POSE = Pose(np.eye(3), np.zeros(3), np.array([0.5, 0.1]), SCALE)
 HALF = np.array([1.0, -1.0, 1.0, 1.0, -1.4, 0.0], np.float32)
 
@@ -79,11 +75,3 @@ def test_crumpled_cloth_is_not_turned() -> None:
     bent = SQUARE.flat().copy()
     bent[20:, 12:, :2] -= [0.4, 0.1]
     assert len(symmetries(centred(bent)[0])) == 1
-
-
-def test_beyond_by_hand() -> None:
-    path = HandPaths(np.zeros(2), np.array([[[0.0, 0.0, 0.0], [1.0, 2.0, 0.5]]]))
-    assert beyond([path], ReachConfig(low=(0.0, 0.0, 0.0), high=(1.0, 1.5, 1.0))) == pytest.approx(0.5)
-    assert beyond([path], ReachConfig(low=(0.2, 0.0, 0.0), high=(1.0, 3.0, 1.0))) == pytest.approx(0.2)
-    assert beyond([path], EVERYWHERE) == 0
-    assert beyond([], EVERYWHERE) == 0

@@ -12,6 +12,7 @@ COMMANDS = {
     "estimate": "The mesh that voxels or a point cloud show.",
     "predict": "What the nets expect of a plan, as meshes.",
     "simulate": "What a plan comes to in the simulator.",
+    "bag": "A plan as timed poses of the grippers, for ROS 2.",
     "goals": "Named goals, with pictures.",
     "export": "States as mesh files, or a dataset for LeRobot or the Hugging Face Hub.",
     "view": "A local page on which sessions are played.",

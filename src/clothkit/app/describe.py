@@ -1,5 +1,6 @@
 """Convert a plan that was found to the content of a plan file: in metres, in a frame, with the expected outcome."""
 
+from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -43,6 +44,8 @@ class PlanRequest(NamedTuple):
     frame: Frame
     agreements: tuple[EstimateAgreement | None, EstimateAgreement | None] = (None, None)
     """Agreement of the estimates of state and goal with their observations; None: not estimated."""
+    hands: Sequence[tuple[int, ...] | None] = ()
+    """Which of the robot's hands follow the paths of each step; None, or no entry: any."""
 
     @property
     def side(self) -> float:
@@ -117,7 +120,10 @@ def describe(planner: Planner, planned: Planned, paths: list[HandPaths], request
         "metres_per_normalised": pose.scale,
         "table": {"axes": pose.rotation.tolist(), "origin_m": pose.origin.tolist()},
         "start": {"state": _state(planned.state, None, pose), "centre_m": _centre(pose)},
-        "steps": [_step(planner, planned, i, path, poses[i + 1]) for i, path in enumerate(paths)],
+        "steps": [
+            _step(planner, planned, i, path, poses[i + 1], request.hands[i] if request.hands else None)
+            for i, path in enumerate(paths)
+        ],
         "expected": expectation,
         "warning": None if expectation["improves"] else plan_file.UNLIKELY,
         "notices": notices(request),
@@ -190,7 +196,9 @@ def _source(planner: Planner, source: Input, found: EstimateAgreement | None, *,
     return {"file": source.file, "kind": source.kind, "taken": usage, "agreement": agreement, "named": named}
 
 
-def _step(planner: Planner, planned: Planned, i: int, path: HandPaths, after: Pose) -> dict[str, Any]:
+def _step(
+    planner: Planner, planned: Planned, i: int, path: HandPaths, after: Pose, numbers: tuple[int, ...] | None
+) -> dict[str, Any]:
     means = planned.means[:, i]
     stds = [None] * len(means) if planned.stds is None else planned.stds[:, i]
     apart = None
@@ -205,8 +213,9 @@ def _step(planner: Planner, planned: Planned, i: int, path: HandPaths, after: Po
                 {"time_s": round(float(time), 4), "position_m": rounded(point, _MICROMETRES)}
                 for time, point in zip(path.times, hand, strict=True)
             ],
+            "hand": None if numbers is None else numbers[k],
         }
-        for hand in points
+        for k, hand in enumerate(points)
     ]
     return {
         "manipulation": planned.plan[i].astype(float).tolist(),

@@ -25,7 +25,6 @@ from clothkit.observation.pose import Pose
 from clothkit.observation.settings import CloudConfig, Triple
 from clothkit.observation.side import Stated
 from clothkit.observation.states import MeshState, PointCloud, VoxelState
-from clothkit.observation.waypoints import ReachConfig
 from clothkit.params import load_params
 from clothkit.planning.objective import Weights
 from clothkit.planning.settings import PlanConfig
@@ -166,23 +165,43 @@ def read_input(file: str, options: ObservationOptions, *, mask: str | None = Non
 
     `mask` names an NPY file [points] that marks the points of the cloth in a cloud. Raises InputError.
     """
-    state = read(
+    state = read_state(file, options)
+    tell(state.notices)
+    if mask is not None:
+        state = with_mask(state, mask, file)
+    found = observed(state, options, name=file)
+    tell(found.observation.notices)
+    return found
+
+
+def tell(notices: tuple[str, ...]) -> None:
+    """Print notices on stderr."""
+    for notice in notices:
+        click.echo(f"notice: {notice}", err=True)
+
+
+def read_state(file: str | Path, options: ObservationOptions) -> State:
+    """Read a file. Raises InputError."""
+    return read(
         file, cloth_side=options.side, y_up=options.y_up, as_points=options.as_points, topology=options.topology
     )
-    for notice in state.notices:
-        click.echo(f"notice: {notice}", err=True)
-    if mask is not None:
-        if not isinstance(state, PointCloud):
-            raise InputError(f"{mask}: is a mask for points, but {file} holds none")
-        state = dataclasses.replace(state, cloth=_read_mask(Path(mask), len(state.points)))
+
+
+def with_mask(state: State, mask: str | Path, name: str) -> State:
+    """Return a point cloud, which messages call `name`, with the mask of its cloth, an NPY file. Raises InputError."""
+    if not isinstance(state, PointCloud):
+        raise InputError(f"{mask}: is a mask for points, but {name} holds none")
+    return dataclasses.replace(state, cloth=_read_mask(Path(mask), len(state.points)))
+
+
+def observed(state: State, options: ObservationOptions, *, name: str) -> Input:
+    """Observe the cloth of a state, which messages call `name`. Raises InputError."""
     cloud, table, stated = options.cloud, options.table, options.stated
     if isinstance(state, PointCloud) and state.table is not None:
         # The options describe a camera's cloud; these points are of a surface whose table is known.
         cloud, table, stated = dataclasses.replace(cloud, box=None, table_colour=None), None, Stated()
-    observation = observe(state, cloth_side=options.side, settings=cloud, table=table, stated=stated, name=file)
-    for notice in observation.notices:
-        click.echo(f"notice: {notice}", err=True)
-    return Input(file, state, observation, options.cloth)
+    observation = observe(state, cloth_side=options.side, settings=cloud, table=table, stated=stated, name=name)
+    return Input(name, state, observation, options.cloth)
 
 
 def _read_mask(path: Path, count: int) -> Bool[np.ndarray, " points"]:
@@ -308,11 +327,10 @@ def observation_options(
     if table_colour:
         r, g, b, most_r, most_g, most_b = table_colour
         least, most = (r, g, b), (most_r, most_g, most_b)
-        _ordered("--table-colour", least, most)
+        ordered("--table-colour", least, most)
         cloud = dataclasses.replace(cloud, table_colour=(least, most))
     if box:
-        corners = _corners("--box", box)
-        cloud = dataclasses.replace(cloud, box=corners)
+        cloud = dataclasses.replace(cloud, box=corners("--box", box))
     plane, camera, turned = table or app.table, viewpoint or app.viewpoint, app.y_up if y_up is None else y_up
     # The normal of a table from an option points up, so `app.up` must not override it.
     up = up or (None if table else app.up)
@@ -355,25 +373,16 @@ def _thickness(app: AppConfig, thickness: float | None) -> float:
     return found
 
 
-def reach_of(app: AppConfig, box: tuple[float, ...] | None) -> ReachConfig | None:
-    """Return the box that the hands reach, from the option or else the settings (None: no limit). Raises InputError."""
-    if box is None:
-        reach = app.reach
-        if reach is not None:
-            _ordered("params.yaml: app.reach", reach.low, reach.high)
-        return reach
-    low, high = _corners("--reach", box)
-    return ReachConfig(low=low, high=high)
-
-
-def _corners(name: str, box: tuple[float, ...]) -> tuple[Triple, Triple]:
+def corners(name: str, box: tuple[float, ...]) -> tuple[Triple, Triple]:
+    """Return the low and the high corner of a box from six numbers. Raises InputError."""
     if not np.isfinite(box).all():
         raise InputError(f"{name}: expected six finite numbers, found {' '.join(f'{value:g}' for value in box)}")
     x, y, z, to_x, to_y, to_z = box
-    _ordered(name, (x, y, z), (to_x, to_y, to_z))
+    ordered(name, (x, y, z), (to_x, to_y, to_z))
     return (x, y, z), (to_x, to_y, to_z)
 
 
-def _ordered(name: str, low: tuple[int, ...] | tuple[float, ...], high: tuple[int, ...] | tuple[float, ...]) -> None:
+def ordered(name: str, low: tuple[int, ...] | tuple[float, ...], high: tuple[int, ...] | tuple[float, ...]) -> None:
+    """Check that each number of a low corner is at most that of a high one. Raises InputError."""
     if any(a > b for a, b in zip(low, high, strict=True)):
         raise InputError(f"{name}: {low} is not below {high}, expected the low corner first")

@@ -14,6 +14,7 @@ from clothkit.app.inputs import Input, ObservationOptions, Settings
 from clothkit.app.plan_file import Plan
 from clothkit.app.planner import estimate_mesh, load_vtm, mesh_of
 from clothkit.cloth.topology import Topology
+from clothkit.dataset.store import STEPS
 from clothkit.goals.folds import GOALS
 from clothkit.goals.store import user_folder
 from clothkit.goals.variants import Turn, Variant, angle_of, goal_mesh
@@ -44,46 +45,62 @@ def with_variant_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
-def goal_name(goal: str | None, turn: str | None, mirror: bool | None) -> str | None:
-    """The goal's name, None if it is a file.
+def goal_name(goal: object, turn: Turn | None, mirror: bool | None) -> str | None:
+    """The goal's name, None if it is anything else, such as a file.
 
-    Prints a notice if it is both. Raises InputError if it is neither, and for options of names beside a file.
+    Raises InputError if it is neither, and for a turn or a mirroring of what has no name.
     """
-    if goal in GOALS:
-        if os.path.lexists(goal):
-            click.echo(f"notice: --goal {goal}: the named goal is meant, and not the file ./{goal}", err=True)
+    if isinstance(goal, str) and goal in GOALS:
         return goal
     # Files have an ending, and a dataset's state (data/meshes.zarr:0/1) has more than that.
-    if goal is not None and re.fullmatch(r"[\w-]+", goal):
+    if isinstance(goal, str) and re.fullmatch(r"[\w-]+", goal):
         raise InputError(f"--goal: expected a file or one of {', '.join(GOALS)}, found {goal!r}")
+    told = "not given" if goal is None else goal if isinstance(goal, str | Path) else "given as arrays"
     for name, given in (("turn", turn), ("mirror", mirror)):
         if given is not None:
-            raise InputError(f"--{name}: is for named goals, but the goal is {'not given' if goal is None else goal}")
+            raise InputError(f"--{name}: is for named goals, but the goal is {told}")
     return None
 
 
+def goal_option(goal: str | None, turn: str | None, mirror: bool | None) -> tuple[str | None, Turn | None]:
+    """The goal's name, as `goal_name` has it, and the turn, by the options; a notice tells if it is a file's name, too.
+
+    Raises InputError.
+    """
+    angle = None if turn is None else TURNS[turn]
+    name = goal_name(goal, angle, mirror)
+    if name is not None and os.path.lexists(name):
+        click.echo(f"notice: --goal {name}: the named goal is meant, and not the file ./{name}", err=True)
+    return name, angle
+
+
+def manipulations_of(name: str) -> int:
+    """How many manipulations of a plan lead to a named goal: as many as it needs, as far as a plan has so many."""
+    return min(GOALS[name].manipulations, STEPS)
+
+
 def variant_before(
-    name: str, plan: Plan | None, source: Path | None, turn: str | None, mirror: bool | None
+    name: str, plan: Plan | None, source: Path | None, turn: Turn | None, mirror: bool | None
 ) -> Variant | None:
     """How a goal lay that a plan was made for; None if there is no plan, or it is for a file.
 
-    Raises InputError if the plan is for another named goal, or another side of the cloth than the options tell.
+    Raises InputError if the plan is for another named goal, or another side of the cloth than `turn` and `mirror` tell.
     """
     if plan is None or plan.goal.named is None:
         return None
     told = plan.goal.named
     if plan.goal.file != name:
         raise InputError(f"--goal: expected {plan.goal.file}, for which {source} was planned, found {name}")
-    if turn is not None and int(turn) != told.turn_deg:
+    if turn is not None and turn != told.turn_deg:
         raise InputError(f"--turn: expected {told.turn_deg}, for which {source} was planned, found {turn}")
     if mirror and not told.mirror:
         raise InputError(f"--mirror: {source} was planned for a goal that is not mirrored")
     return Variant(turn=told.turn_deg, mirror=told.mirror, angle=told.angle_rad)
 
 
-def variant_of(turn: str | None, mirror: bool | None, mesh: Float[np.ndarray, "u v 3"], topology: Topology) -> Variant:
-    """The side of the cloth that the options tell, turned as the cloth lies whose mesh is given."""
-    return Variant(turn=TURNS[turn or "0"], mirror=bool(mirror), angle=angle_of(mesh, topology))
+def variant_of(turn: Turn | None, mirror: bool | None, mesh: Float[np.ndarray, "u v 3"], topology: Topology) -> Variant:
+    """The side of the cloth that is told, turned as the cloth lies whose mesh is given."""
+    return Variant(turn=turn or 0, mirror=bool(mirror), angle=angle_of(mesh, topology))
 
 
 def lying(start: Input, data: Path, settings: Settings) -> Float[np.ndarray, "u v 3"]:
@@ -103,6 +120,17 @@ def named_goal(name: str, variant: Variant, options: ObservationOptions, setting
     mesh = goal_mesh(name, topology, simulation, variant, folder=user_folder())
     state = MeshState(mesh, np.zeros(2, np.float32), options.scale)
     observation = observe(state, cloth_side=options.side, settings=options.cloud, name=name)
-    for notice in observation.notices:
-        click.echo(f"notice: {notice}", err=True)
     return Input(name, state, observation, options.cloth, variant)
+
+
+def goal_like(
+    start: Input,
+    name: str,
+    turn: Turn | None,
+    mirror: bool | None,
+    options: ObservationOptions,
+    settings: Settings,
+) -> Input:
+    """A named goal of the user's cloth that lies turned as the cloth does in `start`. Raises InputError."""
+    variant = variant_of(turn, mirror, lying(start, settings.data, settings), options.topology)
+    return named_goal(name, variant, options, settings)

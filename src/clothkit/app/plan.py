@@ -1,50 +1,33 @@
 """`clothkit plan`: make a plan from one observation to a goal, and write the plan file."""
 
 import os
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
 
-from clothkit.app.agreement import compare_goal, compare_state, warn
-from clothkit.app.describe import Frame, PlanRequest, describe, frame_of, paths_of
+from clothkit.app.agent import Agent
+from clothkit.app.agreement import warn
+from clothkit.app.describe import Frame
 from clothkit.app.inputs import (
     Input,
     keep_compiled_programs,
     load_settings,
     observation_options,
-    reach_of,
     read_input,
+    tell,
     with_observation_options,
 )
-from clothkit.app.named_goals import (
-    goal_name,
-    lying,
-    named_goal,
-    variant_before,
-    variant_of,
-    with_variant_options,
-)
+from clothkit.app.named_goals import goal_option, manipulations_of, variant_before, with_variant_options
 from clothkit.app.output import check_target, part
-from clothkit.app.plan_arrays import check_nets, check_steps_left, cloth_of, memory_of, traces_before
+from clothkit.app.plan_arrays import cloth_of, steps_left
 from clothkit.app.plan_file import Plan, Source, read_plan, write_plan
-from clothkit.app.planner import (
-    Planned,
-    State,
-    begin,
-    decide,
-    goal_of,
-    load_planner,
-    observation_of,
-    turned_goal,
-    turned_plan,
-)
+from clothkit.app.planner import load_planner
+from clothkit.app.reach import limits_of
 from clothkit.dataset.store import STEPS
 from clothkit.goals.folds import GOALS
-from clothkit.observation.waypoints import HandPaths, MotionConfig, ReachConfig, beyond, symmetries
 from clothkit.planning.optimisers import OPTIMISERS, optimiser_of
-from clothkit.planning.planner import Planner
 from clothkit.planning.systems import SYSTEMS, System, system
 from clothkit.runtime.errors import InputError
 
@@ -104,10 +87,29 @@ from clothkit.runtime.errors import InputError
     "--reach",
     type=float,
     nargs=6,
+    multiple=True,
     metavar="X Y Z X Y Z",
-    help="Low and high corner of the box that the hands reach, metres in the table's frame. A plan that leaves it is "
-    "turned by right angles or mirrored, where this cloth looks the same turned; its goal turns along.",
+    help="Low and high corner of the box that the hands reach, metres in the table's frame; given twice, each hand has "
+    "its own. A plan that leaves it is turned by right angles or mirrored, where this cloth looks the same turned; its "
+    "goal turns along. If that does not help, another plan is searched for.",
 )
+@click.option(
+    "--reach-ball",
+    type=float,
+    nargs=4,
+    multiple=True,
+    metavar="X Y Z R",
+    help="The same as a ball: centre and radius. Balls come after boxes, if each hand has its own.",
+)
+@click.option(
+    "--keep-out",
+    type=float,
+    nargs=6,
+    multiple=True,
+    metavar="X Y Z X Y Z",
+    help="Low and high corner of a box that no hand may enter; any number of them.",
+)
+@click.option("--apart", type=float, metavar="METRES", help="Least distance between two hands. [default: app.apart]")
 @with_observation_options
 def command(
     *,
@@ -121,7 +123,10 @@ def command(
     optimiser: str | None,
     seed: int,
     frame: Frame,
-    reach: tuple[float, ...] | None,
+    reach: tuple[tuple[float, ...], ...],
+    reach_ball: tuple[tuple[float, ...], ...],
+    keep_out: tuple[tuple[float, ...], ...],
+    apart: float | None,
     turn: str | None,
     mirror: bool | None,
     mask: str | None,
@@ -155,10 +160,12 @@ def command(
     previous = read_plan(after) if after else None
     if previous and after:
         values |= cloth_of(previous, values, after)
-    options, box = observation_options(settings.app, **values), reach_of(settings.app, reach)
-    named = goal_name(goal, turn, mirror)
+    options = observation_options(settings.app, **values)
+    limits = limits_of(settings.app, boxes=reach, balls=reach_ball, keep_out=keep_out, apart=apart)
+    named, angle = goal_option(goal, turn, mirror)
     length = _length(steps, previous, after, named)
-    variant = variant_before(named, previous, after, turn, mirror) if named else None
+    if named:
+        variant_before(named, previous, after, angle, mirror)
     keep_compiled_programs()
     with part("observe"):
         start = read_input(state, options, mask=mask)
@@ -166,67 +173,36 @@ def command(
     chosen = _system(name, start, previous, after)
     with part("load nets"):
         planner = load_planner(chosen, data, settings, optimiser=optimiser)
-        if previous and after:
-            check_nets(previous, planner, data, after)
-            check_steps_left(previous, after)
-            traces = traces_before(previous, planner, after)
-    if named:
-        with part("make the goal"):
-            variant = variant or variant_of(turn, mirror, lying(start, data, settings), options.topology)
-            goal_input = named_goal(named, variant, options, settings)
-    assert goal_input is not None
+        agent = Agent.of(planner, settings, options, frame=frame, limits=limits)
+    with part("make the goal") if named else nullcontext():
+        agent.begin(goal_input or goal, length, turn=angle, mirror=mirror, after=after)
     with part("estimate"):
-        observation, matrix = observation_of(planner, start, data, settings), None
-        target = goal_of(chosen, goal_input, data, settings)
-        goal_agreement = compare_goal(chosen, goal_input, target, settings)
-        if previous and previous.turned and not chosen.voxels:
-            matrix = np.array(previous.turned)
-            target = turned_goal(target, matrix)
-        memory = begin(planner, target, length, start.cloth)
-        if previous and after:
-            memory = memory_of(previous, planner, memory, traces)
+        agent.observe(start)
+    if named:
+        tell(agent.state.goal.notices)
     with part(f"search by {optimiser_of(planner.settings.search.optimiser).name}"):
-        planned, _ = decide(planner, observation, memory, seed=seed)
-        found = (compare_state(chosen, start, planned.state, settings), goal_agreement)
-        planned, paths, turned = reached(planner, planned, target, start, settings.app.motion, box)
-        if turned is not None:
-            target, matrix = turned_goal(target, turned), turned if matrix is None else turned @ matrix
-    for estimate in found:
+        plan = agent.plan(seed=seed)
+    for estimate in agent.agreements:
         warn(estimate)
-    request = PlanRequest(
-        start,
-        goal_input,
-        target,
-        matrix,
-        options.sides,
-        options.thickness,
-        seed,
-        frame_of(start, frame),
-        found,
-    )
-    plan = describe(planner, planned, paths, request)
     write_plan(out, plan)
     click.echo(summary(plan, out))
 
 
 def _length(steps: int | None, previous: Plan | None, after: Path | None, named: str | None) -> int:
-    if previous is None:
-        if steps is None and named:
-            needed = GOALS[named].manipulations
-            if needed > STEPS:
-                click.echo(
-                    f"notice: {named} needs {needed} manipulations, and a plan has at most {STEPS}: execute its first "
-                    "step, look, and plan anew",
-                    err=True,
-                )
-            return min(needed, STEPS)
-        if steps is None:
-            raise click.UsageError("Missing option '--steps': how many manipulations, 1 to 3.")
+    if previous is not None and after is not None:
+        return steps_left(previous, after, steps)
+    if steps is not None:
         return steps
-    left = len(previous.steps) - 1
-    if steps not in (None, left):
-        raise InputError(f"--steps: expected {left}, what is left of {after}, found {steps}")
-    return left
+    if named is None:
+        raise click.UsageError("Missing option '--steps': how many manipulations, 1 to 3.")
+    needed = GOALS[named].manipulations
+    if needed > STEPS:
+        click.echo(
+            f"notice: {named} needs {needed} manipulations, and a plan has at most {STEPS}: execute its first step, "
+            "look, and plan anew",
+            err=True,
+        )
+    return manipulations_of(named)
 
 
 def _system(name: str | None, start: Input, previous: Plan | None, after: Path | None) -> System:
@@ -235,31 +211,6 @@ def _system(name: str | None, start: Input, previous: Plan | None, after: Path |
             raise InputError(f"--system: expected {previous.system}, with which {after} was planned, found {name}")
         name = previous.system
     return system(name or ("b1" if start.kind == "mesh" else "main"))
-
-
-def reached(
-    planner: Planner, planned: Planned, goal: State, start: Input, motion: MotionConfig, box: ReachConfig | None
-) -> tuple[Planned, list[HandPaths], np.ndarray | None]:
-    """Return a form of the plan whose paths stay in the box, those paths, and the matrix that turned the plan.
-
-    The plan itself is tried first (matrix: None), then its turned and mirrored forms by the symmetries of the state.
-    Raises InputError when none stays in the box. Plans in voxels are not turned: symmetries are known for meshes only.
-    """
-    paths = paths_of(planner, planned, start.pose, motion)
-    if box is None or beyond(paths, box) == 0:
-        return planned, paths, None
-    nearest = beyond(paths, box)
-    for matrix in [] if planner.system.voxels else symmetries(planned.state)[1:]:
-        turned = turned_plan(planner, planned, goal, matrix)
-        paths = paths_of(planner, turned, start.pose, motion)
-        outside = beyond(paths, box)
-        if outside == 0:
-            return turned, paths, matrix
-        nearest = min(nearest, outside)
-    raise InputError(
-        f"--reach: however the plan is turned, a waypoint is at least {nearest:.3g} m outside the box "
-        f"{box.low}..{box.high}"
-    )
 
 
 def summary(plan: Plan, path: Path) -> str:

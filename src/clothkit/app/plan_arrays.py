@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from clothkit.app.plan_file import MeshState, Placed, Plan
-from clothkit.app.planner import State, Traces, traces_after
+from clothkit.app.planner import State, Traces, memory_after
 from clothkit.planning.agent import initial_traces
 from clothkit.planning.planner import Planner
 from clothkit.planning.types import Memory
@@ -76,31 +76,36 @@ def traces_before(plan: Plan, planner: Planner, name: Path) -> Traces:
     return found
 
 
-def check_steps_left(plan: Plan, name: Path) -> None:
-    """Check that something is left of a plan after its first step. Raises InputError."""
-    if len(plan.steps) < 2:
+def steps_left(plan: Plan, name: Path, steps: int | None = None) -> int:
+    """The number of manipulations that are left of a plan after its first step.
+
+    Raises InputError if none is, or if there are not `steps`.
+    """
+    left = len(plan.steps) - 1
+    if not left:
         raise InputError(f"{name}: has one step, so nothing is left to plan after it; plan afresh, without --after")
+    if steps not in (None, left):
+        raise InputError(f"--steps: expected {left}, what is left of {name}, found {steps}")
+    return left
 
 
 def memory_of(plan: Plan, planner: Planner, blank: Memory, traces: Traces) -> Memory:
     """Return what the next decision needs after a plan's first step (section 5.1), as a batch of one.
 
     `blank` is the memory before a first decision, with the goal, and `traces` are those before the plan. A null
-    manipulation is not executed, so the expected state and the traces are those before it.
+    manipulation is not executed.
     """
-    start, steps = placed_state(plan, plan.start), manipulations(plan)
-    first, expected = plan.steps[0], start
+    first, predicted = plan.steps[0], None
     if not first.null:
         placed = Placed(state=first.predictions[plan.memory.best].state, centre_m=first.centre_m)
-        expected = placed_state(plan, placed)
-        cloth = blank.cloth[0]
-        traces = traces_after(planner, start, steps, common=plan.memory.common, traces=traces, cloth=cloth)
-    rest = np.full_like(blank.rest, np.nan)
-    rest[0, : len(steps) - 1] = steps[1:]
-    return blank._replace(
-        planned=np.ones(1, bool),
-        relative=np.array([plan.memory.relative], np.int32),
-        rest=rest,
-        expected=expected[None].astype(np.float32),
-        traces=tuple(trace[None] for trace in traces),
+        predicted = placed_state(plan, placed)
+    return memory_after(
+        planner,
+        blank,
+        placed_state(plan, plan.start),
+        manipulations(plan),
+        common=plan.memory.common,
+        relative=plan.memory.relative,
+        traces=traces,
+        predicted=predicted,
     )

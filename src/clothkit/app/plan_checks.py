@@ -69,6 +69,10 @@ def check_step(step: "clothkit.app.plan_file.Step") -> None:
         raise ValueError(f"hands: expected {0 if null else hands}, by its manipulation, found {len(step.hands)}")
     if len({tuple(point.time_s for point in hand.waypoints) for hand in step.hands}) > 1:
         raise ValueError("hands: expected waypoints at the same times, since both hands grasp and release together")
+    numbers = [hand.hand for hand in step.hands]
+    named = [number for number in numbers if number is not None]
+    if named and (len(named) < len(numbers) or len(set(named)) < len(named)):
+        raise ValueError("hands: expected different ones of the robot's hands, or null for both")
     nets = [prediction.net for prediction in step.predictions]
     if len(set(nets)) < len(nets):
         raise ValueError(f"predictions: expected different nets, found {', '.join(map(str, nets))}")

@@ -161,6 +161,8 @@ class Hand(Part):
     release_m: Point
     """The last one."""
     waypoints: Annotated[list[Waypoint], Len(2)]
+    hand: Annotated[int, Ge(0), Le(1)] | None = None
+    """Which of the robot's hands it is, where each has a reach of its own: 0 or 1; null: any."""
 
     @pydantic.model_validator(mode="after")
     def _agrees(self) -> "Hand":

@@ -251,6 +251,39 @@ def traces_after(
     return tuple(np.asarray(of_net.traces[0]) for of_net in found)
 
 
+def memory_after(
+    planner: Planner,
+    before: Memory,
+    state: State,
+    plan: Float[np.ndarray, "n 6"],
+    *,
+    common: int,
+    relative: int,
+    traces: Traces,
+    predicted: State | None,
+) -> Memory:
+    """Return what the decision after a plan's first step needs (section 5.1), as a batch of one.
+
+    `before` is the memory before the plan, with the goal that the plan leads to, and `traces` are those before it.
+    `predicted` is the best net's mean prediction of the state after the first step; None: the step was not executed,
+    so that the expected state and the traces are those before it. In both cases the cloth is observed anew.
+    """
+    expected = state if predicted is None else predicted
+    if predicted is not None:
+        traces = traces_after(planner, state, plan, common=common, traces=traces, cloth=before.cloth[0])
+    rest = np.full_like(before.rest, np.nan)
+    rest[0, : len(plan) - 1] = plan[1:]
+    return before._replace(
+        left=np.array([len(plan) - 1], np.int64),
+        planned=np.ones(1, bool),
+        still=np.zeros(1, bool),
+        relative=np.array([relative], np.int32),
+        rest=rest,
+        expected=expected[None].astype(np.float32),
+        traces=tuple(trace[None] for trace in traces),
+    )
+
+
 def _predictions(
     planner: Planner,
     state: State,

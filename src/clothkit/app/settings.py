@@ -2,13 +2,21 @@
 
 from typing import Annotated
 
-from annotated_types import Gt
+from annotated_types import Ge, Gt, MaxLen
 
 from clothkit.estimation.agreement import AgreementConfig
 from clothkit.observation.settings import CloudConfig, Triple
 from clothkit.observation.waypoints import MotionConfig, ReachConfig
 from clothkit.runtime.config import config
 from clothkit.simulation.settings import SimulationConfig
+
+
+@config
+class BallConfig:
+    """The ball that a robot's hand can reach [m], in the table's frame."""
+
+    centre: Triple
+    radius: Annotated[float, Gt(0)]
 
 
 @config
@@ -34,4 +42,14 @@ class AppConfig:
     """Thresholds of agreement from which an estimate counts as explaining its observation; None: the nets' own."""
     motion: MotionConfig = MotionConfig()
     reach: ReachConfig | None = None
-    """The box that the hands reach; None: no limit."""
+    """The box that both hands reach; None: no limit, but for `hands`."""
+    hands: Annotated[tuple[ReachConfig | BallConfig, ...], MaxLen(2)] = ()
+    """What hands reach, if `reach` does not say it: one box or ball for both, or one for each."""
+    keep_out: tuple[ReachConfig | BallConfig, ...] = ()
+    """Boxes and balls that no hand may enter."""
+    apart: Annotated[float, Ge(0)] = 0.0
+    """Least distance between the two hands of a manipulation [m]."""
+
+    def __post_init__(self) -> None:
+        if self.reach is not None and self.hands:
+            raise ValueError("reach and hands both say what the hands reach, expected one of them")

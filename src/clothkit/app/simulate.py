@@ -15,9 +15,10 @@ from clothkit.app.inputs import (
     load_settings,
     observation_options,
     read_input,
+    tell,
     with_observation_options,
 )
-from clothkit.app.named_goals import goal_name, named_goal, variant_before, variant_of, with_variant_options
+from clothkit.app.named_goals import goal_option, named_goal, variant_before, variant_of, with_variant_options
 from clothkit.app.output import check_target, part, write_mesh
 from clothkit.app.plan_arrays import cloth_of, placed_state
 from clothkit.app.plan_file import Plan, Step, read_plan
@@ -108,8 +109,8 @@ def command(
     values |= cloth_of(plan, values, source) | ({} if thickness is None else {"thickness": thickness})
     options = observation_options(settings.app, **values)
     check_target(out, FORMATS)
-    named = goal_name(goal, turn, mirror)
-    variant = variant_before(named, plan, source, turn, mirror) if named else None
+    named, angle = goal_option(goal, turn, mirror)
+    variant = variant_before(named, plan, source, angle, mirror) if named else None
     keep_compiled_programs()
     with part("observe"):
         start = read_input(state, options, mask=mask) if state else None
@@ -125,8 +126,9 @@ def command(
     if named:
         with part("make the goal"):
             goal_input = named_goal(
-                named, variant or variant_of(turn, mirror, mesh, options.topology), options, settings
+                named, variant or variant_of(angle, mirror, mesh, options.topology), options, settings
             )
+        tell(goal_input.notices)
     with part("simulate"):
         hands = start.pose if start and start.kind == "points" and plan.frame == "camera" else None
         states = simulate_plan(

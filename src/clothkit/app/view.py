@@ -17,9 +17,13 @@ import click
 import jax
 import viser
 
+from clothkit.app.extras import optional
 from clothkit.app.inputs import load_settings, observation_options, read_input, with_observation_options
+from clothkit.app.named_goals import goal_name
+from clothkit.app.output import check_target
 from clothkit.app.viewer.page import build
 from clothkit.app.viewer.recorded import systems_in
+from clothkit.app.viewer.recording import ENDING
 from clothkit.app.viewer.tasks import SessionFiles
 from clothkit.planning.planner import artifacts
 from clothkit.planning.systems import SYSTEMS
@@ -44,7 +48,7 @@ from clothkit.runtime.errors import InputError
     help="What plans when you press plan; as in clothkit plan.",
 )
 @click.option("--state", metavar="FILE", help="Your own cloth; needs --goal.")
-@click.option("--goal", metavar="FILE", help="The shape that it shall have.")
+@click.option("--goal", metavar="FILE|NAME", help="The shape that it shall have: a file, or a name of clothkit goals.")
 @click.option(
     "--steps", type=click.IntRange(1, 3), default=1, show_default=True, help="Manipulations on the way there."
 )
@@ -53,6 +57,12 @@ from clothkit.runtime.errors import InputError
     "--port", type=click.IntRange(0, 65535), default=8080, show_default=True, help="The next free one from here on."
 )
 @click.option("--no-browser", is_flag=True, help="Only tell the page's address.")
+@click.option(
+    "--record",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="A recording of Rerun (.rrd) of the session that the page shows, written anew whenever it changes.",
+)
 @with_observation_options
 def command(
     *,
@@ -64,6 +74,7 @@ def command(
     host: str,
     port: int,
     no_browser: bool,
+    record: Path | None,
     mask: str | None,
     **values: Any,
 ) -> None:
@@ -79,8 +90,12 @@ def command(
     \b
     clothkit view
     clothkit view --state start.obj --goal goal.obj --steps 2
+    clothkit view --state cloud.ply --goal half --table 0 0 -1 -0.8
     """
     settings = load_settings(data)
+    if record is not None:
+        optional("rerun", "rerun")
+        check_target(record, (ENDING[1:],))
     if (state is None) != (goal is None):
         raise InputError(
             f"--{'goal' if goal is None else 'state'}: missing, expected both or neither of state and goal"
@@ -95,7 +110,9 @@ def command(
     options = observation_options(settings.app, **values)
     if own is not None:
         # A bad file must be reported here, and not on a page that nobody has opened yet.
-        read_input(own.state, options, mask=mask), read_input(own.goal, options)
+        read_input(own.state, options, mask=mask)
+        if goal_name(own.goal, None, None) is None:
+            read_input(own.goal, options)
     with contextlib.redirect_stdout(io.StringIO()):  # viser prints its address even if verbose is False
         server = viser.ViserServer(host=host, port=port, verbose=False)
     # `kill` must end the command as Ctrl-C does, because a shell's background jobs do not receive Ctrl-C.
@@ -104,7 +121,16 @@ def command(
         with tempfile.TemporaryDirectory(prefix="clothkit-view-") as uploads:
             name_of_host = "localhost" if host in ("127.0.0.1", "0.0.0.0") else f"[{host}]" if ":" in host else host
             address = f"http://{name_of_host}:{server.get_port()}"
-            build(server, data=data, chosen=name, own=own, settings=settings, options=options, uploads=Path(uploads))
+            build(
+                server,
+                data=data,
+                chosen=name,
+                own=own,
+                settings=settings,
+                options=options,
+                uploads=Path(uploads),
+                record=record,
+            )
             # Not before the page is there: an interrupt while stores are read would leave tracebacks of zarr's threads.
             click.echo(f"{address} (Ctrl-C ends it)")
             if not no_browser and _has_screen():

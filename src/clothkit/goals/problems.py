@@ -63,8 +63,8 @@ class Problem(NamedTuple):
     def flattened(self) -> Float[np.ndarray, "u v 3"]:
         """The same in the labels of the cloth that lies there: each of its points as near as it can be."""
         flat = self.flat
-        k = labels_of_truth(flat[None], self.mesh[None], cloth=self.cloths.cloth)[0]
-        return np.asarray(relabel(flat, int(k)))
+        k = labels_of_truth(flat[None], self.mesh[None], topology=self.topology)[0]
+        return np.asarray(relabel(flat, int(k), self.topology))
 
 
 def problems(settings: EvaluateGoalsConfig, simulate: SimulateConfig, *, work: Path, goals: Path) -> list[Problem]:

@@ -55,13 +55,13 @@ def rows(evaluated: Evaluated) -> pd.DataFrame:
 
 def measured(problem: Problem, mesh: Float[np.ndarray, "u v 3"], flat: Float[np.ndarray, "u v 3"]) -> dict[str, float]:
     """error, softgym and iou of a cloth at its place on the table; `flat` is it before any fold, in the same labels."""
-    here, goal, cloth = centred(mesh)[0], problem.goal, problem.cloths.cloth
+    here, goal, topology = centred(mesh)[0], problem.goal, problem.topology
     aligned = here - (here - goal).mean((0, 1))
-    label = int(labels_of_truth(aligned[None], goal[None], cloth=cloth)[0])
-    outcome, before = (np.asarray(relabel(each, label)) for each in (mesh, flat))
+    label = int(labels_of_truth(aligned[None], goal[None], topology=topology)[0])
+    outcome, before = (np.asarray(relabel(each, label, topology)) for each in (mesh, flat))
     return {
-        "error": float(errors(here[None], goal[None], aligned=True, cloth=cloth)[0]),
-        "softgym": softgym(outcome, before, problem.topology, GOALS[problem.name].folds(problem.topology)),
+        "error": float(errors(here[None], goal[None], aligned=True, topology=topology)[0]),
+        "softgym": softgym(outcome, before, topology, GOALS[problem.name].folds(topology)),
         "iou": iou(silhouette(here), silhouette(goal)),
     }
 

@@ -1,7 +1,6 @@
-"""Paths of the hands in metres over time (section 4.2.2), a robot's reach, and the symmetries of a cloth."""
+"""Paths of the hands in metres over time (section 4.2.2), the box that they reach, and the symmetries of a cloth."""
 
 import dataclasses
-from collections.abc import Sequence
 from typing import Annotated
 
 import jax.numpy as jnp
@@ -103,9 +102,3 @@ def symmetries(mesh: Float[np.ndarray, "u v 3"], *, within: float = 0.02) -> lis
             if (mirrored or quarter) and float(error(turned, mesh)) <= within:
                 found.append(matrix)
     return found
-
-
-def beyond(paths: Sequence[HandPaths], reach: ReachConfig) -> float:
-    """The largest distance of a waypoint from the box along one axis [m]; 0 if all waypoints are in it."""
-    points = np.concatenate([path.points.reshape(-1, 3) for path in paths] or [np.zeros((0, 3))])
-    return float(np.maximum(reach.low - points, points - reach.high).max(initial=0.0))

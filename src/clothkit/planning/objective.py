@@ -55,6 +55,10 @@ class Outlook:
     """Each net's predicted states [n strains ..]; [1 strains ..], the outcomes alone, if no term needs the others."""
     steps: Int[Array, ""] | None = None
     """Number of manipulations after which the plans end, if not after all n: then every state is predicted."""
+    common: Int[Array, " strains"] | None = None
+    """Each plan's common equivalent."""
+    shifts: tuple[Float[Array, "n strains 2"], ...] = ()
+    """Each net's predicted shift of the cloth's centre by each manipulation [normalised]."""
 
     @property
     def last(self) -> int | Int[Array, ""]:
@@ -217,11 +221,12 @@ def evaluate(
     """
     every_step = steps is not None or any(term.every_step for term in objective.terms.values())
     decoded = slice(None) if every_step else slice(-1, None)
-    predictions = tuple(
-        model.decode(net, rollout(model, net, latent[common], plan, trace[common]).latents[decoded], stride)
-        for net, latent, trace in zip(nets, fixed.latents, fixed.traces, strict=True)
-    )
-    outlook = Outlook(representation, plan, predictions, steps)
+    predictions, shifts = [], []
+    for net, latent, trace in zip(nets, fixed.latents, fixed.traces, strict=True):
+        rolled = rollout(model, net, latent[common], plan, trace[common])
+        predictions.append(model.decode(net, rolled.latents[decoded], stride))
+        shifts.append(rolled.shifts)
+    outlook = Outlook(representation, plan, tuple(predictions), steps, common, tuple(shifts))
     # Goals are thinned before they are whitened, because predictions are whitened by the moments of their own vertices.
     goals = representation.target(representation.thinned(fixed.goals, stride))
     of_each = [

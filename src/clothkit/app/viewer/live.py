@@ -12,21 +12,22 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from clothkit.app import planner as plans
+from clothkit.app import agent_state
+from clothkit.app.agent_state import AgentState
 from clothkit.app.inputs import Input, Settings
-from clothkit.app.planner import epistemic_uncertainty, estimate_mesh, goal_of, load_vtm, mesh_of, observation_of
+from clothkit.app.planner import Planned, estimate_mesh, load_vtm, mesh_of
+from clothkit.app.reach import limits_of
 from clothkit.app.viewer.search_progress import OnProgress, Progress, search_in_batches
-from clothkit.app.viewer.session import Mesh, Session, ShownPlan, StateEstimate, Step, error_of, matched
+from clothkit.app.viewer.session import Mesh, Session, StateEstimate, Step, error_of, matched, shown_plan
 from clothkit.cloth.silhouette import centred
 from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.estimation.estimate import estimate_probabilistic
 from clothkit.manipulation.vector import is_null, is_single
 from clothkit.observation.observe import observe
 from clothkit.observation.states import MeshState
-from clothkit.planning import agent
 from clothkit.planning.perception import Estimation
 from clothkit.planning.planner import Planner
-from clothkit.planning.types import Memory, Observation, Plan
+from clothkit.planning.types import Memory
 from clothkit.runtime.errors import InputError
 from clothkit.simulation.cloths import simulated_cloths
 from clothkit.simulation.executor import execute
@@ -34,20 +35,14 @@ from clothkit.simulation.executor import execute
 
 @dataclasses.dataclass(frozen=True)
 class Live:
-    """A running session, and the inputs of its next plan."""
+    """A running session, and what its agent knows."""
 
     session: Session
-    planner: Planner
-    data: Path
-    settings: Settings
+    agent: AgentState
+    estimate: StateEstimate
+    """What the agent perceives, in the agent's labels."""
     centre: Float[np.ndarray, "2"]
     """Position of the cloth's centre on the table [normalised]."""
-    estimate: StateEstimate
-    """The system's estimate of the current state, in the estimate's own labels."""
-    memory: Memory
-    """The agent's memory before the next plan, as a batch of one."""
-    plan: Plan | None = None
-    """The plan that waits to be executed, as a batch of one."""
 
     @property
     def at(self) -> int:
@@ -59,6 +54,16 @@ class Live:
         """Number of manipulations that are left."""
         return self.session.length - self.at
 
+    @property
+    def memory(self) -> Memory:
+        """The agent's memory before the next plan, as a batch of one."""
+        return self.agent.memory
+
+    @property
+    def plan(self) -> Planned | None:
+        """The plan that waits to be executed."""
+        return self.agent.planned
+
 
 def begin(
     planner: Planner, start: Input, goal: Input, length: int, *, title: str, data: Path, settings: Settings
@@ -68,66 +73,72 @@ def begin(
     The mesh in the file of `start` is simulated or, if there is none, the estimate. Raises InputError when the system
     cannot plan from these files.
     """
-    system, observation = planner.system, observation_of(planner, start, data, settings)
+    agent = agent_state.begin(planner, settings._replace(data=data), goal, length)
+    agent = agent_state.observe(agent, start)
     truth, mesh = mesh_of(start), mesh_of(goal)
-    if truth is None and system.voxels:
+    if truth is None and planner.system.voxels:
         truth = np.asarray(estimate_mesh(load_vtm(data), start, settings).mesh[0])
-    target = goal_of(system, goal, data, settings)
-    memory = plans.begin(planner, target, length, start.cloth)
-    estimate = estimate_state(planner, observation, memory)
+    estimate = estimate_of(agent)
     if truth is None:
         truth = estimate.state
-    shown = Session(title, length, target if mesh is None else mesh, (truth,), (matched(Step(estimate), truth),))
+    shown_goal = agent.target if mesh is None else mesh
     centre = np.asarray(start.pose.centre / start.pose.scale, np.float32)
-    return Live(shown, planner, data, settings, centre, estimate, memory)
+    shown = Session(title, length, shown_goal, (truth,), (matched(Step(estimate), truth),), (centre,))
+    return Live(shown, agent, estimate, centre)
 
 
-def estimate_state(planner: Planner, observation: Observation, memory: Memory) -> StateEstimate:
-    """Return the system's estimate of a cloth, with standard deviations if it is a refined one."""
-    states, points = agent.perceive(planner, observation, memory)
-    sigma, perception = None, planner.perception
-    if isinstance(perception, Estimation) and perception.refine and observation.voxels is not None:
+def estimate_of(agent: AgentState) -> StateEstimate:
+    """Return what an agent perceives, with standard deviations if it is a refined estimate."""
+    perceived, perception, sigma = agent.perceived, agent.planner.perception, None
+    assert perceived is not None, "an agent that has observed the cloth"
+    state, voxels, points = perceived.state, perceived.observation.voxels, perceived.candidates
+    if isinstance(perception, Estimation) and perception.refine and voxels is not None:
         # Of several hypotheses, that which the state was refined from is the nearest one.
-        found = estimate_probabilistic(perception.vtm, observation.voxels, states, cloth=memory.cloth)
+        found = estimate_probabilistic(perception.vtm, voxels, state[None], cloth=agent.memory.cloth)
         sigma = np.asarray(found.std[0])
-    return StateEstimate(states[0], sigma, points[0][np.isfinite(points[0]).all(-1)])
+    return StateEstimate(state, sigma, points[np.isfinite(points).all(-1)])
 
 
 def plan(live: Live, *, seed: int, on_progress: OnProgress) -> Live:
     """Search for a plan for the manipulations that are left, and return the session with it.
 
-    Raises InputError when no manipulation is left.
+    The plan is within the limits of the hands that the settings tell, if it can be. Raises InputError when it can't, or
+    when no manipulation is left.
     """
     if not live.left:
         raise InputError("session: is over, expected manipulations that are left to plan")
-    candidates = np.full((live.planner.grasping.most, 2), np.nan, np.float32)
-    candidates[: len(live.estimate.candidates)] = live.estimate.candidates
+    perceived = live.agent.perceived
+    assert perceived is not None
     progress = search_in_batches(
-        live.planner, live.estimate.state, candidates, live.memory, seed=seed, on_progress=on_progress
+        live.agent.planner,
+        perceived.state,
+        perceived.candidates,
+        live.memory,
+        seed=seed,
+        on_progress=on_progress,
     )
-    return with_progress(live, progress)
+    found = with_progress(live, progress)
+    limits = limits_of(live.agent.settings.app)
+    if found.plan is None or not limits:
+        return found
+    agent = agent_state.kept_within(limits, found.agent, seed=seed)
+    return found if agent.planned is found.plan else _with_plan(found, agent, progress)
 
 
 def with_progress(live: Live, progress: Progress) -> Live:
     """Return the session with the best plan of a search so far."""
-    best = progress.best
-    if best is None:
-        return dataclasses.replace(live, plan=None, session=_with_step(live.session, Step(live.estimate)))
-    planned = plans.planned_of(live.planner, best, live.memory)
-    shown = ShownPlan(
-        manipulations=planned.plan,
-        members=live.planner.members,
-        means=planned.means,
-        sigmas=planned.stds,
-        uncertainty=epistemic_uncertainty(live.planner, planned),
-        loss=planned.loss,
-        progress=progress.lowest,
-        tried=progress.tried,
-        improves=planned.improves,
-        expected=None if live.planner.system.voxels else planned.expected,
-        expected_no_action=None if live.planner.system.voxels else planned.expected_no_action,
-    )
-    return dataclasses.replace(live, plan=best, session=_with_step(live.session, Step(live.estimate, shown)))
+    if progress.best is None:
+        agent = dataclasses.replace(live.agent, planned=None)
+        return dataclasses.replace(live, agent=agent, session=_with_step(live.session, Step(live.estimate)))
+    return _with_plan(live, agent_state.with_plan(live.agent, progress.best), progress)
+
+
+def _with_plan(live: Live, agent: AgentState, progress: Progress) -> Live:
+    """Return the session with the agent's plan, and with its goal if that was turned."""
+    assert agent.planned is not None
+    shown = shown_plan(agent.planner, agent.planned, progress=progress.lowest, tried=progress.tried)
+    session = live.session if agent.matrix is live.agent.matrix else live.session._replace(goal=agent.target)
+    return dataclasses.replace(live, agent=agent, session=_with_step(session, Step(live.estimate, shown)))
 
 
 def _with_step(session: Session, step: Step) -> Session:
@@ -142,19 +153,22 @@ def perform(live: Live) -> Live:
     """
     if live.plan is None:
         raise InputError("session: has no plan, expected one to execute")
-    first = live.plan.manipulations[0, 0]
+    first = live.plan.plan[0]
     null = bool(is_null(first))
     truth, centre = (live.session.states[-1], live.centre) if null else _simulated(live, first)
-    memory = agent.remember(live.planner, live.memory, live.plan, executed=np.array([not null]))
+    agent = agent_state.advanced(live.agent, executed=True)
     estimate = live.estimate
-    session = live.session._replace(states=(*live.session.states, truth), steps=_noted(live, null, truth))
+    session = live.session._replace(
+        states=(*live.session.states, truth),
+        steps=_noted(live, null, truth),
+        centres=(*live.session.centres, centre),
+    )
     if not session.over:
         if not null:
-            source = _observe(truth, centre, live)
-            observation = observation_of(live.planner, source, live.data, live.settings)
-            estimate = estimate_state(live.planner, observation, memory)
+            agent = agent_state.observe(agent, _observe(truth, centre, live))
+            estimate = estimate_of(agent)
         session = session._replace(steps=(*session.steps, matched(Step(estimate), truth)))
-    return dataclasses.replace(live, session=session, centre=centre, estimate=estimate, memory=memory, plan=None)
+    return Live(session, agent, estimate, centre)
 
 
 def _noted(live: Live, null: bool, outcome: Mesh) -> tuple[Step, ...]:
@@ -167,15 +181,16 @@ def _noted(live: Live, null: bool, outcome: Mesh) -> tuple[Step, ...]:
 
 
 def _simulated(live: Live, manipulation: Float[np.ndarray, "6"]) -> tuple[Mesh, Float[np.ndarray, "2"]]:
+    settings, representation = live.agent.settings.simulation, live.agent.planner.representation
     mesh = live.session.states[-1] + np.append(live.centre, 0).astype(np.float32)
-    places = live.planner.representation.positions(live.estimate.state[None], manipulation[None, :4].reshape(1, 2, 2))
-    run = partial(execute, settings=live.settings.simulation, workers=1)
+    places = representation.positions(live.estimate.state[None], manipulation[None, :4].reshape(1, 2, 2))
+    run = partial(execute, settings=settings, workers=1)
     outcome = run(
         mesh[None],
         (places + live.centre).astype(np.float32),
         manipulation[None, 4:],
         np.asarray(is_single(manipulation[None])),
-        simulated_cloths(live.memory.cloth, live.settings.simulation),
+        simulated_cloths(live.memory.cloth, settings),
     )[0]
     if not np.isfinite(outcome).all():
         raise InputError("session: the manipulation has an outcome that is not finite")
@@ -184,7 +199,7 @@ def _simulated(live: Live, manipulation: Float[np.ndarray, "6"]) -> tuple[Mesh, 
 
 def _observe(truth: Mesh, centre: Float[np.ndarray, "2"], live: Live) -> Input:
     """Observe the simulated cloth as a camera would."""
-    settings = live.settings.app
+    settings = live.agent.settings.app
     state = MeshState(truth, centre, settings.side / CLOTH_LENGTH)
     observation = observe(state, cloth_side=settings.side, settings=settings.cloud)
     return Input("simulation", state, observation, live.memory.cloth[0])

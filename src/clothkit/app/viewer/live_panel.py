@@ -7,6 +7,7 @@ from pathlib import Path
 import viser
 
 from clothkit.app.inputs import ObservationOptions, Settings, keep_compiled_programs, read_input
+from clothkit.app.named_goals import goal_like, goal_name
 from clothkit.app.planner import load_planner
 from clothkit.app.viewer.live import Live, begin, perform, plan, with_progress
 from clothkit.app.viewer.player import Player, assign, by_hand
@@ -50,7 +51,7 @@ class LivePanel:
         self._task = gui.add_dropdown("task", tuple(dict.fromkeys([*first, *self._tasks, OWN])))
         with gui.add_folder("Own files", expand_by_default=own is not None or not tasks):
             self._state = gui.add_text("state", own.state if own else "", hint="A file of this machine, or upload one")
-            self._goal = gui.add_text("goal", own.goal if own else "", hint="Likewise")
+            self._goal = gui.add_text("goal", own.goal if own else "", hint="Likewise, or a name of clothkit goals")
             self._steps = gui.add_slider("steps", 1, 3, 1, own.steps if own else 1)
             upload_state = gui.add_upload_button("upload state")
             upload_goal = gui.add_upload_button("upload goal")
@@ -119,7 +120,11 @@ class LivePanel:
         keep_compiled_programs()
         planner = load_planner(system(self._system.value), self._data, self._settings)
         start = read_input(files.state, self._options, mask=files.mask)
-        goal = read_input(files.goal, self._options)
+        named = goal_name(files.goal, None, None)
+        if named:
+            goal = goal_like(start, named, None, None, self._options, self._settings._replace(data=self._data))
+        else:
+            goal = read_input(files.goal, self._options)
         title = f"{Path(files.state).name} to {Path(files.goal).name}" if files is own else name
         title = f"{planner.system.name}, {title}"
         self._live = begin(planner, start, goal, files.steps, title=title, data=self._data, settings=self._settings)

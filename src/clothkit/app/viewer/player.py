@@ -36,8 +36,9 @@ def assign(control: viser.GuiInputHandle[T], value: T) -> None:
 class Player:
     """Shows one session, at one of its states."""
 
-    def __init__(self, server: viser.ViserServer) -> None:
-        self._canvas = Canvas(server)
+    def __init__(self, server: viser.ViserServer, *, keep: Callable[[Session], None] | None = None) -> None:
+        """`keep` is called with every session that is shown, and whenever a plan or a state has come to it."""
+        self._canvas, self._keep = Canvas(server), keep
         self._session: Session | None = None
         self._middles: object = None
         # Callbacks run in several threads, and a search shows its progress while others run.
@@ -74,6 +75,8 @@ class Player:
     def show(self, session: Session, *, at: int | None = None, shown: str | None = None) -> None:
         """Show a session at state `at` (default: the first); `shown` names the cloth to show."""
         with self._lock:
+            if self._keep is not None:
+                self._keep(session)
             self._session = session
             last = len(session.states) - 1
             self._at.max = max(last, 1)

@@ -75,7 +75,7 @@ def session_of(data: Path, system: str, entry: Entry) -> Session:
     states = tuple(one["state"][: n + 1])
     steps = tuple(matched(_step(one, i, n, members), states[i]) for i in range(n))
     title = f"{system}, {entry.split} {entry.title}"
-    return Session(title, n, one["goal"], states, steps)
+    return Session(title, n, one["goal"], states, steps, tuple(one["centre"][: n + 1]))
 
 
 def _step(one: dict[str, np.ndarray], i: int, length: int, members: tuple[int, ...]) -> Step:

@@ -53,9 +53,8 @@ class RecordedPanel:
             self._message.content = "No such session is recorded."
             return
         try:
-            session = session_of(self._data, self._system.value, entry)
+            self._player.show(session_of(self._data, self._system.value, entry))
         except InputError as error:
             self._message.content = str(error)
             return
         self._message.content = ""
-        self._player.show(session)

@@ -10,12 +10,14 @@ import numpy as np
 from jaxtyping import Float, Shaped
 
 from clothkit.app.plan_file import UNLIKELY
+from clothkit.app.planner import Planned, epistemic_uncertainty
 from clothkit.cloth.mesh import error
 from clothkit.cloth.symmetry import relabel, relabel_manipulation
 from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE
 from clothkit.evaluation.errors import labels_of_truth
 from clothkit.manipulation.geometry import to_cartesian
 from clothkit.models.ensemble import pairs
+from clothkit.planning.planner import Planner
 
 Mesh = Float[np.ndarray, "u v 3"]
 State = Shaped[np.ndarray, "*state"]
@@ -75,11 +77,36 @@ class Session(NamedTuple):
     """The true states, centred."""
     steps: tuple[Step, ...]
     """One for each state except the outcome."""
+    centres: tuple[Float[np.ndarray, "2"], ...] = ()
+    """Where the centre of each state lies on the table [normalised]; empty: not known."""
 
     @property
     def over(self) -> bool:
         """Whether the last state is the outcome."""
         return len(self.states) > self.length
+
+
+def shown_plan(
+    planner: Planner,
+    planned: Planned,
+    *,
+    progress: Float[np.ndarray, " evaluations"] | None = None,
+    tried: int = 0,
+) -> ShownPlan:
+    """Return a plan as it is shown, with the progress of its search if that is known."""
+    return ShownPlan(
+        manipulations=planned.plan,
+        members=planner.members,
+        means=planned.means,
+        sigmas=planned.stds,
+        uncertainty=epistemic_uncertainty(planner, planned),
+        loss=planned.loss,
+        progress=np.zeros(0, np.float32) if progress is None else progress,
+        tried=tried,
+        improves=planned.improves,
+        expected=None if planner.system.voxels else planned.expected,
+        expected_no_action=None if planner.system.voxels else planned.expected_no_action,
+    )
 
 
 def is_mesh(state: np.ndarray) -> bool:

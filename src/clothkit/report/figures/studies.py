@@ -263,3 +263,46 @@ def optimisers(table: pd.DataFrame, path: Path) -> None:
     entries = {label: bars for axis in axes for bars, label in zip(*axis.get_legend_handles_labels(), strict=True)}
     figure.legend(entries.values(), entries, fontsize=8, frameon=False, loc="outside upper center", ncols=4)
     panels.save(figure, path)
+
+
+REACH = {
+    "turning": ("turning alone", COLOURS[1], "s"),
+    "terms": ("turning, else a search within reach", COLOURS[0], "o"),
+}
+"""Name, colour and marker of each way of keeping plans within reach."""
+
+REGIONS = {
+    "square": "hands at most so far from the middle, in x and in y",
+    "side": "hands at most so far from the middle, on one side",
+}
+
+
+def reach(table: pd.DataFrame, path: Path) -> None:
+    """Writes charts of the share of plans within reach and of the error against the size of a region, a row per region.
+
+    Lines are means, with 95 % intervals, a line per way; dotted lines are the errors without limits and of no action.
+    Columns of `table`: region (of REGIONS), size [m], way (of REACH), inside (share) and error [cloth length] and, with
+    _low and _high, their intervals; error_free, error_no_action.
+    """
+    figure, axes = panels.chart(4, width=4.1, height=2.5, columns=2)
+    titles = {"inside": "plans that stay inside [%]", "error": "error of the outcome\n[cloth length]"}
+    for axis, (region, (column, title)) in zip(axes, product(REGIONS, titles.items()), strict=True):
+        rows, scale = table[table["region"] == region], 100.0 if column == "inside" else 1.0
+        for way, (label, colour, marker) in REACH.items():
+            own = rows[rows["way"] == way].sort_values("size")
+            mean, low, high = (scale * own[f"{column}{ending}"].to_numpy(float) for ending in ("", "_low", "_high"))
+            axis.plot(own["size"], mean, f"{marker}-", color=colour, linewidth=1.2, markersize=4, label=label)
+            axis.fill_between(own["size"], low, high, color=colour, alpha=0.13, linewidth=0)
+        if column == "error":
+            for level, name in (("error_free", "no limit"), ("error_no_action", "nothing done")):
+                axis.axhline(float(rows[level].mean()), color=panels.INK, linewidth=0.8, linestyle=(0, (1, 2)))
+                at = (0.99, float(rows[level].mean()))
+                axis.annotate(name, at, xycoords=axis.get_yaxis_transform(), fontsize=7, ha="right", va="bottom")
+        axis.set_ylim(0, 105 if column == "inside" else 1.15 * max(rows["error_no_action"].max(), rows["error"].max()))
+        axis.set_xticks(np.sort(rows["size"].unique()))
+        axis.set_title(REGIONS[region], fontsize=8.5, color=panels.INK)
+        axis.set_xlabel("size of the region [m]", fontsize=8)
+        axis.set_ylabel(title, fontsize=8)
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize=8, frameon=False, loc="outside upper center", ncols=len(labels))
+    panels.save(figure, path)

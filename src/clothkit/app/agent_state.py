@@ -1,0 +1,159 @@
+"""What an agent knows in a session, by value, and how an observation, a plan and its execution change it.
+
+The decisions are those of `planning.agent`. `Agent` keeps the newest state for its person; the viewer has one for each
+moment that it shows.
+"""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float
+
+from clothkit.app import planner as plans
+from clothkit.app.inputs import Input, Settings
+from clothkit.app.planner import Planned, State, decide, goal_of, memory_after, observation_of, planned_of
+from clothkit.app.reach import reached
+from clothkit.manipulation.vector import is_null
+from clothkit.planning import agent
+from clothkit.planning.perception import KnownMeshes
+from clothkit.planning.planner import Planner
+from clothkit.planning.reach import Limits
+from clothkit.planning.types import Memory, Observation, Plan
+from clothkit.runtime.errors import InputError
+
+
+@dataclasses.dataclass(frozen=True)
+class Perceived:
+    """The last observation, and what the agent takes it for."""
+
+    source: Input
+    observation: Observation
+    """As a batch of one."""
+    state: State
+    """In the labels of what was expected, if anything was."""
+    candidates: Float[np.ndarray, "candidate 2"]
+    """Grasp points in the coordinates of the nets' inputs, NaN where there are fewer."""
+
+
+@dataclasses.dataclass(frozen=True)
+class AgentState:
+    """All that an agent knows: the goal, its memory, the cloth as it lies, and the plan that was made for it."""
+
+    planner: Planner
+    settings: Settings
+    goal: Input
+    memory: Memory
+    """Before the next decision, as a batch of one; its goal is the one that is planned for."""
+    matrix: Float[np.ndarray, "2 2"] | None = None
+    """What the goal was turned or mirrored by; None: it was not."""
+    perceived: Perceived | None = None
+    planned: Planned | None = None
+    """The plan that waits to be executed."""
+
+    @property
+    def target(self) -> State:
+        """The goal in the system's representation, turned by `matrix`."""
+        return self.memory.goal[0]
+
+    @property
+    def left(self) -> int:
+        """The number of manipulations that are left, without those of the plan that waits."""
+        return int(self.memory.left[0]) - (self.planned is not None)
+
+
+def begin(planner: Planner, settings: Settings, goal: Input, length: int) -> AgentState:
+    """A session of `length` manipulations. Raises InputError when the goal can't be planned for."""
+    target = goal_of(planner.system, goal, settings.data, settings)
+    return AgentState(planner, settings, goal, plans.begin(planner, target, length, goal.cloth))
+
+
+def observe(now: AgentState, source: Input) -> AgentState:
+    """The state after an observation of the cloth; a plan that was made before is dropped.
+
+    Raises InputError when the system can't plan from it.
+    """
+    observation = observation_of(now.planner, source, now.settings.data, now.settings)
+    states, candidates = agent.perceive(now.planner, observation, now.memory)
+    perceived = Perceived(source, observation, states[0], candidates[0])
+    return dataclasses.replace(now, perceived=perceived, planned=None)
+
+
+def plan(now: AgentState, *, seed: int, limits: Limits = Limits()) -> AgentState:  # noqa: B008
+    """The state with a plan for the manipulations that are left, within the limits of the hands.
+
+    Raises InputError when nothing was observed, no manipulation is left, or no plan within the limits was found.
+    """
+    perceived = now.perceived
+    if perceived is None:
+        raise InputError("agent: has observed nothing since the session began, expected an observation to plan from")
+    if not now.memory.left[0]:
+        raise InputError("agent: the session is over, expected manipulations that are left to plan")
+    planned, _ = decide(*_known(now.planner, perceived.state), now.memory, seed=seed)
+    return kept_within(limits, dataclasses.replace(now, planned=planned), seed=seed)
+
+
+def kept_within(limits: Limits, now: AgentState, *, seed: int) -> AgentState:
+    """The state with its plan within the limits of the hands: as it is, turned with its goal, or another one.
+
+    Raises InputError when no such plan does anything.
+    """
+    perceived, planned = now.perceived, now.planned
+    assert perceived is not None, "a state with an observation"
+    assert planned is not None, "a state with a plan"
+    planned, turn = reached(
+        now.planner,
+        planned,
+        now.memory,
+        perceived.candidates,
+        perceived.source.pose,
+        now.settings.app.motion,
+        limits,
+        seed=seed,
+    )
+    return dataclasses.replace(now if turn is None else turned(now, turn), planned=planned)
+
+
+def with_goal(now: AgentState, goal: Input) -> AgentState:
+    """The state with another goal in the place of its own, turned as that was. Raises InputError."""
+    target = goal_of(now.planner.system, goal, now.settings.data, now.settings)
+    found = dataclasses.replace(now, goal=goal, memory=now.memory._replace(goal=target[None]), matrix=None)
+    return found if now.matrix is None else turned(found, now.matrix)
+
+
+def turned(now: AgentState, matrix: Float[np.ndarray, "2 2"]) -> AgentState:
+    """The state with its goal, a mesh, turned or mirrored by a matrix."""
+    memory = now.memory._replace(goal=plans.turned_goal(now.target, matrix)[None])
+    return dataclasses.replace(now, memory=memory, matrix=matrix if now.matrix is None else matrix @ now.matrix)
+
+
+def with_plan(now: AgentState, found: Plan) -> AgentState:
+    """The state with a plan that a search found for what was perceived, as a batch of one."""
+    return dataclasses.replace(now, planned=planned_of(now.planner, found, now.memory))
+
+
+def advanced(now: AgentState, *, executed: bool) -> AgentState:
+    """The state after the plan's first manipulation, or after it was left out; the cloth is still perceived as before.
+
+    A null manipulation is never executed.
+    """
+    planned = now.planned
+    assert planned is not None, "a state with a plan"
+    executed = executed and not bool(is_null(planned.plan[0]))
+    memory = memory_after(
+        now.planner,
+        now.memory,
+        planned.state,
+        planned.plan,
+        common=planned.common,
+        relative=planned.relative,
+        traces=planned.traces,
+        predicted=planned.means[now.planner.best, 0] if executed else None,
+    )
+    return dataclasses.replace(now, memory=memory, planned=None)
+
+
+def _known(planner: Planner, state: State) -> tuple[Planner, Observation]:
+    """A planner that takes a state for what it was perceived as, and the observation of it."""
+    if planner.system.voxels:
+        return planner, Observation(voxels=state[None] > 0)
+    return dataclasses.replace(planner, perception=KnownMeshes()), Observation(meshes=state[None])
