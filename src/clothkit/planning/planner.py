@@ -1,7 +1,7 @@
 """The planner: a system with its nets, its perception, its reference values and its settings."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from clothkit.models.forward import ForwardModel
 from clothkit.planning import normalisation
 from clothkit.planning.mesh_representation import MESH
 from clothkit.planning.normalisation import Normalisation
-from clothkit.planning.objective import Objective, Term, Weights, objective_of
+from clothkit.planning.objective import Accuracy, Objective, Term, Weights, objective_of
 from clothkit.planning.perception import Estimation, KnownMeshes, ObservedVoxels, Perception
 from clothkit.planning.representation import Representation
 from clothkit.planning.search import search
@@ -45,6 +45,8 @@ class Planner:
     grasping: CandidateConfig
     labelled: bool = False
     """Whether states have the same labels as their goals, so that a search need not find the relative labelling."""
+    accuracy: Accuracy | None = None
+    """The accuracy term, if not that of eq. (13)."""
     terms: Mapping[str, Term] = field(default_factory=dict)
     """Further terms of the objective by name, beside those of the paper."""
 
@@ -54,6 +56,8 @@ class Planner:
         Raises InputError when the nets have no reference values for plans of that length.
         """
         objective = objective_of(len(self.nets), self.normalisation.reference(length), self.weights)
+        if self.accuracy is not None:
+            objective = replace(objective, accuracy=self.accuracy)
         for name, term in self.terms.items():
             objective = objective.with_term(name, term)
         return objective
