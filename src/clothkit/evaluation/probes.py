@@ -81,7 +81,7 @@ def drawn(
         state = dataset.vertices[sequence, start]
         found = MESH.candidates(state, grasping)
         offers = Candidates(np.resize(found, (grasping.most, 2)), len(found))
-        xy = MESH.points(state, np.asarray(offers.grasps))
+        xy = MESH.points(state, jnp.asarray(offers.grasps))
         own = jax.random.fold_in(key, STEPS + k)
         plans = random_plans(16, STEPS, offers, xy, covered=MESH.covered(state), edge=settings.edge, key=own)
         valid = ~np.asarray(is_null(plans)).any(axis=1)
@@ -98,7 +98,7 @@ def displaced(
         pair = np.stack([chosen[0], chosen[-1]])
         displacement = rng.uniform(-REACH, REACH, 2)
         manipulation = np.concatenate([pair.ravel(), displacement]).astype(np.float32)
-        same_side = release_points(np.asarray(MESH.points(state, pair)), displacement).same_side
+        same_side = release_points(np.asarray(MESH.points(state, jnp.asarray(pair))), displacement).same_side
         if bool(same_side) and not bool(is_null(manipulation)):
             return manipulation
 
@@ -251,7 +251,7 @@ def expected_by_others(
         own, others = fold == k, fold != k
         if own.any() and set(step[own]) <= set(step[others]):
             fitted = fit(take(signs, others), step[others], error[others])
-            expected[own] = fitted(take(signs, own), step[own])
+            expected[own] = np.asarray(fitted(take(signs, own), step[own]))
     return expected
 
 
