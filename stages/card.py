@@ -8,7 +8,7 @@ from clothkit.report.card.inputs import PARTS
 from clothkit.runtime.stage import stage
 
 RAW = Path("data/raw")
-OUTS = ("tables", "figures", "README.md")
+OUTS = ("tables", "figures", "README.md", "croissant.json")
 
 
 def main() -> None:

@@ -1,7 +1,6 @@
 """Evaluates estimates and plans from depth pictures of the test cloths: `python stages/evaluate_camera.py`."""
 
 import hashlib
-from functools import partial
 from pathlib import Path
 
 from clothkit.dataset import store
@@ -14,7 +13,7 @@ from clothkit.planning.objective import Weights
 from clothkit.planning.planner import artifacts, assemble
 from clothkit.planning.systems import SYSTEMS
 from clothkit.runtime.stage import stage
-from clothkit.simulation.executor import end_workers, execute
+from clothkit.simulation.executor import end_workers, make_simulator
 
 DATA = Path("data")
 MESHES, SESSIONS = DATA / "meshes.zarr", DATA / "evaluation/planning/sessions_main.zarr"
@@ -38,11 +37,11 @@ def main() -> None:
         pieces = work / hashlib.sha256(repr((weights, plan, simulate)).encode()).hexdigest()[:16]
         estimation = camera.estimation(dataset, vtm, s.params, plan.refine, alarms, work=pieces / "states")
         planner = assemble(system, DATA, weights, plan, simulate.candidates, members)
-        simulator = partial(execute, settings=simulate.simulation, workers=simulate.workers)
+        simulator = make_simulator(simulate)
         baseline = record.load(SESSIONS)
         planning = camera_planning.planning(dataset, planner, simulator, baseline, s.params, work=pieces / "sessions")
         end_workers()
-        arrays.save(work / "pictures.zarr", estimation.arrays, s.attributes)
+        arrays.save(work / "pictures.zarr", estimation.arrays, arrays.PICTURES, s.attributes)
         write_rows(work / "estimation.parquet", estimation.rows, s.attributes)
         write_rows(work / "planning.parquet", planning, s.attributes)
         write_rows(work / "comparisons.parquet", camera_planning.comparisons(planning), s.attributes)

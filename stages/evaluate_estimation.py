@@ -17,7 +17,7 @@ def main() -> None:
         dataset = store.load(meshes)
         found = estimation.estimates(dataset, load(vtm, "vtm"), s.params, s.shared.stages.plan.refine)
         write_rows(work / "estimation.parquet", estimation.rows(dataset, found), s.attributes)
-        arrays.save(work / "estimates.zarr", found.arrays(), s.attributes)
+        arrays.save(work / "estimates.zarr", found._asdict(), arrays.ESTIMATES, s.attributes)
         s.publish(work / "estimates.zarr", "data/evaluation/estimates.zarr")
         s.publish(work / "estimation.parquet", "data/evaluation/estimation.parquet")
 

@@ -38,7 +38,7 @@ def main() -> None:
         write_rows(work / "calibration.parquet", coverage, s.attributes)
         write_rows(work / "comparisons.parquet", comparisons.of_predictions(rows), s.attributes)
         stored = prediction.stored(dataset, given, nets.best_net, s.params)
-        arrays.save(work / "predictions.zarr", stored, s.attributes)
+        arrays.save(work / "predictions.zarr", stored, arrays.PREDICTIONS, s.attributes)
         for name in ("predictions.zarr", "prediction.parquet", "comparisons.parquet", "calibration.parquet"):
             s.publish(work / name, f"data/evaluation/{name}")
 

@@ -17,7 +17,7 @@ from clothkit.planning.objective import Weights
 from clothkit.planning.planner import artifacts, assemble
 from clothkit.planning.systems import SYSTEMS
 from clothkit.runtime.stage import stage
-from clothkit.simulation.executor import end_workers, execute
+from clothkit.simulation.executor import end_workers, make_simulator
 
 DATA = Path("data")
 MESHES = DATA / "meshes.zarr"
@@ -39,7 +39,7 @@ def main(name: str) -> None:
         # The name contains a hash, so that pieces of a run with other weights or another simulator are not reused.
         settings = (planner.weights, planner.grasping, simulate.simulation)
         pieces = work / hashlib.sha256(repr(settings).encode()).hexdigest()[:16]
-        simulator = partial(execute, settings=simulate.simulation, workers=simulate.workers)
+        simulator = make_simulator(simulate)
         annotate = partial(diagnosed, planner=planner)
         sessions, times = evaluate(store.load(MESHES), planner, simulator, work=pieces, annotate=annotate)
         s.costs.update(cost(times))

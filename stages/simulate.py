@@ -20,7 +20,7 @@ def main() -> None:
         raw = work / "raw"
         shutil.rmtree(raw, ignore_errors=True)
         attributes = s.attributes
-        for indifferent in ("block", "workers"):
+        for indifferent in ("block", "workers", "executor", "scheduler"):
             del attributes["params"][indifferent]
         if sequences:
             print(import_runs(raw, sequences, work=work, attributes=attributes))

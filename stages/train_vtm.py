@@ -8,6 +8,7 @@ from clothkit.dataset import store
 from clothkit.models.net import Net
 from clothkit.models.store import save
 from clothkit.runtime.stage import stage
+from clothkit.training.recalibration import recalibrated
 from clothkit.training.vtm import train_vtm
 
 
@@ -20,7 +21,9 @@ def main() -> None:
         training, validation = dataset.of_split("train"), dataset.of_split("validation")
         trained = train_vtm(s.params, training, validation, work=work, key=key)
         attributes = {**s.attributes, "validation_score": trained.score}
-        save(work / "net", Net(s.params.net, trained.params), trained.history, attributes)
+        net = Net(s.params.net, trained.params)
+        net = recalibrated(net, validation) if s.params.recalibrate else net
+        save(work / "net", net, trained.history, attributes)
         s.publish(work / "net", "data/nets/vtm")
 
 

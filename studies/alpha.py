@@ -29,7 +29,7 @@ from clothkit.planning.objective import Weights
 from clothkit.planning.planner import artifacts, assemble
 from clothkit.planning.systems import SYSTEMS
 from clothkit.report.figures.studies import weights as draw
-from clothkit.simulation.executor import execute
+from clothkit.simulation.executor import make_simulator
 
 NAMES = ("alpha", "beta", "gamma")
 
@@ -75,7 +75,7 @@ def main() -> None:
         missing = [sequence for sequence in sequences if sequence not in done]
         if missing:
             planner = assemble(SYSTEMS[name], data, weights, params.stages.plan, simulate.candidates, members)
-            simulator = partial(execute, settings=simulate.simulation)
+            simulator = make_simulator(simulate)
             annotate = partial(diagnosed, planner=planner)
             sessions, _ = try_out(dataset, missing, "validation", planner, simulator, annotate=annotate)
             found = rows(sessions, name).assign(**weights._asdict(), **{COLUMN: current})

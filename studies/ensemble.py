@@ -70,7 +70,7 @@ from clothkit.report.figures.studies import ensemble as draw
 from clothkit.runtime.json_file import read_json
 from clothkit.runtime.publish import alone, publish, unfinished
 from clothkit.runtime.stage import WORK
-from clothkit.simulation.executor import execute
+from clothkit.simulation.executor import make_simulator
 from clothkit.training.loop import CHECKPOINT
 from clothkit.training.pemd import train_pemd
 
@@ -179,7 +179,7 @@ def predicted(dataset: Dataset, initial: Starts, nets: Sequence[Net], batch: int
 
 def planned(dataset: Dataset, sequences: list[int], planner: Planner, params: Params) -> pd.DataFrame:
     """Return a row per task of these sequences with the results of its session."""
-    simulator = partial(execute, settings=params.stages.simulate.simulation)
+    simulator = make_simulator(params.stages.simulate)
     annotate = partial(diagnosed, planner=planner)
     sessions, times = try_out(dataset, sequences, "validation", planner, simulator, annotate=annotate)
     found = rows(sessions, planner.system.name)

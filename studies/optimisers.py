@@ -76,7 +76,7 @@ from clothkit.runtime.cache import ensure_jax_cache
 from clothkit.runtime.publish import unfinished
 from clothkit.runtime.resumable import array_storage, load_piece
 from clothkit.simulation.cloths import Cloths
-from clothkit.simulation.executor import execute
+from clothkit.simulation.executor import make_simulator
 
 LENGTHS = tuple(range(1, STEPS + 1))
 REFERENCE = "gradient"
@@ -517,7 +517,7 @@ def main() -> None:
         tune(planner, usual, dataset, validation[TUNING], folder / "optimisers_tuning.csv", base)
         return
     sequences = validation[: asked.sequences]
-    simulator = None if asked.no_execute else partial(execute, settings=simulate.simulation, workers=simulate.workers)
+    simulator = None if asked.no_execute else make_simulator(simulate)
     posed = pose(planner, dataset, sequences)
     current = fingerprint([], base, TUNED, FINALISTS, CHUNK)
     sizes = sized(read(sizes_path, SIZES, current), planner, usual, posed, current, sizes_path)

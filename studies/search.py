@@ -37,7 +37,7 @@ from clothkit.planning.search import SearchConfig
 from clothkit.planning.systems import SYSTEMS
 from clothkit.report.figures.studies import search as draw
 from clothkit.runtime.clock import Clock
-from clothkit.simulation.executor import execute
+from clothkit.simulation.executor import make_simulator
 
 OWN = ("strains", "base_iterations", "iterations_per_step", "near")
 """Settings of the gradient optimiser; the others are of the search."""
@@ -132,7 +132,7 @@ def main() -> None:
         if missing:
             sized = dataclasses.replace(plan, search=size)
             planner = assemble(SYSTEMS["main"], data, weights, sized, simulate.candidates, members)
-            simulator = partial(execute, settings=simulate.simulation)
+            simulator = make_simulator(simulate)
             annotate = partial(diagnosed, planner=planner)
             sessions, times = try_out(dataset, missing, "validation", planner, simulator, annotate=annotate)
             seconds = seconds_per_plan(times)

@@ -15,7 +15,6 @@ action, and the intersection over union of the silhouettes of outcome and goal, 
 
 import argparse
 import dataclasses
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +37,7 @@ from clothkit.planning.planner import Planner, assemble
 from clothkit.planning.systems import SYSTEMS
 from clothkit.runtime.errors import InputError
 from clothkit.simulation.cloths import Cloths
-from clothkit.simulation.executor import end_workers, execute
+from clothkit.simulation.executor import end_workers, execute, make_simulator
 from clothkit.simulation.material import FABRICS, Material
 from clothkit.simulation.settings import DRAWN, SimulationConfig
 
@@ -167,7 +166,7 @@ def main() -> None:
     params = load_params(Path("params.yaml"))
     stages = params.stages
     simulation = dataclasses.replace(stages.simulate.simulation, grasp="all")
-    simulator = partial(execute, settings=simulation, workers=stages.simulate.workers)
+    simulator = make_simulator(dataclasses.replace(stages.simulate, simulation=simulation))
     weights = Weights(params.alpha, params.beta, params.gamma)
     planner: Planner = assemble(
         SYSTEMS["main"], asked.data, weights, stages.plan, stages.simulate.candidates, params.ensemble.members

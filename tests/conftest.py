@@ -31,6 +31,7 @@ FLOORS = (
     "planning",
     "episodes",
     "evaluation",
+    "goals",
     "report",
     "app",
 )

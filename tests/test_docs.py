@@ -43,6 +43,8 @@ def here(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterato
         (tmp_path / name).symlink_to(root / name)
     (tmp_path / "reports").symlink_to(ROOT / "reports")
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HF_DATASETS_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr("clothkit.app.named_goals.user_folder", lambda: root / "goals")
     registries: list[dict[str, Any]] = [FABRICS, OPTIMISERS, SYSTEMS]
     kept = [registry.copy() for registry in registries]
     yield tmp_path

@@ -17,6 +17,7 @@ FLOORS = [
     "planning",
     "episodes",
     "evaluation",
+    "goals",
     "training",
     "report",
     "app",

@@ -119,14 +119,15 @@ def write_data(folder: Path, params: Path) -> None:
         dataset, store.load(folder / "nets/vtm"), given.stages.evaluate_estimation, given.stages.plan.refine
     )
     about = _about(given, "evaluate_estimation")
-    arrays.save(evaluations / "estimates.zarr", found.arrays(), about)
+    arrays.save(evaluations / "estimates.zarr", found._asdict(), arrays.ESTIMATES, about)
     write_rows(evaluations / "estimation.parquet", estimation.rows(dataset, found), about)
     stored = arrays.load(evaluations / "estimates.zarr", arrays.ESTIMATES)
     nets = ensemble.load(folder / "nets", "pemd", MEMBERS)
     starts, settings = prediction.starts(dataset, stored), given.stages.evaluate_prediction
     about = _about(given, "evaluate_prediction")
     write_rows(evaluations / "prediction.parquet", prediction.rows(dataset, starts, nets, settings), about)
-    arrays.save(evaluations / "predictions.zarr", prediction.stored(dataset, starts, nets.nets[0], settings), about)
+    kept = prediction.stored(dataset, starts, nets.nets[0], settings)
+    arrays.save(evaluations / "predictions.zarr", kept, arrays.PREDICTIONS, about)
     for system in ("main", "b1"):
         done = sessions(dataset)
         record.save(evaluations / f"planning/sessions_{system}.zarr", [done], _about(given, "plan"))

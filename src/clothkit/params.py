@@ -24,6 +24,7 @@ from clothkit.evaluation.settings import (
     EvaluatePredictionConfig,
     ProbeConfig,
 )
+from clothkit.goals.settings import EvaluateGoalsConfig
 from clothkit.models.settings import EnsembleConfig
 from clothkit.planning.settings import NormaliseConfig, PlanConfig
 from clothkit.planning.systems import SYSTEMS
@@ -54,6 +55,7 @@ class StageParams(pydantic.BaseModel, frozen=True, extra="forbid", allow_inf_nan
     evaluate_prediction: EvaluatePredictionConfig
     plan: PlanConfig
     evaluate_camera: EvaluateCameraConfig
+    evaluate_goals: EvaluateGoalsConfig | None  # null: no named goals at this scale
     evaluate_planning: EvaluatePlanningConfig
     report: ReportConfig
 
@@ -67,6 +69,8 @@ class StageParams(pydantic.BaseModel, frozen=True, extra="forbid", allow_inf_nan
         voxels = [system for system in self.plan.systems if SYSTEMS[system].voxels]
         if self.train_emd_voxel is None and voxels:
             raise ValueError(f"plan.systems has {voxels[0]}, which plans in voxels, but train_emd_voxel is null")
+        if self.evaluate_goals is None and self.report.goals:
+            raise ValueError("report.goals is true, but evaluate_goals is null")
         return self
 
 

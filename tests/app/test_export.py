@@ -126,7 +126,10 @@ def test_a_full_disk_leaves_what_was_exported_before(
     ("arguments", "sentence"),
     [
         (["{raw}", "--sequence", "4"], "{raw}: has no sequence 4; it holds 3, from 3 to 8"),
-        (["{raw}", "--all", "--format", "stl"], "format 'stl' is not known; known are obj, ply, glb"),
+        (
+            ["{raw}", "--all", "--format", "stl"],
+            "format 'stl' is not known; known are obj, ply, glb, lerobot, huggingface",
+        ),
         (["{raw}/none", "--all"], "{raw}/none: not found; expected a folder of raw artifacts or a store of meshes"),
         (["{raw}/states", "--all"], "{raw}/states: holds neither states/*.parquet nor a zarr store of meshes"),
     ],

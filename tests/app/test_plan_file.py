@@ -357,6 +357,7 @@ def test_turned_plans_keep_their_decision_and_equal_errors_leave_either() -> Non
 def test_a_plan_that_no_file_may_hold_is_not_written(tmp_path: Path) -> None:
     plan = plan_of(PLANS["b1"])
     expected = {"sides_m": None, "thickness_m": None, **PLANS["b1"]}
+    expected |= {part: {**PLANS["b1"][part], "named": None} for part in ("state", "goal")}
     assert json.loads(plan.model_dump_json()) == json.loads(json.dumps(expected))
     with pytest.raises(InputError, match=r"the plan found: expected\.loss: input should be a finite number, found nan"):
         plan_of(changed(PLANS["b1"], "expected.loss", float("nan")))

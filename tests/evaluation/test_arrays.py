@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from clothkit.evaluation.arrays import ESTIMATES, PICTURES, NamedArray, load, save
+from clothkit.evaluation.arrays import ESTIMATES, PICTURES, load, save
 from clothkit.runtime.errors import InputError
 
 Arrays = dict[str, np.ndarray]
@@ -26,7 +26,7 @@ def estimates() -> Arrays:
 
 
 def write(path: Path, arrays: Arrays) -> Path:
-    save(path, {name: NamedArray(values, ESTIMATES[name].dimensions) for name, values in arrays.items()}, {})
+    save(path, arrays, ESTIMATES, {})
     return path
 
 
@@ -95,14 +95,10 @@ def test_pictures_of_what_was_not_seen(tmp_path: Path) -> None:
         "voxels": np.zeros((2, 3, 32, 32, 16), bool),
         "mesh": rng.normal(size=(2, 3, 32, 32, 3)).astype(np.float32),
     }
-    save(
-        tmp_path / "p.zarr",
-        {name: NamedArray(values, PICTURES[name].dimensions) for name, values in arrays.items()},
-        {},
-    )
+    save(tmp_path / "p.zarr", arrays, PICTURES, {})
     assert not load(tmp_path / "p.zarr", PICTURES)["voxels"].any()
     for shown in ([0, 1], [1, 4]):
         arrays["shown"] = np.array(shown)
-        save(tmp_path / "p.zarr", {name: NamedArray(v, PICTURES[name].dimensions) for name, v in arrays.items()}, {})
+        save(tmp_path / "p.zarr", arrays, PICTURES, {})
         with pytest.raises(InputError, match="array shown: expected states 1 to 3"):
             load(tmp_path / "p.zarr", PICTURES)

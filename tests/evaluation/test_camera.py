@@ -74,7 +74,7 @@ def test_states_are_seen_and_estimated_under_every_condition(dataset: Dataset, n
     assert rows["condition"].drop_duplicates().tolist() == ["voxels", "above", "noisy"]
     assert rows.groupby("condition").size().tolist() == [5, 5, 5]
     assert rows["seen"].all()
-    least, (mesh, seen) = ALARMS.least, (found.arrays[name].values[0] for name in ("mesh", "voxels"))
+    least, (mesh, seen) = ALARMS.least, (found.arrays[name][0] for name in ("mesh", "voxels"))
     agrees = [agreement(mesh[i], seen[i]) for i in range(2)]
     of_first = rows[(rows["sequence"] == 0) & (rows["state"] == 1) & (rows["condition"] != "voxels")]
     assert all(of_first["alarm"].to_numpy() >= [not each.explains(least) for each in agrees])
@@ -90,13 +90,13 @@ def test_states_are_seen_and_estimated_under_every_condition(dataset: Dataset, n
     row = rows[(rows["condition"] == "above") & (rows["sequence"] == 0) & (rows["state"] == 2)]
     assert row["error"].item() == pytest.approx(by_hand, rel=1e-4)
     assert row["voxel_error"].item() == (seen != np.asarray(voxels.observe(truth))).mean()
-    shapes = {name: array.values.shape for name, array in found.arrays.items()}
+    shapes = {name: array.shape for name, array in found.arrays.items()}
     assert shapes["height"] == (2, 2, SMALL.rows, SMALL.columns)
     assert shapes["voxels"] == (2, 2, 32, 32, 16)
-    assert found.arrays["shown"].values.tolist() == [1, 2]
-    measured = found.arrays["height"].values[:, 0] != UNMEASURED
+    assert found.arrays["shown"].tolist() == [1, 2]
+    measured = found.arrays["height"][:, 0] != UNMEASURED
     # Two layers of cloth on a table: millimetres.
-    assert 0.002 < found.arrays["height"].values[:, 0][measured].max() < 0.03
+    assert 0.002 < found.arrays["height"][:, 0][measured].max() < 0.03
 
 
 def test_an_interrupted_estimation_goes_on_with_the_next_condition(dataset: Dataset, net: Net, tmp_path: Path) -> None:
@@ -117,7 +117,7 @@ def test_an_interrupted_estimation_goes_on_with_the_next_condition(dataset: Data
     assert len(pictures) == count + 2 + count
     pd.testing.assert_frame_equal(resumed.rows, whole.rows)
     for name, array in whole.arrays.items():
-        np.testing.assert_array_equal(resumed.arrays[name].values, array.values)
+        np.testing.assert_array_equal(resumed.arrays[name], array)
 
 
 def test_what_no_picture_shows_is_missing(dataset: Dataset, net: Net, tmp_path: Path) -> None:

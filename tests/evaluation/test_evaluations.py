@@ -164,14 +164,14 @@ def test_stored_predictions_come_back(
     stored = prediction.stored(dataset, given, forward.nets[0], EvaluatePredictionConfig(stored=1))
     contents = []
     for name in ("one.zarr", "two.zarr"):
-        arrays.save(tmp_path / name, stored, {"scale": "smoke"})
+        arrays.save(tmp_path / name, stored, arrays.PREDICTIONS, {"scale": "smoke"})
         files = sorted(path for path in (tmp_path / name).rglob("*") if path.is_file())
         contents.append([(path.relative_to(tmp_path / name), path.read_bytes()) for path in files])
     assert contents[0] == contents[1]
     found = arrays.load(tmp_path / "one.zarr", arrays.PREDICTIONS, ("sequence", "mean", "shift"))
     assert found["sequence"].tolist() == [0, 1]
     assert found["mean"].shape == (2, 3, 32, 32, 3)
-    np.testing.assert_array_equal(found["shift"], stored["shift"].values)
+    np.testing.assert_array_equal(found["shift"], stored["shift"])
     with pytest.raises(InputError, match="has no array label"):
         arrays.load(tmp_path / "one.zarr", arrays.ESTIMATES, ("label",))
     with pytest.raises(InputError, match=r"three\.zarr"):
@@ -183,15 +183,15 @@ def test_what_lies_past_a_sequences_end_may_be_missing(
 ) -> None:
     given = prediction.starts(dataset, estimates._asdict())
     stored = prediction.stored(dataset, given, forward.nets[0], EvaluatePredictionConfig(stored=3))
-    assert np.argwhere(np.isnan(stored["mean"].values).all((2, 3, 4))).tolist() == [[3, 2]]
-    arrays.save(tmp_path / "whole.zarr", stored, {})
+    assert np.argwhere(np.isnan(stored["mean"]).all((2, 3, 4))).tolist() == [[3, 2]]
+    arrays.save(tmp_path / "whole.zarr", stored, arrays.PREDICTIONS, {})
     found = arrays.load(tmp_path / "whole.zarr", arrays.PREDICTIONS)
     np.testing.assert_array_equal(np.isnan(found["shift"]).any(-1), np.isnan(found["mean"]).any((2, 3, 4)))
     for place in ((3, 1), (3, 0), (0, 0, 5, 6, 1)):
-        mean = stored["mean"].values.copy()
+        mean = stored["mean"].copy()
         mean[place] = np.nan
         if place == (3, 1):
             mean[3, 2] = 0
-        arrays.save(tmp_path / "holes.zarr", {"mean": stored["mean"]._replace(values=mean)}, {})
+        arrays.save(tmp_path / "holes.zarr", {"mean": mean}, arrays.PREDICTIONS, {})
         with pytest.raises(InputError, match="array mean: expected finite values"):
             arrays.load(tmp_path / "holes.zarr", arrays.PREDICTIONS, ("mean",))

@@ -16,7 +16,6 @@ from clothkit.dataset.regularise import regularise
 from clothkit.dataset.rows import write_rows
 from clothkit.episodes import record
 from clothkit.evaluation import arrays
-from clothkit.evaluation.arrays import NamedArray
 from clothkit.params import Params, load_params
 from clothkit.simulation.records import write_raw
 from clothkit.training import checkpoint
@@ -82,14 +81,10 @@ def _write_tables(data: Path, params: Params) -> None:
     for system in ("main", "b1"):
         record.save(planning / f"sessions_{system}.zarr", [done], about("plan"))
     write_rows(planning / "main.parquet", planning_rows(["main"], sequences=2), about("plan"))
-    meshes, order = dataset.vertices[:3], ("sequence", "state", "u", "v", "xyz")
-    estimates = {
-        "sequence": NamedArray(np.arange(3), ("sequence",)),
-        **{name: NamedArray(meshes, order) for name in ("mean", "mesh")},
-        "std": NamedArray(np.full_like(meshes, 0.02), order),
-        "label": NamedArray(np.zeros((3, 4), np.int32), ("sequence", "state")),
-    }
-    arrays.save(data / "evaluation/estimates.zarr", estimates, about("evaluate_estimation"))
+    meshes = dataset.vertices[:3]
+    estimates = {"sequence": np.arange(3), "mean": meshes, "mesh": meshes, "std": np.full_like(meshes, 0.02)}
+    estimates["label"] = np.zeros((3, 4), np.int32)
+    arrays.save(data / "evaluation/estimates.zarr", estimates, arrays.ESTIMATES, about("evaluate_estimation"))
     keys = product(("test", "train"), range(2), (1, 2, 3), ("pmr", "dmr"))
     rows = pd.DataFrame(keys, columns=["split", "sequence", "state", "kind"])
     rows = rows.assign(error=0.02, error_labelled=0.03, error_no_action=0.2, sigma_ratio=0.8)

@@ -127,11 +127,12 @@ def test_the_chain_runs_on_from_arcsims_runs(tmp_path: Path) -> None:
     vtm, vtm_history = Net(VTM.net, trained.params), trained.history
 
     found = estimation.estimates(dataset, vtm, EvaluateEstimationConfig(batch=4), REFINE)
-    arrays.save(tmp_path / "estimates.zarr", found.arrays(), {})
+    arrays.save(tmp_path / "estimates.zarr", found._asdict(), arrays.ESTIMATES, {})
     estimates = arrays.load(tmp_path / "estimates.zarr", arrays.ESTIMATES)
     settings = EvaluatePredictionConfig(batch=4, stored=3)
     given = prediction.starts(dataset, estimates)
-    arrays.save(tmp_path / "predictions.zarr", prediction.stored(dataset, given, nets[0], settings), {})
+    stored = prediction.stored(dataset, given, nets[0], settings)
+    arrays.save(tmp_path / "predictions.zarr", stored, arrays.PREDICTIONS, {})
     planner = Planner(
         system("main"),
         representation=MESH,
@@ -152,7 +153,7 @@ def test_the_chain_runs_on_from_arcsims_runs(tmp_path: Path) -> None:
     support = fit(example_units(vtm, dataset.of_split("train"), VTM, examples=32, seed=0))
     raised = set_alarms(vtm, dataset, SetAlarmsConfig(), support=support, camera=CAMERA, refinement=REFINE)
     seen = camera.estimation(dataset, vtm, CAMERA, REFINE, raised, work=tmp_path / "states")
-    arrays.save(tmp_path / "pictures.zarr", seen.arrays, {})
+    arrays.save(tmp_path / "pictures.zarr", seen.arrays, arrays.PICTURES, {})
     before = camera_planning.planning(dataset, planner, toy.execute, sessions, CAMERA, work=tmp_path / "camera")
 
     of_meshes = prediction.rows(dataset, given, ensemble, settings)

@@ -28,6 +28,7 @@ from clothkit.report.sections import CAPTIONS, TABLES
 from clothkit.report.settings import ReportConfig
 from tests.evaluation import camera_rows
 from tests.evaluation.planning_rows import planning_rows
+from tests.goals.goal_rows import goal_rows
 from tests.report.contents import LAPTOP
 from tests.report.web import tree
 
@@ -141,6 +142,13 @@ def inputs(dataset: Dataset) -> Inputs:
             "height": np.zeros((2, 2, 12, 16), np.float32),
             "voxels": np.zeros((2, 2, 32, 32, 16), bool),
             "mesh": np.repeat(dataset.vertices[:, 1:2], 2, axis=1),
+        },
+        goals=goal_rows(),
+        goal_pictures={
+            "goal": np.array([0, 0, 3, 3]),
+            "begins": np.array([0, 0, 2, 0]),
+            "source": np.array([0, 1, 1, 2]),
+            **{name: np.repeat(dataset.vertices[0, :1], 4, axis=0) for name in ("target", "start", "outcome")},
         },
     )
 

@@ -205,7 +205,7 @@ def test_no_more_blocks_are_begun_than_are_likely_to_be_needed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wanted: int, block: int, workers: int, most: int
 ) -> None:
     made = made_up(monkeypatch, lambda number: True)
-    monkeypatch.setattr(generation, "make_pool", lambda workers: SerialPool())
+    monkeypatch.setattr(generation, "open_pool", lambda kind, workers, scheduler: SerialPool(workers))
     settings = SimulateConfig(sequences=wanted, block=block, workers=workers)
     found = generate(tmp_path / "raw", settings, work=tmp_path / "work", attributes={})
     assert found.accepted == found.attempts == wanted

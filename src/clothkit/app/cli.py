@@ -12,7 +12,8 @@ COMMANDS = {
     "estimate": "The mesh that voxels or a point cloud show.",
     "predict": "What the nets expect of a plan, as meshes.",
     "simulate": "What a plan comes to in the simulator.",
-    "export": "States of a dataset as OBJ, PLY or GLB.",
+    "goals": "Named goals, with pictures.",
+    "export": "States as mesh files, or a dataset for LeRobot or the Hugging Face Hub.",
     "view": "A local page on which sessions are played.",
 }
 """Help text by command. The command is `command` in the module of that name; help need not import these modules."""

@@ -185,8 +185,9 @@ def _source(planner: Planner, source: Input, found: EstimateAgreement | None, *,
             "strangeness": None if found.strangeness is None else round(found.strangeness, 4),
             "known": found.known,
         }
-    usage = usage_of(planner.system, source, goal=goal)
-    return {"file": source.file, "kind": source.kind, "taken": usage, "agreement": agreement}
+    usage, form = usage_of(planner.system, source, goal=goal), source.variant
+    named = None if form is None else {"turn_deg": form.turn, "mirror": form.mirror, "angle_rad": form.angle}
+    return {"file": source.file, "kind": source.kind, "taken": usage, "agreement": agreement, "named": named}
 
 
 def _step(planner: Planner, planned: Planned, i: int, path: HandPaths, after: Pose) -> dict[str, Any]:

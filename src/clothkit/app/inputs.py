@@ -14,6 +14,7 @@ from clothkit.app.settings import AppConfig
 from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE, Topology
 from clothkit.estimation import alarms
 from clothkit.estimation.alarms import Alarms
+from clothkit.goals.variants import Variant
 from clothkit.manipulation.candidates import CandidateConfig
 from clothkit.models import store
 from clothkit.observation.cloud import Observation
@@ -115,6 +116,11 @@ class ObservationOptions(NamedTuple):
         return self.sides[0]
 
     @property
+    def scale(self) -> float:
+        """Metres per normalised unit."""
+        return self.side / CLOTH_LENGTH
+
+    @property
     def cloth(self) -> Float[np.ndarray, "3"]:
         """The cloth's sides along u, the longer one, and along v, and its thickness [normalised]."""
         return np.array([*self.sides, self.thickness], np.float32) * np.float32(CLOTH_LENGTH / self.side)
@@ -122,7 +128,7 @@ class ObservationOptions(NamedTuple):
     @property
     def topology(self) -> Topology:
         """The grid of a mesh of this cloth."""
-        return topology_of(SQUARE.shape[0], (CLOTH_LENGTH, float(self.cloth[1])))
+        return topology_of(SQUARE.shape[0], (float(self.cloth[0]), float(self.cloth[1])))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,6 +140,8 @@ class Input:
     observation: Observation
     cloth: Float[np.ndarray, "3"]
     """The cloth's sides along u and along v and its thickness [normalised]."""
+    variant: Variant | None = None
+    """Of a named goal, whose name is in the place of the file's; None: a file."""
 
     @property
     def kind(self) -> Kind:
@@ -192,26 +200,36 @@ def _read_mask(path: Path, count: int) -> Bool[np.ndarray, " points"]:
     return mask.astype(bool)
 
 
+_CLOTH_OPTIONS = (
+    click.option(
+        "--side",
+        type=float,
+        metavar="METRES",
+        help="Side of the flat cloth, if it is a square. [default: a given plan's, else app.side]",
+    ),
+    click.option("--sides", type=float, nargs=2, metavar="METRES METRES", help="Both sides, if it is no square."),
+    click.option(
+        "--thickness",
+        type=float,
+        metavar="METRES",
+        help="Distance of the middles of two layers that touch: half the height of the cloth, folded once and pressed "
+        "flat. [default: a given plan's, else app.thickness]",
+    ),
+)
+
+
+def with_cloth_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Decorator that adds the options of the cloth alone: its sides and its thickness."""
+    for option in reversed(_CLOTH_OPTIONS):
+        command = option(command)
+    return command
+
+
 def with_observation_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Decorator that adds the options for reading and observing files; `observation_options` converts their values."""
     for option in reversed(
         (
-            click.option(
-                "--side",
-                type=float,
-                metavar="METRES",
-                help="Side of the flat cloth, if it is a square. [default: a given plan's, else app.side]",
-            ),
-            click.option(
-                "--sides", type=float, nargs=2, metavar="METRES METRES", help="Both sides, if it is no square."
-            ),
-            click.option(
-                "--thickness",
-                type=float,
-                metavar="METRES",
-                help="Distance of the middles of two layers that touch: half the height of the cloth, folded once and "
-                "pressed flat. [default: a given plan's, else app.thickness]",
-            ),
+            *_CLOTH_OPTIONS,
             click.option(
                 "--mask", metavar="FILE", help="NPY [n] of 0 and 1: which points of the state's cloud are the cloth's."
             ),
@@ -277,7 +295,7 @@ def observation_options(
     side: float | None,
     sides: tuple[float, float] | None = None,
     thickness: float | None = None,
-    table: tuple[float, ...] | None,
+    table: tuple[float, ...] | None = None,
     table_colour: tuple[int, ...] | None = None,
     box: tuple[float, ...] | None = None,
     up: Triple | None = None,

@@ -18,6 +18,14 @@ from clothkit.app.inputs import (
     read_input,
     with_observation_options,
 )
+from clothkit.app.named_goals import (
+    goal_name,
+    lying,
+    named_goal,
+    variant_before,
+    variant_of,
+    with_variant_options,
+)
 from clothkit.app.output import check_target, part
 from clothkit.app.plan_arrays import check_nets, check_steps_left, cloth_of, memory_of, traces_before
 from clothkit.app.plan_file import Plan, Source, read_plan, write_plan
@@ -32,6 +40,8 @@ from clothkit.app.planner import (
     turned_goal,
     turned_plan,
 )
+from clothkit.dataset.store import STEPS
+from clothkit.goals.folds import GOALS
 from clothkit.observation.waypoints import HandPaths, MotionConfig, ReachConfig, beyond, symmetries
 from clothkit.planning.optimisers import OPTIMISERS, optimiser_of
 from clothkit.planning.planner import Planner
@@ -41,8 +51,18 @@ from clothkit.runtime.errors import InputError
 
 @click.command(short_help="A plan that brings a cloth into a given shape.")
 @click.option("--state", required=True, metavar="FILE", help="The cloth as it lies.")
-@click.option("--goal", required=True, metavar="FILE", help="The shape that it shall have, wherever it lies.")
-@click.option("--steps", type=click.IntRange(1, 3), help="Manipulations; needed but with --after.")
+@click.option(
+    "--goal",
+    required=True,
+    metavar="FILE|NAME",
+    help="The shape that it shall have, wherever it lies: a file, or a name of clothkit goals, such as half.",
+)
+@with_variant_options
+@click.option(
+    "--steps",
+    type=click.IntRange(1, STEPS),
+    help="Manipulations; needed but with --after. [default: as many as a named goal needs]",
+)
 @click.option("--out", type=click.Path(path_type=Path), default=Path("plan.json"), show_default=True, metavar="FILE")
 @click.option(
     "--after",
@@ -102,6 +122,8 @@ def command(
     seed: int,
     frame: Frame,
     reach: tuple[float, ...] | None,
+    turn: str | None,
+    mirror: bool | None,
     mask: str | None,
     **values: Any,
 ) -> None:
@@ -109,7 +131,9 @@ def command(
 
     STATE and GOAL are files: a mesh (OBJ, PLY, GLB in metres; NPY, NPZ normalised; data/meshes.zarr:SEQUENCE/STATE),
     voxels [32, 32, 16] (NPY, NPZ, zarr), or a point cloud in metres (PLY without faces, PCD, NPY, NPZ) with what tells
-    its cloth from the table: a mask, the table's colour, or its plane if nothing but the cloth is there.
+    its cloth from the table: a mask, the table's colour, or its plane if nothing but the cloth is there. GOAL may be
+    the name of a folded shape, too (clothkit goals): it is made of your cloth in the simulator, and lies as your cloth
+    lies.
 
     The plan is JSON (docs/plan.schema.json): for each step grasp and release points and timed waypoints of each hand,
     the predicted states of each net, the expected error and how unsure the nets are. If nothing is expected to come
@@ -120,6 +144,7 @@ def command(
 
     \b
     clothkit plan --state cloud.ply --goal goal.obj --steps 2 --table 0 0 -1 -0.8
+    clothkit plan --state cloud.ply --goal half --sides 0.5 0.3 --table 0 0 -1 -0.8
     clothkit plan --state cloud2.ply --goal goal.obj --after plan.json --out plan2.json --table 0 0 -1 -0.8
     """
     settings = load_settings(data)
@@ -131,10 +156,13 @@ def command(
     if previous and after:
         values |= cloth_of(previous, values, after)
     options, box = observation_options(settings.app, **values), reach_of(settings.app, reach)
-    length = _length(steps, previous, after)
+    named = goal_name(goal, turn, mirror)
+    length = _length(steps, previous, after, named)
+    variant = variant_before(named, previous, after, turn, mirror) if named else None
     keep_compiled_programs()
     with part("observe"):
-        start, goal_input = read_input(state, options, mask=mask), read_input(goal, options)
+        start = read_input(state, options, mask=mask)
+        goal_input = None if named else read_input(goal, options)
     chosen = _system(name, start, previous, after)
     with part("load nets"):
         planner = load_planner(chosen, data, settings, optimiser=optimiser)
@@ -142,6 +170,11 @@ def command(
             check_nets(previous, planner, data, after)
             check_steps_left(previous, after)
             traces = traces_before(previous, planner, after)
+    if named:
+        with part("make the goal"):
+            variant = variant or variant_of(turn, mirror, lying(start, data, settings), options.topology)
+            goal_input = named_goal(named, variant, options, settings)
+    assert goal_input is not None
     with part("estimate"):
         observation, matrix = observation_of(planner, start, data, settings), None
         target = goal_of(chosen, goal_input, data, settings)
@@ -155,9 +188,9 @@ def command(
     with part(f"search by {optimiser_of(planner.settings.search.optimiser).name}"):
         planned, _ = decide(planner, observation, memory, seed=seed)
         found = (compare_state(chosen, start, planned.state, settings), goal_agreement)
-        planned, paths, turn = reached(planner, planned, target, start, settings.app.motion, box)
-        if turn is not None:
-            target, matrix = turned_goal(target, turn), turn if matrix is None else turn @ matrix
+        planned, paths, turned = reached(planner, planned, target, start, settings.app.motion, box)
+        if turned is not None:
+            target, matrix = turned_goal(target, turned), turned if matrix is None else turned @ matrix
     for estimate in found:
         warn(estimate)
     request = PlanRequest(
@@ -176,8 +209,17 @@ def command(
     click.echo(summary(plan, out))
 
 
-def _length(steps: int | None, previous: Plan | None, after: Path | None) -> int:
+def _length(steps: int | None, previous: Plan | None, after: Path | None, named: str | None) -> int:
     if previous is None:
+        if steps is None and named:
+            needed = GOALS[named].manipulations
+            if needed > STEPS:
+                click.echo(
+                    f"notice: {named} needs {needed} manipulations, and a plan has at most {STEPS}: execute its first "
+                    "step, look, and plan anew",
+                    err=True,
+                )
+            return min(needed, STEPS)
         if steps is None:
             raise click.UsageError("Missing option '--steps': how many manipulations, 1 to 3.")
         return steps

@@ -5,6 +5,7 @@ parts are impossible or contradict each other can be neither made nor read: `pla
 """
 
 import json
+import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -74,16 +75,30 @@ class Agreement(Part):
     """Whether the net knows such voxels, and cloths of these sides and this thickness."""
 
 
+class NamedGoal(Part):
+    """Which form of a named goal was planned for."""
+
+    turn_deg: Literal[0, 90, 180, 270]
+    """By how much its folds were turned on the cloth, counter-clockwise."""
+    mirror: bool
+    """Whether they were mirrored, before that."""
+    angle_rad: Annotated[float, Ge(-math.pi), Le(math.pi)]
+    """By how much the cloth lay turned on the table, and the goal with it."""
+
+
 class Source(Part):
-    """A file that was planned from or for."""
+    """A file that was planned from or for, or a named goal."""
 
     file: str
+    """Its name, or that of the goal."""
     kind: Kind
     """mesh: [32, 32, 3]; voxels: [32, 32, 16]; points: a cloud, or a surface seen from above."""
     taken: Usage | None = None
     """Whether the plan starts from (or leads to) what the file holds, or an estimate of it; null: an older version."""
     agreement: Agreement | None = None
     """Of the estimate with what the file shows; null: nothing was estimated, or the file is of an older version."""
+    named: NamedGoal | None = None
+    """The form of a named goal; null: a file."""
 
 
 class Table(Part):

@@ -17,6 +17,7 @@ from clothkit.app.inputs import (
     read_input,
     with_observation_options,
 )
+from clothkit.app.named_goals import goal_name, named_goal, variant_before, variant_of, with_variant_options
 from clothkit.app.output import check_target, part, write_mesh
 from clothkit.app.plan_arrays import cloth_of, placed_state
 from clothkit.app.plan_file import Plan, Step, read_plan
@@ -57,7 +58,10 @@ class Score(NamedTuple):
     "[default: what the plan took it for]",
 )
 @click.option("--plan", "source", required=True, type=click.Path(path_type=Path), metavar="PLAN", help="A plan file.")
-@click.option("--goal", metavar="FILE", help="What the outcome is held against.")
+@click.option(
+    "--goal", metavar="FILE|NAME", help="What the outcome is held against: a file, or a name of clothkit goals."
+)
+@with_variant_options
 @click.option("--steps", type=click.IntRange(1, 3), help="Only the first so many steps. [default: all]")
 @click.option(
     "--out",
@@ -76,6 +80,8 @@ def command(
     state: str | None,
     source: Path,
     goal: str | None,
+    turn: str | None,
+    mirror: bool | None,
     steps: int | None,
     out: Path,
     data: Path,
@@ -87,7 +93,8 @@ def command(
     A mesh [32, 32, 3] lies in the table's frame, which a plan in a camera's frame knows too. The outcome is in metres
     in the table's frame. With a goal, its error (mean distance of vertices, moved to fit,
     under any labels) and its silhouette IoU are told, and the start's beside them. The simulated cloth is that of the
-    data that the nets learned from, scaled to yours.
+    data that the nets learned from, scaled to yours. A named goal lies as it lay for the plan, if that was for it, else
+    as the start lies.
 
     \b
     clothkit simulate --state start.obj --plan plan.json --goal goal.obj --out outcome.glb
@@ -101,10 +108,12 @@ def command(
     values |= cloth_of(plan, values, source) | ({} if thickness is None else {"thickness": thickness})
     options = observation_options(settings.app, **values)
     check_target(out, FORMATS)
+    named = goal_name(goal, turn, mirror)
+    variant = variant_before(named, plan, source, turn, mirror) if named else None
     keep_compiled_programs()
     with part("observe"):
         start = read_input(state, options, mask=mask) if state else None
-        goal_input = read_input(goal, options) if goal else None
+        goal_input = read_input(goal, options) if goal and not named else None
     mesh, pose = (mesh_of(start), start.pose) if start else _start(plan, source)
     if mesh is None and start:
         with part("estimate"):
@@ -113,6 +122,11 @@ def command(
     assert mesh is not None
     # If the cloth is crammed into a point, each vertex touches all others, and one simulation step takes minutes.
     check_grid(state or f"{source}: start.state", mesh * pose.scale, side=plan.side_m, unit="m")
+    if named:
+        with part("make the goal"):
+            goal_input = named_goal(
+                named, variant or variant_of(turn, mirror, mesh, options.topology), options, settings
+            )
     with part("simulate"):
         hands = start.pose if start and start.kind == "points" and plan.frame == "camera" else None
         states = simulate_plan(

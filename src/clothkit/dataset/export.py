@@ -56,20 +56,13 @@ def export(
 
     `source` is a folder of raw artifacts or a store of meshes, whose sequences are counted from 0, and whose meshes are
     put back where they lay, `cloth_side` [m] wide. The files appear once all of them are written. Raises InputError
-    when the format, the source or a sequence isn't there, the side is no cloth's, or a file can't be written.
+    when the source or a sequence isn't there, the side is no cloth's, or a file can't be written.
     """
-    if not 0 < cloth_side <= LARGEST_SIDE:
-        raise InputError(f"cloth side {cloth_side:g}: expected metres, above 0 and up to {LARGEST_SIDE:g}")
-    if file_format not in FORMATS:
-        raise InputError(f"format {file_format!r} is not known; known are {', '.join(FORMATS)}")
-    if not source.exists():
-        raise InputError(f"{source}: not found; expected a folder of raw artifacts or a store of meshes")
-    if (source / "states").is_dir():
+    check_side(cloth_side)
+    if is_raw(source):
         count, found = raw_surfaces(source, sequences)
-    elif (source / "zarr.json").is_file():
-        count, found = stored_surfaces(source, sequences, cloth_side=cloth_side)
     else:
-        raise InputError(f"{source}: holds neither states/*.parquet nor a zarr store of meshes")
+        count, found = stored_surfaces(source, sequences, cloth_side=cloth_side)
     names = []
     with unfinished_files(target) as part:
         for surface in tqdm(found, total=count, desc="export", unit="state", mininterval=1):
@@ -78,13 +71,19 @@ def export(
     return [target / name for name in names]
 
 
+def check_side(cloth_side: float) -> None:
+    """Raises InputError if this is no cloth's side [m]."""
+    if not 0 < cloth_side <= LARGEST_SIDE:
+        raise InputError(f"cloth side {cloth_side:g}: expected metres, above 0 and up to {LARGEST_SIDE:g}")
+
+
 def raw_surfaces(folder: Path, sequences: Sequence[int] | None) -> tuple[int, Iterator[Surface]]:
     """The number of states of some or all sequences of raw artifacts, and an iterator over them.
 
     Each state keeps its own triangulation. Raises InputError if a sequence or a state's topology is missing.
     """
     numbers = read_states(folder / "states", ("sequence", "state"))["sequence"].to_numpy()
-    chosen = _checked(folder, sequences, np.unique(numbers).tolist())
+    chosen = chosen_sequences(folder, sequences, np.unique(numbers).tolist())
     count = int(np.isin(numbers, chosen).sum())
     topologies = Topologies(folder)
 
@@ -107,7 +106,7 @@ def stored_surfaces(path: Path, sequences: Sequence[int] | None, *, cloth_side: 
     States are scaled to a cloth of width `cloth_side` [m]. Raises InputError if a sequence is missing.
     """
     dataset = store.load(path)
-    chosen = _checked(path, sequences, list(range(len(dataset))))
+    chosen = chosen_sequences(path, sequences, list(range(len(dataset))))
     scale = np.float32(cloth_side / CLOTH_LENGTH)
     uv, faces = (SQUARE.geodesic().reshape(-1, 2) + 1) / 2, SQUARE.triangles()
     places = [(sequence, state) for sequence in chosen for state in range(int(dataset.length[sequence]) + 1)]
@@ -146,7 +145,19 @@ def encode(surface: Surface, file_format: str) -> bytes:
     return export_glb(scene, include_normals=True)
 
 
-def _checked(source: Path, sequences: Sequence[int] | None, present: Sequence[int]) -> list[int]:
+def is_raw(source: Path) -> bool:
+    """Whether a source is a folder of raw artifacts; if not, it is a store of meshes.
+
+    Raises InputError if it is neither, or not there.
+    """
+    if not source.exists():
+        raise InputError(f"{source}: not found; expected a folder of raw artifacts or a store of meshes")
+    if not (source / "states").is_dir() and not (source / "zarr.json").is_file():
+        raise InputError(f"{source}: holds neither states/*.parquet nor a zarr store of meshes")
+    return (source / "states").is_dir()
+
+
+def chosen_sequences(source: Path, sequences: Sequence[int] | None, present: Sequence[int]) -> list[int]:
     """The requested sequences, sorted, or all if `sequences` is None. Raises InputError if one is missing."""
     if not present:
         raise InputError(f"{source}: holds no sequence")

@@ -1,16 +1,15 @@
 """The zarr store of meshes, and the class `Dataset` that holds its contents (design section 4)."""
 
 import dataclasses
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import zarr
 from jaxtyping import Bool, Float, Int, Int8
 
 from clothkit.cloth.topology import CLOTH_LENGTH, PAPERS_CLOTH, SQUARE
-from clothkit.dataset.zarr_store import WRITTEN, Declared, Store, open_store
+from clothkit.dataset.zarr_store import Declared, Store, consolidate, create_array, create_group, open_store
 from clothkit.runtime.errors import InputError
 from clothkit.simulation.cloths import Cloths
 from clothkit.simulation.material import Material
@@ -32,18 +31,34 @@ LENGTHS = {
 }
 """Lengths of the dimensions that are the same in every store."""
 
+NORMALISED = "normalised"
+"""Unit of lengths of which the flat cloth's longer side is CLOTH_LENGTH."""
+
+MANIPULATION_UNITS = ", ".join(("geodesic",) * 4 + (NORMALISED,) * 2)
+PROPERTY_UNITS = ("m", "kg/m^2", "N/m", "N/m", "N m", "1/m", "1", "1")
+"""Units of the properties in DRAWN."""
+
+LABELS = {
+    "xyz": ("x", "y", "z"),
+    "xy": ("x", "y"),
+    "component": ("u1", "v1", "u2", "v2", "dx", "dy"),
+    "measure": ("side_u", "side_v", "thickness"),
+    "property": DRAWN,
+}
+"""Names of the places along a dimension, kept in the attribute `labels` of every store that has such a dimension."""
+
 _CHUNK, _SHARD = 16, 1024
 _ARRAYS = {
-    "vertices": Declared("f4", ("sequence", "state", "u", "v", "xyz")),
-    "centre": Declared("f4", ("sequence", "state", "xy")),
-    "manipulation": Declared("f4", ("sequence", "step", "component")),
+    "vertices": Declared("f4", ("sequence", "state", "u", "v", "xyz"), NORMALISED),
+    "centre": Declared("f4", ("sequence", "state", "xy"), NORMALISED),
+    "manipulation": Declared("f4", ("sequence", "step", "component"), MANIPULATION_UNITS),
     "hands": Declared("i1", ("sequence", "step")),
     "length": Declared("i1", ("sequence",)),
     "split": Declared("i1", ("sequence",)),
     "evaluated": Declared("bool", ("sequence",)),
-    "cloth": Declared("f4", ("sequence", "measure")),
+    "cloth": Declared("f4", ("sequence", "measure"), NORMALISED),
     "start": Declared("i1", ("sequence",)),
-    "material": Declared("f4", ("sequence", "property")),
+    "material": Declared("f4", ("sequence", "property"), ", ".join(PROPERTY_UNITS)),
 }
 _HOLDS = "which a store of meshes holds"
 
@@ -107,19 +122,18 @@ class Dataset:
 
 def save(path: Path, dataset: Dataset, attributes: dict[str, Any]) -> None:
     """Write a dataset as a zarr v3 directory with few shard files; equal datasets give equal bytes."""
-    group = zarr.create_group(path, overwrite=True, attributes={**attributes, "splits": list(SPLITS)})
+    group = create_group(path, {**attributes, "splits": list(SPLITS), "labels": labels_of(_ARRAYS)})
     for name, declared in _ARRAYS.items():
         data = np.ascontiguousarray(getattr(dataset, name)).astype(declared.dtype)
-        array = group.create_array(
-            name,
-            shape=data.shape,
-            dtype=declared.dtype,
-            chunks=(_CHUNK, *data.shape[1:]),
-            shards=(_SHARD, *data.shape[1:]),
-            dimension_names=declared.dimensions,
-            **WRITTEN,
-        )
-        array[:] = data
+        rest = data.shape[1:]
+        create_array(group, name, declared, data, chunk=(_CHUNK, *rest), shard=(_SHARD, *rest))
+    consolidate(group)
+
+
+def labels_of(declared: Mapping[str, Declared]) -> dict[str, list[str]]:
+    """The LABELS of those dimensions that the declared arrays have."""
+    present = {dimension for array in declared.values() for dimension in array.dimensions}
+    return {dimension: list(names) for dimension, names in LABELS.items() if dimension in present}
 
 
 def open_meshes(path: Path, names: Collection[str] = tuple(_ARRAYS)) -> Store:

@@ -1,4 +1,7 @@
-"""Zarr stores with a schema, which is checked before any array is read.
+"""Zarr stores with a schema, which is written with them, and checked before any array is read.
+
+Each array names its dimensions and its unit, and the group's own file repeats the metadata of all arrays
+(`consolidate`), so that xarray opens a store as it is.
 
 An array is stored in shards: files with many chunks and an index that has a checksum. By default, zarr does not write
 chunks that contain only zeros, and a lost file then reads as zeros. Our stores are written with every chunk and with a
@@ -7,6 +10,7 @@ checksum of its contents (`WRITTEN`), so that a missing shard and a damaged chun
 
 import itertools
 import math
+import warnings
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import zarr
 from zarr.codecs import ZstdCodec
+from zarr.errors import ZarrUserWarning
 
 from clothkit.runtime.errors import InputError, system_error
 
@@ -24,6 +29,8 @@ class Declared(NamedTuple):
 
     dtype: str
     dimensions: tuple[str, ...]
+    units: str = "1"
+    """Unit of the values, in the dataset card's words; one for each place of the last dimension where they differ."""
 
 
 WRITTEN: dict[str, Any] = {
@@ -31,6 +38,40 @@ WRITTEN: dict[str, Any] = {
     "compressors": ZstdCodec(level=0, checksum=True),
 }
 """Options of `zarr.Group.create_array` that write every chunk, with a checksum of its contents."""
+
+
+def create_group(path: Path, attributes: Mapping[str, Any]) -> zarr.Group:
+    """A new, empty zarr v3 group with these attributes, in the place of what was at `path`."""
+    return zarr.open_group(path, mode="w", zarr_format=3, attributes=dict(attributes))
+
+
+def create_array(
+    group: zarr.Group,
+    name: str,
+    declared: Declared,
+    values: np.ndarray,
+    *,
+    chunk: tuple[int, ...],
+    shard: tuple[int, ...],
+) -> zarr.Array:
+    """Write an array, with the names of its dimensions and its unit, and return it."""
+    return group.create_array(
+        name,
+        data=values,
+        chunks=chunk,
+        shards=shard,
+        dimension_names=declared.dimensions,
+        attributes={"units": declared.units},
+        **WRITTEN,
+    )
+
+
+def consolidate(group: zarr.Group) -> None:
+    """Repeat the metadata of all arrays of a finished group in the group's own file, which xarray then reads alone."""
+    with warnings.catch_warnings():
+        # The warning is that this is no part of the specification of zarr v3 yet. Our own reader does without.
+        warnings.simplefilter("ignore", ZarrUserWarning)
+        zarr.consolidate_metadata(group.store)
 
 
 class Store:
@@ -61,7 +102,8 @@ def open_node(path: Path) -> zarr.Group | zarr.Array:
         if not path.is_dir():
             path.stat()
             raise InputError(f"{path}: is a file, expected a zarr store, which is a folder")
-        return zarr.open(path, mode="r")
+        # Each array's own metadata are read, so that their loss or damage is noticed.
+        return zarr.open(path, mode="r", use_consolidated=False)
     except OSError as error:
         if error.errno is None:
             raise _unreadable(path, error) from error
@@ -150,7 +192,7 @@ def _check_shapes(
     # If arrays disagree about a dimension's length, the most common length is taken as the expected one.
     expected_of = {**{name: counts.most_common(1)[0][0] for name, counts in found.items()}, **lengths}
     for name, array in arrays.items():
-        dtype, dimensions = declared[name]
+        dtype, dimensions, _ = declared[name]
         expected = tuple(expected_of[dimension] for dimension in dimensions if dimension in expected_of)
         if array.shape != expected:
             wanted = ", ".join(dimensions)

@@ -9,9 +9,9 @@ import numpy as np
 import zarr
 from jaxtyping import Bool, Float, Int64
 
-from clothkit.dataset.store import LENGTHS, SPLITS, STEPS, Dataset
+from clothkit.dataset.store import LENGTHS, MANIPULATION_UNITS, NORMALISED, SPLITS, STEPS, Dataset, labels_of
 from clothkit.dataset.tasks import Task
-from clothkit.dataset.zarr_store import WRITTEN, Declared, open_store
+from clothkit.dataset.zarr_store import Declared, consolidate, create_array, create_group, open_store
 from clothkit.episodes.record_checks import KEYS, check_keys, check_members, check_values, terms_of_nets
 from clothkit.manipulation.vector import is_null
 from clothkit.planning.planner import Planner
@@ -28,6 +28,15 @@ STD_AXES = ("std_0", "std_1", "std_2")
 
 _LENGTHS = {**LENGTHS, "planned": STEPS}
 _HOLDS = "which a record of sessions holds"
+
+CLOTH_LENGTHS = "cloth length"
+"""Unit of errors: the flat cloth's longer side."""
+
+_IN_VOXELS = {
+    **dict.fromkeys(("estimate", "prediction_mean", "prediction_std", "refined", "expected"), "1"),
+    "plan": NORMALISED,
+}
+"""Units of what is of another kind where a system plans in voxels."""
 
 SHARD = 120
 """Tasks per shard file of each array: they are written together, which limits memory and the number of files."""
@@ -70,9 +79,9 @@ def tasks_of_dataset(dataset: Dataset, tasks: list[Task], split: str) -> Tasks:
     return Tasks(tasks, [split] * len(tasks), states, centre, goal, cloths, recorded)
 
 
-def _array(dtype: str, *dimensions: str) -> Any:
-    """A field of the record: an array with that dtype and those dimensions, in memory and in the store."""
-    return dataclasses.field(metadata={"declared": Declared(dtype, dimensions)})
+def _array(dtype: str, *dimensions: str, units: str = "1") -> Any:
+    """A field of the record: an array with that dtype and those dimensions, in memory and in the store, and a unit."""
+    return dataclasses.field(metadata={"declared": Declared(dtype, dimensions, units)})
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,17 +98,17 @@ class Sessions:
     sequence: np.ndarray = _array("i8", "task")
     start: np.ndarray = _array("i1", "task")
     length: np.ndarray = _array("i1", "task")
-    goal: np.ndarray = _array("f4", "task", *MESH_AXES)
-    cloth: np.ndarray = _array("f4", "task", "measure")
+    goal: np.ndarray = _array("f4", "task", *MESH_AXES, units=NORMALISED)
+    cloth: np.ndarray = _array("f4", "task", "measure", units=NORMALISED)
     """Sides along u and v and thickness."""
-    state: np.ndarray = _array("f4", "task", "state", *MESH_AXES)
+    state: np.ndarray = _array("f4", "task", "state", *MESH_AXES, units=NORMALISED)
     """True states, centred; the last one is the outcome."""
-    centre: np.ndarray = _array("f4", "task", "state", "xy")
-    estimate: np.ndarray = _array("f4", "task", "step", *STATE_AXES)
+    centre: np.ndarray = _array("f4", "task", "state", "xy", units=NORMALISED)
+    estimate: np.ndarray = _array("f4", "task", "step", *STATE_AXES, units=NORMALISED)
     """The initial state of the search, as the system observes it: an estimate, a true mesh or voxels."""
-    candidates: np.ndarray = _array("f4", "task", "step", "candidate", "xy")
+    candidates: np.ndarray = _array("f4", "task", "step", "candidate", "xy", units=NORMALISED)
     """Candidate grasp points on the estimate."""
-    plan: np.ndarray = _array("f4", "task", "step", "planned", "component")
+    plan: np.ndarray = _array("f4", "task", "step", "planned", "component", units=MANIPULATION_UNITS)
     loss: np.ndarray = _array("f4", "task", "step")
     terms: np.ndarray = _array("f4", "task", "step", "term")
     """The accuracy term of each net, then u of eq. (15), 0 if it is no term of the objective."""
@@ -111,17 +120,17 @@ class Sessions:
     """Whether the plan's first manipulation was not executed."""
     cancelled: np.ndarray = _array("?", "task", "step")
     """Whether the null check cancelled it. False for plans whose first manipulation is itself null."""
-    error_otherwise: np.ndarray = _array("f4", "task", "step")
+    error_otherwise: np.ndarray = _array("f4", "task", "step", units=CLOTH_LENGTHS)
     """For cancelled manipulations, the error to the goal if they had been executed [cloth length, aligned]."""
-    expected: np.ndarray = _array("f4", "task", "step")
+    expected: np.ndarray = _array("f4", "task", "step", units=CLOTH_LENGTHS)
     """Predicted distance between the plan's outcome and the goal, in the measure of the null check."""
     loss_recorded: np.ndarray = _array("f4", "task")
     """Planning loss of the recorded manipulations, starting from the first estimate."""
     offered: np.ndarray = _array("?", "task")
     """Whether each recorded first grasp point is near a candidate of the first step (see `diagnosis.is_offered`)."""
-    prediction_mean: np.ndarray = _array("f2", "task", "step", "planned", "net", *STATE_AXES)
-    prediction_std: np.ndarray = _array("f2", "task", "step", "planned", "net", *STD_AXES)
-    refined: np.ndarray = _array("f2", "task", "step", *STD_AXES)
+    prediction_mean: np.ndarray = _array("f2", "task", "step", "planned", "net", *STATE_AXES, units=NORMALISED)
+    prediction_std: np.ndarray = _array("f2", "task", "step", "planned", "net", *STD_AXES, units=NORMALISED)
+    refined: np.ndarray = _array("f2", "task", "step", *STD_AXES, units=NORMALISED)
     """The best net's prediction of the plan's outcome, refined."""
     progress: np.ndarray = _array("f4", "task", "step", "iteration")
     """Lowest loss of all strains up to that iteration, as the optimiser evaluates it: not exact, unlike `loss`."""
@@ -279,7 +288,7 @@ class Pieces:
 def save(path: Path, parts: Iterable[Sessions], attributes: dict[str, Any]) -> None:
     """Write the sessions of several batches as one zarr v3 group, with one task per chunk and SHARD tasks per shard."""
     # Zarr has no stable type for strings, so the names of the splits are stored as an attribute.
-    group = zarr.open_group(path, mode="w", zarr_format=3, attributes={**attributes, "splits": list(SPLITS)})
+    group = create_group(path, {**attributes, "splits": list(SPLITS), "labels": labels_of(FIELDS)})
     # Arrays are kept, because one that is opened anew would leave out chunks of zeros.
     arrays: dict[str, zarr.Array] = {}
     for block in _blocks(parts, SHARD):
@@ -291,15 +300,10 @@ def save(path: Path, parts: Iterable[Sessions], attributes: dict[str, Any]) -> N
                 arrays[name].append(values)
                 continue
             chunk = tuple(max(1, length) for length in values.shape[1:])
-            shards = (SHARD, *chunk)
-            arrays[name] = group.create_array(
-                name,
-                data=values,
-                chunks=(1, *chunk),
-                shards=shards,
-                dimension_names=field.dimensions,
-                **WRITTEN,
-            )
+            if not block.prediction_std.size:
+                field = field._replace(units=_IN_VOXELS.get(name, field.units))
+            arrays[name] = create_array(group, name, field, values, chunk=(1, *chunk), shard=(SHARD, *chunk))
+    consolidate(group)
 
 
 def _blocks(parts: Iterable[Sessions], size: int) -> Iterator[Sessions]:

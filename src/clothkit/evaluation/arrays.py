@@ -2,14 +2,13 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-import zarr
 
 from clothkit.cloth.voxels import RESOLUTION
-from clothkit.dataset.store import LENGTHS, STATES
-from clothkit.dataset.zarr_store import WRITTEN, Declared, open_store
+from clothkit.dataset.store import LENGTHS, NORMALISED, STATES, labels_of
+from clothkit.dataset.zarr_store import Declared, consolidate, create_array, create_group, open_store
 from clothkit.runtime.errors import InputError
 
 _LENGTHS = {**LENGTHS, **dict(zip("xyz", RESOLUTION, strict=True))}
@@ -18,46 +17,35 @@ _NUMBERS = Declared("i8", ("sequence",))
 
 ESTIMATES = {
     "sequence": _NUMBERS,
-    "mean": Declared("f4", ("sequence", "state", *_VERTICES)),
-    "std": Declared("f4", ("sequence", "state", *_VERTICES)),
-    "mesh": Declared("f4", ("sequence", "state", *_VERTICES)),
+    "mean": Declared("f4", ("sequence", "state", *_VERTICES), NORMALISED),
+    "std": Declared("f4", ("sequence", "state", *_VERTICES), NORMALISED),
+    "mesh": Declared("f4", ("sequence", "state", *_VERTICES), NORMALISED),
     "label": Declared("i4", ("sequence", "state")),
 }
 PREDICTIONS = {
     "sequence": _NUMBERS,
-    "start": Declared("f4", ("sequence", *_VERTICES)),
-    "mean": Declared("f4", ("sequence", "step", *_VERTICES)),
-    "std": Declared("f4", ("sequence", "step", *_VERTICES)),
-    "shift": Declared("f4", ("sequence", "step", "xy")),
+    "start": Declared("f4", ("sequence", *_VERTICES), NORMALISED),
+    "mean": Declared("f4", ("sequence", "step", *_VERTICES), NORMALISED),
+    "std": Declared("f4", ("sequence", "step", *_VERTICES), NORMALISED),
+    "shift": Declared("f4", ("sequence", "step", "xy"), NORMALISED),
 }
 PICTURES = {
     "sequence": _NUMBERS,
     "shown": Declared("i8", ("sequence",)),
-    "height": Declared("f4", ("sequence", "condition", "row", "column")),
+    "height": Declared("f4", ("sequence", "condition", "row", "column"), "m"),
     "voxels": Declared("bool", ("sequence", "condition", "x", "y", "z")),
-    "mesh": Declared("f4", ("sequence", "condition", *_VERTICES)),
+    "mesh": Declared("f4", ("sequence", "condition", *_VERTICES), NORMALISED),
 }
 
 
-class NamedArray(NamedTuple):
-    """An array and the names of its dimensions, of which the first is the sequence."""
-
-    values: np.ndarray
-    dimensions: tuple[str, ...]
-
-
-def save(path: Path, arrays: Mapping[str, NamedArray], attributes: Mapping[str, Any]) -> None:
+def save(
+    path: Path, arrays: Mapping[str, np.ndarray], declared: Mapping[str, Declared], attributes: Mapping[str, Any]
+) -> None:
     """Write a zarr v3 group with a chunk per sequence and one shard per array; equal arrays give equal bytes."""
-    group = zarr.open_group(path, mode="w", zarr_format=3, attributes=dict(attributes))
-    for name, (values, dimensions) in arrays.items():
-        group.create_array(
-            name,
-            data=values,
-            chunks=(1, *values.shape[1:]),
-            shards=values.shape,
-            dimension_names=dimensions,
-            **WRITTEN,
-        )
+    group = create_group(path, {**attributes, "labels": labels_of(declared)})
+    for name, values in arrays.items():
+        create_array(group, name, declared[name], values, chunk=(1, *values.shape[1:]), shard=values.shape)
+    consolidate(group)
 
 
 def load(path: Path, declared: Mapping[str, Declared], names: tuple[str, ...] = ()) -> dict[str, np.ndarray]:

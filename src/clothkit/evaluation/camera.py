@@ -17,7 +17,6 @@ from clothkit.episodes.depth_camera import with_viewport
 from clothkit.estimation.alarms import Alarms, signs
 from clothkit.estimation.estimate import estimate
 from clothkit.estimation.refine import RefineConfig
-from clothkit.evaluation.arrays import NamedArray
 from clothkit.evaluation.camera_settings import UNMEASURED, Condition, EvaluateCameraConfig
 from clothkit.evaluation.errors import errors
 from clothkit.models.net import Net
@@ -61,7 +60,7 @@ class Estimation(NamedTuple):
     """Results of the evaluation of estimates under every condition."""
 
     rows: pd.DataFrame
-    arrays: dict[str, NamedArray]
+    arrays: dict[str, np.ndarray]
     """Pictures, voxels and estimates of some states under every condition, for figures."""
 
 
@@ -180,11 +179,7 @@ def estimation(
         rows.append(pd.DataFrame(columns))
     views = [(observed.height, observed.voxels[stored], observed.mesh[stored]) for observed in observations[1:]]
     height, occupied, meshes = (np.stack(parts, axis=1) for parts in zip(*views, strict=True))
-    arrays = {
-        "sequence": NamedArray(sequence[stored], ("sequence",)),
-        "shown": NamedArray(state[stored], ("sequence",)),
-        "height": NamedArray(height, ("sequence", "condition", "row", "column")),
-        "voxels": NamedArray(occupied, ("sequence", "condition", "x", "y", "z")),
-        "mesh": NamedArray(meshes, ("sequence", "condition", "u", "v", "xyz")),
-    }
-    return Estimation(pd.concat(rows, ignore_index=True), arrays)
+    arrays = {"height": height, "voxels": occupied, "mesh": meshes}
+    return Estimation(
+        pd.concat(rows, ignore_index=True), {"sequence": sequence[stored], "shown": state[stored], **arrays}
+    )

@@ -11,7 +11,6 @@ from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.dataset.store import SPLITS, STATES, Dataset
 from clothkit.estimation.estimate import estimate
 from clothkit.estimation.refine import RefineConfig
-from clothkit.evaluation.arrays import NamedArray
 from clothkit.evaluation.errors import errors, labelled_errors, labels_of_truth, sigma_ratio
 from clothkit.evaluation.settings import EvaluateEstimationConfig
 from clothkit.models.net import Net
@@ -32,17 +31,6 @@ class Estimates(NamedTuple):
     """The refined mesh."""
     label: Int[np.ndarray, "n state"]
     """The equivalent that relabels the refined mesh to the truth's labels; for evaluation and pictures only."""
-
-    def arrays(self) -> dict[str, NamedArray]:
-        """Return the estimates with the names of their dimensions, for `arrays.save`."""
-        vertices = ("sequence", "state", "u", "v", "xyz")
-        return {
-            "sequence": NamedArray(self.sequence, ("sequence",)),
-            "mean": NamedArray(self.mean, vertices),
-            "std": NamedArray(self.std, vertices),
-            "mesh": NamedArray(self.mesh, vertices),
-            "label": NamedArray(self.label, ("sequence", "state")),
-        }
 
 
 def estimates(dataset: Dataset, net: Net, settings: EvaluateEstimationConfig, refinement: RefineConfig) -> Estimates:

@@ -15,7 +15,6 @@ from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.cloth.voxels import VIEWPORT, Viewport
 from clothkit.dataset.store import SPLITS, STATES, STEPS, Dataset
 from clothkit.dataset.tasks import TASKS
-from clothkit.evaluation.arrays import NamedArray
 from clothkit.evaluation.errors import errors, relabelled, sigma_ratio
 from clothkit.evaluation.occupancy import TALL, TALL_MEASURE, differences, occluded_occupancy, occupancy
 from clothkit.evaluation.settings import EvaluatePredictionConfig
@@ -108,7 +107,7 @@ def rows(dataset: Dataset, initial: Starts, ensemble: Ensemble, settings: Evalua
     return pd.concat(tidy, ignore_index=True)
 
 
-def stored(dataset: Dataset, initial: Starts, net: Net, settings: EvaluatePredictionConfig) -> dict[str, NamedArray]:
+def stored(dataset: Dataset, initial: Starts, net: Net, settings: EvaluatePredictionConfig) -> dict[str, np.ndarray]:
     """Return main's predictions after 1, 2 and 3 manipulations, for the first sequences of each split.
 
     The arrays are sequence, start (the initial mesh), mean, std [normalised] and shift (each step's centre shift, xy),
@@ -123,14 +122,9 @@ def stored(dataset: Dataset, initial: Starts, net: Net, settings: EvaluatePredic
     mean, std = (np.array(part) for part in predicted)
     for values in (mean, std, shift):
         values[np.arange(STEPS)[:, None] >= dataset.length[initial.sequence[first]]] = np.nan
-    vertices = ("u", "v", "xyz")
-    return {
-        "sequence": NamedArray(initial.sequence[first], ("sequence",)),
-        "start": NamedArray(start, ("sequence", *vertices)),
-        "mean": NamedArray(np.moveaxis(mean, 0, 1), ("sequence", "step", *vertices)),
-        "std": NamedArray(np.moveaxis(std, 0, 1), ("sequence", "step", *vertices)),
-        "shift": NamedArray(np.moveaxis(shift, 0, 1), ("sequence", "step", "xy")),
-    }
+    steps = {"mean": mean, "std": std, "shift": shift}
+    by_sequence = {name: np.moveaxis(values, 0, 1) for name, values in steps.items()}
+    return {"sequence": initial.sequence[first], "start": start, **by_sequence}
 
 
 def predict(

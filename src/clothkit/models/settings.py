@@ -44,6 +44,9 @@ class VtMConfig:
     """Number of shapes among which the net may be undecided (hypotheses.py); the paper's net has one answer."""
     least_std: Rate = 0.01
     """Constant that eq. (6) adds to every standard deviation [normalised]."""
+    sigma_factor: Rate = 1.0
+    """The net's standard deviations sigma are mapped to sigma_factor x sigma ** sigma_power (recalibration.py)."""
+    sigma_power: Rate = 1.0
     canonical: bool = False
     """Whether input voxels are turned to be widest along x (canonical.py); only four of the eight views then differ."""
     viewport: Viewport = VIEWPORT

@@ -145,7 +145,15 @@ def estimator(config: VtMConfig) -> Estimator:
 
 def hypotheses(net: Net, voxels: Shaped[Array | ndarray, "*batch 32 32 16"], cloth: Cloth = PAPERS_CLOTH) -> Hypotheses:
     """The net's estimates [normalised] from centred, occluded voxels (bool or 0 / 1), the most probable first."""
-    return ordered(estimator(net.config)(net.params, jnp.asarray(voxels), jnp.asarray(cloth)))
+    found = estimator(net.config)(net.params, jnp.asarray(voxels), jnp.asarray(cloth))
+    return ordered(found._replace(mesh=recalibrated(found.mesh, net.config)))
+
+
+def recalibrated(mesh: ProbabilisticMesh, config: VtMConfig) -> ProbabilisticMesh:
+    """Probabilistic meshes whose standard deviations are mapped as the configuration says."""
+    if (config.sigma_factor, config.sigma_power) == (1, 1):
+        return mesh
+    return mesh._replace(std=config.sigma_factor * jnp.asarray(mesh.std) ** config.sigma_power)
 
 
 def estimate(

@@ -9,13 +9,14 @@ import pandas as pd
 from clothkit.cloth.symmetry import relabel
 from clothkit.dataset.tasks import Task, tasks_of
 from clothkit.evaluation.occupancy import TALL_MEASURE
-from clothkit.report import camera_tables, cloth_tables, metrics, planning_tables, tables
+from clothkit.report import camera_tables, cloth_tables, goal_tables, metrics, planning_tables, tables
 from clothkit.report.captions import CAPTIONS_FILE
 from clothkit.report.figures.calibration import calibration
 from clothkit.report.figures.camera import camera
 from clothkit.report.figures.curves import curves
 from clothkit.report.figures.equivalents import equivalents
 from clothkit.report.figures.estimates import estimates
+from clothkit.report.figures.goals import goal_outcomes
 from clothkit.report.figures.largest import Failure, largest
 from clothkit.report.figures.meshes import meshes
 from clothkit.report.figures.predictions import predictions
@@ -68,6 +69,9 @@ def build(folder: Path, inputs: Inputs, settings: ReportConfig) -> dict[str, pd.
         "splits": tables.splits(inputs.dataset),
         "attempts": tables.attempts(inputs.attempts),
     }
+    if inputs.goals is not None:
+        for measure, name in (("error", "goals"), ("softgym", "goals_softgym"), ("iou", "goals_iou")):
+            built[name] = goal_tables.goals(inputs.goals, measure)
     if not settings.paper:
         built = {
             name: table[table["source"] != "paper"].reset_index(drop=True) if "source" in table else table
@@ -125,6 +129,9 @@ def draw_figures(folder: Path, inputs: Inputs, errors: pd.DataFrame, settings: R
         "curves",
         *representations(folder, inputs),
     ]
+    if inputs.goal_pictures is not None:
+        goal_outcomes(inputs.goal_pictures, folder / "goals.png")
+        names.append("goals")
     if not PREDICTOR_OF.keys().isdisjoint(settings.planners):
         scatter(inputs.planning, inputs.prediction, PREDICTOR_OF, settings.planners, folder / "scatter.png")
         names.append("scatter")

@@ -151,6 +151,26 @@ CAMERA_ESTIMATION = (
     "over union of the point cloud's silhouette and the true one. *alarm*, where alarms are set: share of the seen "
     "states that raise one.\n"
 )
+GOALS = (
+    "The field's standard folds, made in the simulator without a planner (`clothkit goals`), as goals. Each is planned "
+    "for with as many manipulations as it needs, with at least three from a crumpled cloth: with *b1* from true meshes "
+    "(source *mesh*), and with *main* before a depth camera (source *camera*). Cloths begin flat, dragged over the "
+    "table, or crumpled, by a hand that lets them fall; each lies at another angle, and its goal with it. *script*: "
+    "nothing is planned, the goal's own folds are executed; what is left is due to hands that are faster than those "
+    "that made the goal, and may grasp one layer alone. Plans have at most three manipulations; for a goal of more, "
+    "another plan follows.\n"
+)
+GOALS_ERROR = "Mean errors of outcomes, by how the cloth lay at first.\n"
+GOALS_SOFTGYM = (
+    "The measure of SoftGym's FoldCloth, of which its reward is the negative: the mean distance of each point that is "
+    "moved from the one on which it shall lie, and 1.2 times the mean displacement of the latter from where the flat "
+    "cloth has them. Unlike the error, it counts where on the table the cloth lies.\n"
+)
+GOALS_IOU = "Mean intersection over union of the silhouettes of outcome and goal, both centred.\n"
+GOALS_PICTURED = (
+    "The first cloth, turned back by the angle at which it lay. At the left each goal; then, by how the cloth lay at "
+    "first (white), the outcomes of plans from each source (light blue)."
+)
 BY_CLOTH = (
     "Mean errors on the test set by the cloth's thickness, in percent of its longer side, by the ratio of its sides, "
     "and by how it lay at first: flat, dragged over the table by a hand, or dropped. Columns 1, 2, 3: estimates after "

@@ -21,7 +21,7 @@ PLANNED = ("split", "sequences")
 
 
 COUNTS = (
-    *("sequence", "start", "length", "sequences", "manipulations", "attempts", "states", "tasks"),
+    *("sequence", "start", "length", "sequences", "manipulations", "attempts", "states", "tasks", "cloths"),
     "peak_memory_mib",
 )
 """Columns of counts and indices, which stay integers; other columns of numbers are read as floats."""

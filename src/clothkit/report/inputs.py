@@ -13,6 +13,7 @@ from clothkit.dataset.store import Dataset
 from clothkit.episodes import record
 from clothkit.episodes.record import Sessions
 from clothkit.evaluation import arrays, tidy
+from clothkit.goals import tidy as goals_tidy
 from clothkit.models.ensemble import folders
 from clothkit.models.store import HISTORY
 from clothkit.report import rows
@@ -47,6 +48,10 @@ class Inputs:
     """Sessions of the first planner."""
     pictures: Mapping[str, np.ndarray]
     """Depth cameras' pictures of examples, with voxels and estimates from them."""
+    goals: pd.DataFrame | None = None
+    """Plans for named goals; None: there are none at this scale."""
+    goal_pictures: Mapping[str, np.ndarray] | None = None
+    """Examples of them as meshes."""
 
 
 def paths(data: Path, members: Sequence[int], settings: ReportConfig) -> list[Path]:
@@ -68,6 +73,7 @@ def paths(data: Path, members: Sequence[int], settings: ReportConfig) -> list[Pa
         evaluation / f"planning/sessions_{settings.planners[0]}.zarr",
         *(evaluation / f"camera/{name}.parquet" for name in ("estimation", "planning", "comparisons")),
         evaluation / "camera/pictures.zarr",
+        *(evaluation / name for name in ("goals.parquet", "goals.zarr") if settings.goals),
     ]
 
 
@@ -95,4 +101,6 @@ def read(data: Path, members: Sequence[int], settings: ReportConfig) -> Inputs:
         camera_planning=tables.read(evaluation / "camera/planning.parquet", tidy.CAMERA_PLANNING),
         camera_comparisons=tables.read(evaluation / "camera/comparisons.parquet", tidy.ANY_COMPARISONS),
         pictures=arrays.load(evaluation / "camera/pictures.zarr", arrays.PICTURES),
+        goals=tables.read(evaluation / "goals.parquet", goals_tidy.TABLE) if settings.goals else None,
+        goal_pictures=arrays.load(evaluation / "goals.zarr", goals_tidy.PICTURED) if settings.goals else None,
     )

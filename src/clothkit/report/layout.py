@@ -18,6 +18,12 @@ LENGTHS = ("1", "2", "3")
 BY_CLOTH = ("measure", "system", "property", "class", "sequences", *LENGTHS)
 """Columns of the table of errors by cloth."""
 
+STARTS = ("flat", "dragged", "crumpled")
+"""How cloths lie at first of which named goals are made."""
+
+GOALS = ("goal", "manipulations", "source", "cloths", *STARTS)
+"""Columns of the tables of named goals."""
+
 STATISTICS = ("mean", "std", "median")
 NO_ACTION = "no action"
 NO_ACTION_OCCLUDED = "no action, occluded"

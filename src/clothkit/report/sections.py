@@ -12,7 +12,7 @@ from clothkit.report import blocks, captions, selections, texts
 from clothkit.report.contents import Contents
 from clothkit.report.entries import Card, Cards, Figure, Folded, Report, Section, Table, Text, Timings
 from clothkit.report.formatting import IDEAL_RATIO
-from clothkit.report.layout import BY_CLOTH, LENGTHS, SPLITS, STATES, TASKS
+from clothkit.report.layout import BY_CLOTH, GOALS, LENGTHS, SPLITS, STATES, TASKS
 
 OUTCOMES = ("source", "split", "system", "statistic", *TASKS)
 COMPARISON = ("column", "sequences", "difference", "low", "high", "p")
@@ -241,6 +241,20 @@ SECTIONS = (
             ),
         ),
         needs=("camera_estimation", "camera_planning", "camera_comparisons"),
+    ),
+    Section(
+        "goals",
+        "Named goals",
+        (
+            Text(captions.GOALS),
+            Figure("goals", "Named goals", captions.GOALS_PICTURED),
+            Table("goals", "Named goals: errors", GOALS, (captions.GOALS_ERROR,), unit=CLOTH_LENGTHS),
+            Table(
+                "goals_softgym", "Named goals: SoftGym's measure", GOALS, (captions.GOALS_SOFTGYM,), unit=CLOTH_LENGTHS
+            ),
+            Table("goals_iou", "Named goals: silhouettes", GOALS, (captions.GOALS_IOU,)),
+        ),
+        needs=("goals",),
     ),
     Section(
         "cloths",

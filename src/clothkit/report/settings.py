@@ -24,6 +24,8 @@ class ReportConfig:
     predictions: Count = 4
     sessions: Count = 2
     """Number of sessions of each length."""
+    goals: bool = False
+    """Whether plans for named goals were evaluated (`evaluate_goals`)."""
     paper: bool = True
     """Whether tables have the paper's rows; False where the cloths are not the paper's."""
     largest: Count = 10

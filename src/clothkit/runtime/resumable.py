@@ -5,7 +5,7 @@ import os
 import shutil
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Executor, Future
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -23,7 +23,7 @@ Arrays = TypeVar("Arrays", bound=NamedTuple)
 
 @dataclass(frozen=True)
 class Storage(Generic[T]):
-    """How a piece is stored, as a file or as a folder. `save` and `load` must be picklable to be used in processes."""
+    """How a piece is stored, as a file or as a folder."""
 
     save: Callable[[Path, T], None]
     """Writes a piece to a path that does not exist."""
@@ -59,9 +59,9 @@ def resumable_map(
     endless. A piece gets that name only when it is complete, so a kill at any moment leaves whole pieces. The iterator
     holds one piece at a time; to go over them again in little memory, use `load_piece` with their paths.
 
-    `bar` advances by `count` of each piece, up to its total. With a `pool`, pieces are computed in it in parallel;
-    `ahead` returns how many of those not yet yielded may be started, and counts as one if it is less. Raises InputError
-    when a stored piece is damaged.
+    `bar` advances by `count` of each piece, up to its total. With a `pool`, pieces are computed in it in parallel, on
+    this machine or another, and stored by this process as they arrive; `ahead` returns how many of those not yet
+    yielded may be started, and counts as one if it is less. Raises InputError when a stored piece is damaged.
     """
     folder.mkdir(parents=True, exist_ok=True)
     tasks = ((folder / f"{name}_{number:06d}{storage.suffix}", key) for number, key in enumerate(keys))
@@ -109,14 +109,17 @@ class _ArrayLoader(Generic[Arrays]):
 def _finish(compute: Callable[[K], T], key: K, path: Path, storage: Storage[T]) -> Path:
     """Compute and store the piece of a key unless it is stored already. Returns its path."""
     if not path.exists():
-        value = compute(key)
-        unfinished = path.with_name(f"{path.name}.part")
-        if unfinished.is_dir():
-            shutil.rmtree(unfinished)
-        unfinished.unlink(missing_ok=True)
-        storage.save(unfinished, value)
-        os.replace(unfinished, path)
+        _store(compute(key), path, storage)
     return path
+
+
+def _store(value: T, path: Path, storage: Storage[T]) -> None:
+    unfinished = path.with_name(f"{path.name}.part")
+    if unfinished.is_dir():
+        shutil.rmtree(unfinished)
+    unfinished.unlink(missing_ok=True)
+    storage.save(unfinished, value)
+    os.replace(unfinished, path)
 
 
 def _finished_in_pool(
@@ -126,11 +129,19 @@ def _finished_in_pool(
     pool: Executor,
     ahead: Callable[[], int],
 ) -> Iterator[Path]:
-    """Yield the paths of the finished pieces in order."""
-    started: deque[Future[Path]] = deque()
+    """Yield the paths of the finished pieces in order, and store each as soon as it is computed."""
+    started: deque[Path] = deque()
+    computing: dict[Future[T], Path] = {}
     while True:
         for path, key in islice(tasks, max(1 - len(started), ahead() - len(started), 0)):
-            started.append(pool.submit(_finish, compute, key, path, storage))
+            started.append(path)
+            if not path.exists():
+                computing[pool.submit(compute, key)] = path
         if not started:
             return
-        yield started.popleft().result()
+        while started[0] in computing.values():
+            done, _ = wait(computing, return_when=FIRST_COMPLETED)
+            # A failure is raised only once all that has arrived with it is stored.
+            for future in sorted(done, key=lambda future: future.exception() is not None):
+                _store(future.result(), computing.pop(future), storage)
+        yield started.popleft()

@@ -1,4 +1,4 @@
-"""Execution of manipulations, given by grasp points and displacements, on worker processes (design 6.11).
+"""Execution of manipulations, given by grasp points and displacements, by a pool of workers (design 6.11).
 
 The simulation stage and the planner share `perform`, so a recorded manipulation, executed from its recorded state,
 gives the recorded outcome to the last bit.
@@ -6,7 +6,8 @@ gives the recorded outcome to the last bit.
 
 import atexit
 import functools
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable
+from contextlib import ExitStack
 from typing import NamedTuple
 
 import numpy as np
@@ -15,9 +16,10 @@ from scipy import ndimage
 
 from clothkit.cloth.topology import CLOTH_LENGTH, Topology
 from clothkit.manipulation.geometry import release_points, topmost_vertex
+from clothkit.runtime.dask_pool import DaskPool
 from clothkit.simulation.cloths import Cloths
-from clothkit.simulation.processes import cores, make_pool
-from clothkit.simulation.settings import SimulationConfig
+from clothkit.simulation.processes import Kind, ProcessPool, cores, open_pool
+from clothkit.simulation.settings import SimulateConfig, SimulationConfig
 from clothkit.simulation.world import Outcome, Worlds, arcs
 
 LAYERS = 16  # the most layers that a hand can grasp
@@ -114,25 +116,34 @@ def execute(
     *,
     settings: SimulationConfig,
     workers: int = 0,
+    executor: Kind = "processes",
+    scheduler: str = "",
     topology: Topology | None = None,
 ) -> Float[np.ndarray, "worlds u v 3"]:
     """Execute one manipulation per mesh and return the resulting meshes; all normalised, in the world frame.
 
     Single-handed manipulations (`single`) use the first grasp point. The outcome depends neither on `workers`
-    (0: all cores) nor on the other worlds. Without `cloths`, all cloths have the topology, or are the square of
-    `settings`.
+    (0: all cores) nor on who executes it (see `open_pool`) nor on the other worlds. Without `cloths`, all cloths have
+    the topology, or are the square of `settings`. Raises InputError if a cluster can't be reached or is lost.
     """
     scale = settings.cloth_side / CLOTH_LENGTH
     states = (np.asarray(meshes, np.float64) * scale).astype(np.float32)
     grasps = np.asarray(grasp_xy, np.float64) * scale
     moves = np.asarray(displacement, np.float64) * scale
-    parts = min(workers or cores(), max(1, len(states) // WORTH_A_WORKER))
-    if parts == 1 or settings.device != "cpu":
+    most = max(1, len(states) // WORTH_A_WORKER)
+    pool: ProcessPool | DaskPool | None = None
+    if executor == "dask":
+        pool = _shared_pool(executor, workers or cores(), scheduler)
+        parts = min(pool.width, most)
+    else:
+        parts = min(workers or cores(), most)
+        if parts > 1 and settings.device == "cpu":
+            pool = _shared_pool(executor, parts, scheduler)
+    if pool is None:
         final = _run(settings, topology, cloths, states, grasps, moves, single)
     else:
         # Interleaved, so that the parts cost about the same.
         indices = [np.arange(part, len(states), parts) for part in range(parts)]
-        pool = _shared_pool(parts)
         parts_of = [None if cloths is None else Cloths(*(part[i] for part in cloths)) for i in indices]
         jobs = [
             pool.submit(_run, settings, topology, own, states[i], grasps[i], moves[i], single[i])
@@ -168,17 +179,30 @@ def _worlds(settings: SimulationConfig, topology: Topology, count: int) -> World
     return Worlds(count, settings, topology)
 
 
-def _shared_pool(workers: int) -> ProcessPoolExecutor:
-    if workers not in _pools:
-        _pools[workers] = make_pool(workers)
-    return _pools[workers]
+def make_simulator(settings: SimulateConfig) -> Callable[..., Float[np.ndarray, "worlds u v 3"]]:
+    """`execute` with the world and the workers of the stage `simulate`."""
+    return functools.partial(
+        execute,
+        settings=settings.simulation,
+        workers=settings.workers,
+        executor=settings.executor,
+        scheduler=settings.scheduler,
+    )
 
 
-_pools: dict[int, ProcessPoolExecutor] = {}
+def _shared_pool(kind: Kind, workers: int, scheduler: str) -> ProcessPool | DaskPool:
+    if (kind, workers, scheduler) not in _pools:
+        stack = ExitStack()
+        pool = stack.enter_context(open_pool(kind, workers=workers, scheduler=scheduler))
+        _pools[kind, workers, scheduler] = stack, pool
+    return _pools[kind, workers, scheduler][1]
+
+
+_pools: dict[tuple[Kind, int, str], tuple[ExitStack, ProcessPool | DaskPool]] = {}
 
 
 @atexit.register
 def end_workers() -> None:
     """End the worker processes; from then on their CPU time counts as that of this process's children."""
     while _pools:
-        _pools.popitem()[1].shutdown()
+        _pools.popitem()[1][0].close()

@@ -15,7 +15,7 @@ from clothkit.cloth.topology import Topology
 from clothkit.runtime.errors import InputError
 from clothkit.runtime.resumable import array_storage, load_piece, resumable_map
 from clothkit.simulation.attempts import Attempts, attempt_sequences
-from clothkit.simulation.processes import cores, make_pool
+from clothkit.simulation.processes import cores, open_pool
 from clothkit.simulation.records import write_raw
 from clothkit.simulation.settings import SimulateConfig
 
@@ -56,10 +56,11 @@ def generate(
 ) -> Summary:
     """Record `settings.sequences` accepted sequences under `folder`, as raw parquet, and return the statistics.
 
-    Accepted sequences are taken in the order of their attempts' numbers, so `workers` and `block` change nothing.
-    Blocks are made in parallel by all workers. Finished ones are stored in `work`, and an interrupted run resumes from
-    them. Raises InputError if too many attempts in a row are rejected (see HOPELESS). Without a topology, the cloth is
-    the square of `settings.simulation`; `work` holds the blocks of one topology alone.
+    Accepted sequences are taken in the order of their attempts' numbers, so `executor`, `workers` and `block` change
+    nothing. Blocks are made in parallel by all workers, those of a Dask cluster with `executor: dask`. Finished ones
+    are stored in `work`, and an interrupted run resumes from them. Raises InputError if too many attempts in a row are
+    rejected (see HOPELESS), or if a cluster is lost. Without a topology, the cloth is the square of
+    `settings.simulation`; `work` holds the blocks of one topology alone.
     """
     topology = topology or settings.simulation.topology
     paths: list[Path] = []
@@ -75,13 +76,13 @@ def generate(
         The estimate uses the acceptance rate by Laplace's rule, which is one half before the first attempt.
         """
         wanted = (settings.sequences - accepted) / (settings.block * (accepted + 1) / (tried + 2))
-        return min(AHEAD * workers, math.ceil(wanted))
+        return min(AHEAD * (1 if pool is None else pool.width), math.ceil(wanted))
 
     with ExitStack() as stack:
-        # On CUDA blocks are made in this process, since one block fills the device.
-        pool = make_pool(workers) if workers > 1 and settings.simulation.device == "cpu" else None
-        if pool is not None:
-            stack.callback(pool.shutdown, wait=True, cancel_futures=True)
+        pool = None
+        # On CUDA blocks are made in this process, since one block fills the device, unless others have their own.
+        if settings.executor == "dask" or (workers > 1 and settings.simulation.device == "cpu"):
+            pool = stack.enter_context(open_pool(settings.executor, workers=workers, scheduler=settings.scheduler))
         bar = stack.enter_context(
             tqdm(total=settings.sequences, desc="simulate", unit="sequence", mininterval=1, smoothing=0.05)
         )

@@ -1,12 +1,28 @@
-"""Pools of worker processes that are spawned, use one thread each and end when their parent ends."""
+"""Pools of workers: processes of this machine, which use one thread each and end when their parent ends, or Dask's."""
 
 import multiprocessing
 import os
 import signal
 import threading
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from typing import Literal
 
 import cv2
+
+from clothkit.runtime.dask_pool import DaskPool, open_dask
+
+Kind = Literal["processes", "dask"]
+
+
+class ProcessPool(ProcessPoolExecutor):
+    """A pool of spawned processes of this machine."""
+
+    def __init__(self, workers: int) -> None:
+        super().__init__(workers, mp_context=multiprocessing.get_context("spawn"), initializer=_start)
+        self.width = workers
+        """Number of pieces that are computed at a time."""
 
 
 def cores() -> int:
@@ -14,9 +30,26 @@ def cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
-def make_pool(workers: int) -> ProcessPoolExecutor:
+def make_pool(workers: int) -> ProcessPool:
     """Return a pool of `workers` spawned processes."""
-    return ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"), initializer=_start)
+    return ProcessPool(workers)
+
+
+@contextmanager
+def open_pool(kind: Kind, *, workers: int, scheduler: str = "") -> Iterator[ProcessPool | DaskPool]:
+    """A pool, which is shut down afterwards: what it has not begun yet is dropped.
+
+    `workers` is for those that are started on this machine; `scheduler` is as in `open_dask`, which raises InputError.
+    """
+    if kind == "dask":
+        with open_dask(scheduler, workers=workers) as cluster:
+            yield cluster
+        return
+    pool = make_pool(workers)
+    try:
+        yield pool
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
 
 
 def _start() -> None:

@@ -204,8 +204,18 @@ class SimulateConfig:
     seed: Annotated[int, Ge(0)] = 0
     block: Annotated[int, Gt(0), Le(4096)] = 4  # attempts per job of a worker; changes no outcome
     workers: Annotated[int, Ge(0), Le(1024)] = 0  # processes, 0 for one per core; changes no outcome
+    executor: Literal["processes", "dask"] = "processes"  # who makes the blocks; changes no outcome
+    # with executor dask: the scheduler's address, or its file; empty: DASK_SCHEDULER_ADDRESS, or a cluster of this
+    # machine's own, of `workers` processes
+    scheduler: str = ""
     simulation: SimulationConfig = SimulationConfig()
     variation: VariationConfig | None = None  # of cloths and starts between sequences; without it, all are alike
     limits: Limits = Limits()
     sampling: SamplingConfig = SamplingConfig()
     candidates: CandidateConfig = CandidateConfig()
+
+    @pydantic.model_validator(mode="after")
+    def _agrees(self) -> "SimulateConfig":
+        if self.scheduler and self.executor != "dask":
+            raise ValueError(f"scheduler is {self.scheduler}, expected executor: dask with it, found {self.executor}")
+        return self

@@ -95,6 +95,8 @@ class TrainVtMConfig:
     """Extra weight of uncertain coordinates in the likelihood, 0 (none) to 1 (likelihood.py); for both recipes."""
     flat: Share = 0.05
     """Share of flat cloths among the training examples; the others are states that follow a manipulation."""
+    recalibrate: bool = False
+    """Whether the net's standard deviations are made true on the validation split after training."""
     rare: Share = 0.0
     """Voxels that are occupied in at most this share of the examples are not used as inputs: their weights are zero."""
 

@@ -1,8 +1,9 @@
 """Writes the card: tables, figures and the page that shows them."""
 
+import json
 from pathlib import Path
 
-from clothkit.report.card import figures, page, tables
+from clothkit.report.card import croissant, figures, page, tables
 from clothkit.report.card.inputs import examples, read
 from clothkit.report.card.meanings import settings_table
 from clothkit.report.card.measures import limits
@@ -10,10 +11,11 @@ from clothkit.report.card.settings import CardConfig
 from clothkit.simulation.settings import SimulateConfig
 
 
-def build(folder: Path, raw: Path, settings: CardConfig) -> page.Contents:
-    """Writes `tables/`, `figures/` and `README.md` into a new folder; equal artifacts give equal bytes.
+def build(folder: Path, raw: Path, settings: CardConfig, *, located: str = croissant.LOCATED) -> page.Contents:
+    """Writes `tables/`, `figures/`, `README.md` and `croissant.json` into a folder; equal artifacts give equal bytes.
 
-    Returns the contents of the page. Raises InputError when artifacts in the folder `raw` are missing or malformed.
+    `located` is where the raw artifacts are to be found from the card's place, as a relative path. Returns the contents
+    of the page. Raises InputError when artifacts in the folder `raw` are missing or malformed.
     """
     (folder / "tables").mkdir(parents=True)
     (folder / "figures").mkdir()
@@ -42,4 +44,6 @@ def build(folder: Path, raw: Path, settings: CardConfig) -> page.Contents:
     shown = examples(raw, sorted(set(worst["sequence"].tolist())), inputs.manipulations)
     figures.worst(worst, {example.sequence: example for example in shown}, folder / "figures/worst.png")
     (folder / "README.md").write_text(page.page(contents))
+    described = croissant.describe(inputs, raw, located=located)
+    (folder / "croissant.json").write_text(json.dumps(described, indent=1) + "\n")
     return contents

@@ -82,6 +82,7 @@ def page(contents: Contents) -> str:
         "All lie in `data/raw`. Each carries the settings that it was made with, as JSON under the key `clothkit` of "
         "its schema's metadata.\n",
         *(f"{_FILES[part]}\n\n{markdown.plain(described(part, inputs.columns[part]))}" for part in PARTS),
+        "`croissant.json` beside this page tells the same to machines, with the files' checksums.\n",
         "To open states elsewhere, export them to OBJ, PLY or GLB (metres, texture coordinates = material):\n",
         f"    ./run python -m clothkit.app.export data/raw --sequence {_first(inputs)} --format glb --to exported/\n",
         "## How it was made\n",
