@@ -19,6 +19,7 @@ from clothkit.dataset.augment import AugmentConfig
 from clothkit.dataset.regularise import RegulariseConfig
 from clothkit.evaluation.camera_settings import EvaluateCameraConfig, SetAlarmsConfig
 from clothkit.evaluation.settings import (
+    CalibrateConfig,
     EvaluateEstimationConfig,
     EvaluatePlanningConfig,
     EvaluatePredictionConfig,
@@ -51,6 +52,7 @@ class StageParams(pydantic.BaseModel, frozen=True, extra="forbid", allow_inf_nan
     train_support: SupportTrainingConfig
     normalise: NormaliseConfig
     probe: ProbeConfig
+    calibrate: CalibrateConfig
     evaluate_estimation: EvaluateEstimationConfig
     evaluate_prediction: EvaluatePredictionConfig
     plan: PlanConfig

@@ -63,17 +63,12 @@ def decode(net: Array, latent: Array, stride: int = 1) -> ProbabilisticMesh:
     return ProbabilisticMesh(mesh, jnp.full_like(mesh, 0.015))
 
 
-def shown(latent: Array, manipulation: Array) -> tuple[Array, Array]:
-    return jnp.asarray(latent), jnp.asarray(manipulation)
-
-
 class Model(NamedTuple):
     """The toy's forward model; tests replace its parts."""
 
     encode: Callable[..., Any] = encode
     step: Callable[..., Any] = step
     decode: Callable[..., Any] = decode
-    shown: Callable[..., Any] = shown
 
 
 MODEL = Model()

@@ -13,7 +13,7 @@ from clothkit.training.support_model import contrasted, recorded_inputs, swapped
 from tests import toy_dataset
 from tests.planning import toy
 
-SETTINGS = SupportTrainingConfig(net=SupportModelConfig(hidden=(32,)), iterations=150, batch=64)
+SETTINGS = SupportTrainingConfig(net=SupportModelConfig(hidden=(32,)), iterations=120, batch=32)
 
 
 def test_recorded_manipulations_are_less_surprising_than_random_ones() -> None:
@@ -25,7 +25,8 @@ def test_recorded_manipulations_are_less_surprising_than_random_ones() -> None:
         np.asarray(support_model.surprise(found, support_model.inputs(toy.MODEL, latents, part)))
         for part in (manipulations, random)
     )
-    assert np.median(known) < 0.5 < 2 < np.median(unknown)
+    # log 2 tells nothing.
+    assert np.median(known) < np.log(2) < 2 < np.median(unknown)
     assert (known[:, None] < unknown).mean() > 0.9
 
 

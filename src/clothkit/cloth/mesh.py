@@ -78,6 +78,11 @@ def distance_aligned(a: Mesh, b: Mesh) -> Float[Array, "..."]:
     return distance(align(a, b), b)
 
 
+def mean_sigma(prediction: ProbabilisticMesh) -> Float[Array, "..."]:
+    """Root of the mean predicted variance of a vertex's position [cloth length]."""
+    return jnp.sqrt(jnp.mean(jnp.sum(jnp.asarray(prediction.std) ** 2, axis=-1), axis=(-2, -1))) / CLOTH_LENGTH
+
+
 def smooth_distance(mesh: Mesh, target: Mesh) -> Float[Array, "..."]:
     """`distance_aligned`, with a gradient that is finite where vertices coincide [cloth length]."""
     squared = jnp.sum((align(mesh, target) - target) ** 2, axis=-1)

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 from tqdm import tqdm
 
 from clothkit.cloth.mesh import ProbabilisticMesh, distance
@@ -32,10 +32,11 @@ from clothkit.models.ensemble import Ensemble
 from clothkit.models.forward import predict
 from clothkit.models.support_model import SupportModel, inputs, surprise
 from clothkit.planning.batches import in_batches, take
-from clothkit.planning.expected_error import ExpectedError, Signs, fit
+from clothkit.planning.error_map import ErrorMap, expected_by_others, fit
 from clothkit.planning.initial import random_plans
 from clothkit.planning.measures import Measures, measure
 from clothkit.planning.mesh_representation import MESH
+from clothkit.planning.model_error import LEAST, SIGNS
 from clothkit.planning.types import Candidates
 from clothkit.planning.uncertainty import Spread
 from clothkit.runtime.resumable import array_storage, resumable_map
@@ -218,7 +219,7 @@ def table(probes: Probes, found: Predicted, spread: Spread) -> pd.DataFrame:
     deviations = np.full(len(row), np.nan)
     if len(spread.mean):
         deviations = (measures.difference - np.asarray(spread.mean)[step]) / np.asarray(spread.std)[step]
-    signs = Signs(measures.distance, measures.sigma, found.surprise[row, step])
+    signs = {"distance": measures.distance, "sigma": measures.sigma, "surprise": found.surprise[row, step]}
     error, sequence = found.error[row, step], probes.sequence[row]
     columns = {
         "sequence": sequence,
@@ -229,33 +230,13 @@ def table(probes: Probes, found: Predicted, spread: Spread) -> pd.DataFrame:
         **{f"error_{k}": errors[row, step] for k, errors in enumerate(found.errors)},
         "difference": measures.difference,
         "deviations": deviations,
-        **signs._asdict(),
-        "expected": expected_by_others(signs, step, error, sequence),
+        **signs,
+        "expected": expected_by_others(signs, LEAST, step, error, sequence),
     }
     return pd.DataFrame(columns)
 
 
-FOLDS = 5
-
-
-def expected_by_others(
-    signs: Signs, step: Int[np.ndarray, " rows"], error: Float[np.ndarray, " rows"], sequence: Int[np.ndarray, " rows"]
-) -> Float[np.ndarray, " rows"]:
-    """Return the error of each row that is expected by a map fitted to other sequences (cross-validation).
-
-    NaN where other sequences have no probe of some step.
-    """
-    fold = np.searchsorted(np.unique(sequence), sequence) % FOLDS
-    expected = np.full(len(error), np.nan)
-    for k in range(FOLDS):
-        own, others = fold == k, fold != k
-        if own.any() and set(step[own]) <= set(step[others]):
-            fitted = fit(take(signs, others), step[others], error[others])
-            expected[own] = np.asarray(fitted(take(signs, own), step[own]))
-    return expected
-
-
-def fitted_to(rows: pd.DataFrame) -> ExpectedError:
+def fitted_to(rows: pd.DataFrame) -> ErrorMap:
     """Return the map fitted to all probes."""
-    signs = Signs(*(rows[name].to_numpy() for name in Signs._fields))
-    return fit(signs, rows["step"].to_numpy() - 1, rows["error"].to_numpy())
+    signs = {name: rows[name].to_numpy() for name in SIGNS}
+    return fit(signs, LEAST, rows["step"].to_numpy() - 1, rows["error"].to_numpy())

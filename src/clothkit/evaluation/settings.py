@@ -47,3 +47,11 @@ class ProbeConfig:
     edge: float = 0.9
     """Share of later grasp points of random plans on the cloth's edge."""
     seed: Annotated[int, Ge(0)] = 0
+
+
+@config
+class CalibrateConfig:
+    """Settings of the calibrate stage."""
+
+    sequences: Annotated[int, Gt(0)] = 10
+    """Validation sequences for all tasks of which is planned."""

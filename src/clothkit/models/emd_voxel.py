@@ -156,12 +156,6 @@ class EMDVoxel:
         latent, trace, manipulation = map(jnp.asarray, (latent, trace, manipulation))
         return run(EMDVoxelModule(self.config), params, latent, trace, manipulation, method="step")
 
-    def shown(
-        self, latent: Float[Array | ndarray, "*batch latent"], manipulation: Float[Array | ndarray, "*batch 6"]
-    ) -> tuple[Float[Array, "*batch latent"], Float[Array, "*batch 6"]]:
-        """Latent and manipulation as they are."""
-        return jnp.asarray(latent), jnp.asarray(manipulation)
-
     def decode(
         self, params: PyTree, latent: Float[Array | ndarray, "*batch latent"], stride: int = 1
     ) -> Float[Array, "*batch 32 32 16"]:

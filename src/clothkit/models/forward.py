@@ -46,12 +46,6 @@ class ForwardModel(Protocol):
         """
         ...
 
-    def shown(
-        self, latent: Float[Array | ndarray, "*batch latent"], manipulation: Float[Array | ndarray, "*batch 6"]
-    ) -> tuple[Float[Array, "*batch units"], Float[Array, "*batch 6"]]:
-        """Latent and manipulation as M is shown them: in a canonical description, if the model is canonical."""
-        ...
-
     def decode(self, params: PyTree, latent: Float[Array | ndarray, "*batch latent"], stride: int = 1) -> Any:
         """The prediction for a latent: eq. (4); of a mesh only the vertices that `topology.thinned` keeps."""
         ...

@@ -164,12 +164,6 @@ class PEMD:
         latent, trace, manipulation = map(jnp.asarray, (latent, trace, manipulation))
         return run(PEMDModule(self.config), params, latent, trace, manipulation, method="step")
 
-    def shown(
-        self, latent: Float[Array | ndarray, "*batch latent"], manipulation: Float[Array | ndarray, "*batch 6"]
-    ) -> tuple[Float[Array, "*batch latent"], Float[Array, "*batch 6"]]:
-        """Latent and manipulation as they are."""
-        return jnp.asarray(latent), jnp.asarray(manipulation)
-
     def decode(
         self, params: PyTree, latent: Float[Array | ndarray, "*batch latent"], stride: int = 1
     ) -> ProbabilisticMesh:

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from clothkit.models.canonical import Canonicalised
 from clothkit.models.forward import ForwardModel
 from clothkit.models.settings import SupportModelConfig
 from clothkit.runtime.errors import InputError, system_error
@@ -52,10 +53,14 @@ LEAST_STD = 1e-3
 
 
 def inputs(
-    forward: ForwardModel, latent: Float[Array, "*batch latent"], manipulation: Float[Array, "*batch 6"]
+    forward: ForwardModel,
+    latent: Float[Array | np.ndarray, "*batch latent"],
+    manipulation: Float[Array | np.ndarray, "*batch 6"],
 ) -> Float[Array, "*batch inputs"]:
     """Return what the net is shown: a latent and a manipulation as the forward model's M is shown them."""
-    return jnp.concatenate(forward.shown(latent, manipulation), axis=-1)
+    if isinstance(forward, Canonicalised):
+        latent, manipulation = forward.shown(latent, manipulation)
+    return jnp.concatenate([latent, manipulation], axis=-1)
 
 
 def width_of(forward: ForwardModel, net: Any, state: Float[np.ndarray, "*state"]) -> int:

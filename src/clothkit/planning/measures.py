@@ -10,8 +10,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from clothkit.cloth.mesh import ProbabilisticMesh, smooth_distance
-from clothkit.cloth.topology import CLOTH_LENGTH
+from clothkit.cloth.mesh import ProbabilisticMesh, mean_sigma, smooth_distance
 from clothkit.models.ensemble import pairs
 from clothkit.planning.mesh_representation import MESH
 
@@ -29,8 +28,8 @@ class Measures(NamedTuple):
 
 def measure(predictions: Sequence[ProbabilisticMesh]) -> Measures:
     """Return the measures of one prediction per net."""
-    variances = [jnp.mean(jnp.sum(jnp.asarray(net.std) ** 2, axis=-1), axis=(-2, -1)) for net in predictions]
-    sigma = jnp.sqrt(sum(variances[1:], variances[0]) / len(variances)) / CLOTH_LENGTH
+    variances = [mean_sigma(net) ** 2 for net in predictions]
+    sigma = jnp.sqrt(sum(variances[1:], variances[0]) / len(variances))
     apart = [(MESH.difference(a, b), smooth_distance(a.mean, b.mean)) for a, b in pairs(predictions)]
     if not apart:
         return Measures(jnp.zeros_like(sigma), jnp.zeros_like(sigma), sigma)

@@ -236,7 +236,7 @@ class Objective:
         return replace(self, terms=terms)
 
     def with_term(self, name: str, term: Term) -> "Objective":
-        """The objective with one more term."""
+        """The objective with one more term, instead of one of that name if there is one."""
         return replace(self, terms={**self.terms, name: term})
 
 

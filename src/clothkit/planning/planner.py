@@ -21,6 +21,7 @@ from clothkit.planning.search import search
 from clothkit.planning.settings import PlanConfig
 from clothkit.planning.systems import System
 from clothkit.planning.types import Found, Problem
+from clothkit.planning.uncertainty_terms import Measure, UncertaintyConfig, needed, terms_of
 from clothkit.planning.voxel_representation import VOXEL
 from clothkit.runtime.errors import InputError
 
@@ -48,7 +49,7 @@ class Planner:
     accuracy: Accuracy | None = None
     """The accuracy term, if not that of eq. (13)."""
     terms: Mapping[str, Term] = field(default_factory=dict)
-    """Further terms of the objective by name, beside those of the paper."""
+    """Further terms of the objective by name, beside those of the paper or, of the same name, instead of them."""
 
     def objective(self, length: int) -> Objective:
         """What a search for plans of that length minimises.
@@ -76,15 +77,19 @@ class Planner:
         )
 
 
-def artifacts(system: System, data: Path, members: Sequence[int]) -> dict[str, Path]:
+def artifacts(system: System, data: Path, members: Sequence[int], measure: Measure) -> dict[str, Path]:
     """Paths, by name, of the artifacts under `data` that a system needs.
 
-    These are the nets of the ensemble's members (net_0, ..), the reference values (reference) and, for systems that
-    estimate meshes, the VtM net (vtm).
+    These are the nets of the ensemble's members (net_0, ..), the reference values (reference), for systems that
+    estimate meshes the VtM net (vtm), and what the measure of uncertainty needs (support, expected_error).
     """
     found = {f"net_{member}": path for member, path in folders(data / "nets", system.kind, members).items()}
     found["reference"] = data / f"normalisation/{'voxel' if system.voxels else 'mesh'}.json"
-    return {**found, "vtm": data / "nets/vtm"} if system.estimates else found
+    if system.estimates:
+        found["vtm"] = data / "nets/vtm"
+    if system.doubts and not system.voxels:
+        found |= {name: data / place for name, place in needed(measure).items()}
+    return found
 
 
 def assemble(
@@ -100,12 +105,13 @@ def assemble(
     Raises InputError if one is missing or malformed, and for reference values of another number of nets.
     """
     settings = settings.of(system)
+    found = artifacts(system, data, members, settings.uncertainty.measure)
     perception: Perception = ObservedVoxels() if system.voxels else KnownMeshes()
     if system.estimates:
-        vtm = store.load(artifacts(system, data, members)["vtm"], "vtm")
+        vtm = store.load(found["vtm"], "vtm")
         perception = Estimation(vtm, settings.refine, refine=system.refine)
     ensemble = load(data / "nets", system.kind, members)
-    path = artifacts(system, data, members)["reference"]
+    path = found["reference"]
     reference = normalisation.load(path)
     if len(reference.low) != len(ensemble.nets):
         raise InputError(
@@ -114,6 +120,10 @@ def assemble(
         )
     if system.single:
         ensemble = Ensemble((ensemble.members[ensemble.best],), (ensemble.best_net,))
+    if system.alpha is not None:
+        weights = weights._replace(alpha=system.alpha)
+    measures = UncertaintyConfig() if system.voxels else settings.uncertainty
+    accuracy, terms = terms_of(measures, weights.alpha if system.doubts else 0, ensemble, data)
     return Planner(
         system,
         representation=VOXEL if system.voxels else MESH,
@@ -123,8 +133,10 @@ def assemble(
         best=ensemble.best,
         perception=perception,
         normalisation=reference,
-        weights=weights if system.alpha is None else weights._replace(alpha=system.alpha),
+        weights=weights,
         settings=settings,
         grasping=grasping,
         labelled=system.voxels or system.true_meshes,
+        accuracy=accuracy,
+        terms=terms,
     )
