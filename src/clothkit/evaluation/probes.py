@@ -218,8 +218,10 @@ def table(probes: Probes, found: Predicted, spread: Spread) -> pd.DataFrame:
     # A single net differs from no other.
     deviations = np.full(len(row), np.nan)
     if len(spread.mean):
-        deviations = (measures.difference - np.asarray(spread.mean)[step]) / np.asarray(spread.std)[step]
-    signs = {"distance": measures.distance, "sigma": measures.sigma, "surprise": found.surprise[row, step]}
+        mean, std = (np.asarray(values)[step] for values in spread)
+        deviations = (np.asarray(measures.difference) - mean) / std
+    told = (measures.distance, measures.sigma, found.surprise[row, step])
+    signs = {name: np.asarray(values) for name, values in zip(SIGNS, told, strict=True)}
     error, sequence = found.error[row, step], probes.sequence[row]
     columns = {
         "sequence": sequence,

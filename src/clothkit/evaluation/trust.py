@@ -92,8 +92,8 @@ def _planned(dataset: Dataset, chosen: list[Task], planner: Planner, execute: Ex
 def rows(planned: Planned) -> tuple[pd.DataFrame, ErrorMap]:
     """Return a row per plan, and the map that was fitted to all of them.
 
-    The columns are those of `Planned`, and with trusted_ those of `trust.Trusted`: by a map that was fitted to the other
-    sequences' plans, so that they can be held against `error`; NaN where too few sequences were planned for.
+    The columns are those of `Planned` and, with trusted_, those of `trust.Trusted`: these by a map that was fitted to
+    the other sequences' plans, so that they can be held against `error`. NaN where too few sequences were planned for.
     """
     names = tuple(name for name in trust.Signs._fields if np.isfinite(getattr(planned, name)).all())
     signs, least = {name: getattr(planned, name) for name in names}, trust.least_of(names)
@@ -101,6 +101,5 @@ def rows(planned: Planned) -> tuple[pd.DataFrame, ErrorMap]:
     found = fit(signs, least, step, planned.error)
     by_others = expected_by_others(signs, least, step, planned.error, planned.sequence)
     told = trust.of_error(found, by_others)
-    return pd.DataFrame(
-        {**planned._asdict(), **{f"trusted_{name}": each for name, each in told._asdict().items()}}
-    ), found
+    columns = {f"trusted_{name}": values for name, values in told._asdict().items()}
+    return pd.DataFrame({**planned._asdict(), **columns}), found
