@@ -13,7 +13,6 @@ from clothkit.evaluation.settings import ProbeConfig
 from clothkit.manipulation.geometry import to_cartesian
 from clothkit.manipulation.vector import is_null
 from clothkit.models import support_model
-from clothkit.models.ensemble import Ensemble
 from clothkit.models.settings import SupportModelConfig
 from clothkit.planning.mesh_representation import MESH
 from clothkit.planning.uncertainty import Spread
@@ -21,21 +20,6 @@ from tests import toy_dataset
 from tests.planning import toy
 
 SETTINGS = ProbeConfig(sequences=6, displaced=1, grasped=2, random=1)
-
-
-class Toy(Ensemble):
-    """The toy's two nets as an ensemble."""
-
-    def __init__(self) -> None:
-        self.__dict__.update(members=(0, 1), nets=(), best=0)
-
-    @property
-    def model(self) -> object:  # type: ignore[override]
-        return toy.MODEL
-
-    @property
-    def params(self) -> tuple:  # type: ignore[override]
-        return toy.NETS
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +88,7 @@ def test_a_killed_run_goes_on(dataset: toy_dataset.Dataset, done: probes.Probes,
 def test_rows_tell_errors_and_measures(dataset: toy_dataset.Dataset, done: probes.Probes) -> None:
     shown = np.zeros((4, 3078), np.float32)
     support = support_model.initial(SupportModelConfig(hidden=(4,)), shown, jax.random.key(0))
-    found = probes.predicted(Toy(), support, done, dataset.cloth[done.sequence])
+    found = probes.predicted(toy.Nets(), support, done, dataset.cloth[done.sequence])
     rows = probes.table(done, found, Spread(np.full(3, 0.1), np.full(3, 0.2)))
     assert len(rows) == np.isfinite(done.manipulation).all(2).sum()
     assert {"error_0", "error_1", "expected", "surprise"} <= set(rows.columns)
