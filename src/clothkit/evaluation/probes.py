@@ -24,6 +24,7 @@ from clothkit.cloth.silhouette import centred
 from clothkit.dataset.store import STEPS, Dataset
 from clothkit.episodes.sessions import Execute
 from clothkit.evaluation.settings import ProbeConfig
+from clothkit.evaluation.tidy import PROBE_KINDS as KINDS
 from clothkit.manipulation.candidates import CandidateConfig
 from clothkit.manipulation.draws import REACH, SINGLE_SHARE, random_manipulations
 from clothkit.manipulation.geometry import release_points
@@ -41,7 +42,6 @@ from clothkit.planning.types import Candidates
 from clothkit.planning.uncertainty import Spread
 from clothkit.runtime.resumable import array_storage, resumable_map
 
-KINDS = ("recorded", "displaced", "grasped", "random")
 BATCH = 24
 
 TOGETHER = 5
