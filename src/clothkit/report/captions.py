@@ -153,8 +153,8 @@ CAMERA_ESTIMATION = (
 )
 DOUBT = (
     "What the planner knows of its own ignorance, on the validation split. Probes are manipulations that were "
-    "executed to learn where the forward models are wrong: *recorded* ones, hands at the cloth's corners with any displacement "
-    "(*displaced*), hands anywhere (*grasped*), and *random* plans of three manipulations as searches start from. The "
+    "executed to learn where the forward models are wrong: *recorded* ones, hands at the cloth's corners with any "
+    "displacement (*displaced*), hands anywhere (*grasped*), and *random* plans of three manipulations as searches start from. The "
     "error is that of the mean of the nets' predictions from the true start.\n"
 )
 DOUBT_MEASURES = (
@@ -177,8 +177,8 @@ TRUST_PICTURED = (
 )
 TRUST = (
     "Validation plans by their *trust*: the share of plans with such an expectation that end at most 0.05 lengths of "
-    "the cloth's side from their goals, as the other sequences' plans tell it. *expected*, *error*: mean expected and real "
-    "distance from the goal. *trusted*, *came_true*: mean trust, and the share that did end so near. *inside*: share of "
+    "the cloth's side from their goals, as the other sequences' plans tell it. *expected*, *error*: mean expected and "
+    "real distance from the goal. *trusted*, *came_true*: mean trust, and the share that did end so near. *inside*: share of "
     "errors inside the interval that is told with a plan, which shall hold 80 %.\n"
 )
 GOALS = (
