@@ -152,9 +152,9 @@ CAMERA_ESTIMATION = (
     "states that raise one.\n"
 )
 DOUBT = (
-    "What the planner knows of its own ignorance, on the validation split. Probes are manipulations that were "
-    "executed to learn where the forward models are wrong: *recorded* ones, hands at the cloth's corners with any "
-    "displacement (*displaced*), hands anywhere (*grasped*), and *random* plans of three manipulations as searches start from. The "
+    "What the planner knows of its own ignorance, on the validation split. Probes are manipulations that were executed "
+    "to learn where the forward models are wrong: *recorded* ones, hands at the cloth's corners with any displacement "
+    "(*displaced*), hands anywhere (*grasped*), and *random* plans of three manipulations as searches start from. The "
     "error is that of the mean of the nets' predictions from the true start.\n"
 )
 DOUBT_MEASURES = (
@@ -178,8 +178,8 @@ TRUST_PICTURED = (
 TRUST = (
     "Validation plans by their *trust*: the share of plans with such an expectation that end at most 0.05 lengths of "
     "the cloth's side from their goals, as the other sequences' plans tell it. *expected*, *error*: mean expected and "
-    "real distance from the goal. *trusted*, *came_true*: mean trust, and the share that did end so near. *inside*: share of "
-    "errors inside the interval that is told with a plan, which shall hold 80 %.\n"
+    "real distance from the goal. *trusted*, *came_true*: mean trust, and the share that did end so near. *inside*: "
+    "share of errors inside the interval that is told with a plan, which shall hold 80 %.\n"
 )
 GOALS = (
     "The field's standard folds, made in the simulator without a planner (`clothkit goals`), as goals. Each is planned "
