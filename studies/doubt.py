@@ -50,7 +50,7 @@ ALPHAS: dict[Measure, tuple[float, ...]] = {
 """Weights that are tried. Those of conditional and support are in units of eq. (14)'s range, that of expected is 1."""
 
 VARIANT = ["measure", "alpha", "fold"]
-AGAINST = ("paper", 0.0)
+AGAINST: tuple[Measure, float] = ("paper", 0.0)
 """What the others are compared with, each under its own rule."""
 
 TOGETHER = 10
@@ -91,10 +91,12 @@ def planned(planner: Planner, dataset: Dataset, sequences: list[int], simulator:
 
 def summary(table: pd.DataFrame) -> pd.DataFrame:
     """Return means per variant and column of the tables, with intervals and differences to AGAINST."""
-    table = table.assign(system=[Variant(*row).name for row in table[VARIANT].itertuples(index=False)])
-    found = []
-    for (measure, alpha, fold), own in table.groupby(VARIANT, sort=False):
-        variant, reference = Variant(measure, alpha, bool(fold)), Variant(*AGAINST, bool(fold))
+    names: Any = table[VARIANT].itertuples(index=False)
+    table, found = table.assign(system=[Variant(*row).name for row in names]), []
+    keys: Any
+    for keys, own in table.groupby(VARIANT, sort=False):
+        variant = Variant(*keys)
+        reference = Variant(*AGAINST, variant.fold)
         failures = own.groupby("length")["search_failure"].mean()
         apart = pd.DataFrame()
         if variant != reference and (table["system"] == reference.name).any():
