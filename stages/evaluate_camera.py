@@ -26,10 +26,10 @@ def main() -> None:
     with stage("evaluate_camera") as s:
         system = SYSTEMS["main"]
         members = s.shared.ensemble.members
-        found = artifacts(system, DATA, members)
+        plan, simulate = s.shared.stages.plan, s.shared.stages.simulate
+        found = artifacts(system, DATA, members, plan.uncertainty.measure)
         work = s.work(inputs=[MESHES, SESSIONS, ALARMS, *found.values()])
         weights = Weights(s.shared.alpha, s.shared.beta, s.shared.gamma)
-        plan, simulate = s.shared.stages.plan, s.shared.stages.simulate
         dataset = store.load(MESHES)
         vtm = load(found["vtm"], "vtm")
         alarms = load_alarms(ALARMS, units=vtm.config.hidden)

@@ -29,7 +29,7 @@ def main() -> None:
             s.leave_out(*(DATA / "evaluation" / name for name in OUTS))
             return
         stages, members = s.shared.stages, s.shared.ensemble.members
-        work = s.work(inputs=list(artifacts(SYSTEMS["main"], DATA, members).values()))
+        work = s.work(inputs=list(artifacts(SYSTEMS["main"], DATA, members, stages.plan.uncertainty.measure).values()))
         weights = Weights(s.shared.alpha, s.shared.beta, s.shared.gamma)
         simulate, camera = stages.simulate, stages.evaluate_camera
         # The name contains a hash, so that pieces of a run with other weights or another simulator are not reused.

@@ -32,7 +32,7 @@ def main(name: str) -> None:
             s.leave_out(*outs)
             return
         members = s.shared.ensemble.members
-        work = s.work(inputs=[MESHES, *artifacts(system, DATA, members).values()])
+        work = s.work(inputs=[MESHES, *artifacts(system, DATA, members, s.params.uncertainty.measure).values()])
         weights = Weights(s.shared.alpha, s.shared.beta, s.shared.gamma)
         simulate = s.shared.stages.simulate
         planner = assemble(system, DATA, weights, s.params, simulate.candidates, members)

@@ -67,7 +67,7 @@ def main() -> None:
     sequences = dataset.indices("validation")[: asked.sequences].tolist()
     folder.mkdir(parents=True, exist_ok=True)
     name = asked.system
-    inputs = [meshes, *artifacts(SYSTEMS[name], data, members).values()]
+    inputs = [meshes, *artifacts(SYSTEMS[name], data, members, params.stages.plan.uncertainty.measure).values()]
     current = fingerprint(inputs, params.stages.plan, simulate.candidates, simulate.simulation)
     table = read(path, [*NAMES, "sequence", "length", "error"], current)
     for weights in settings:

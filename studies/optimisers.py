@@ -510,7 +510,7 @@ def main() -> None:
     dataset = store.load(meshes)
     validation = dataset.indices("validation").tolist()
     folder.mkdir(parents=True, exist_ok=True)
-    inputs = [meshes, *artifacts(SYSTEMS["main"], data, members).values()]
+    inputs = [meshes, *artifacts(SYSTEMS["main"], data, members, plan.uncertainty.measure).values()]
     base = fingerprint(inputs, plan, weights, simulate.candidates, simulate.simulation)
     planner = assemble(SYSTEMS["main"], data, weights, plan, simulate.candidates, members)
     if asked.tune:

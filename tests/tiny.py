@@ -32,7 +32,9 @@ from clothkit.models.net import Net
 from clothkit.models.settings import EMDVoxelConfig, PEMDConfig, VtMConfig
 from clothkit.observation.camera import back_project
 from clothkit.params import Params, load_params
-from clothkit.planning import normalisation
+from clothkit.planning import error_map, model_error, normalisation
+from clothkit.planning.error_map import ErrorMap
+from clothkit.planning.uncertainty_terms import EXPECTED_ERROR
 from clothkit.simulation.attempts import Attempts
 from clothkit.simulation.material import Material
 from clothkit.simulation.records import write_raw
@@ -73,6 +75,9 @@ def write_nets(folder: Path, members: Sequence[int] = MEMBERS) -> None:
     (folder / "normalisation").mkdir()
     for kind in ("mesh", "voxel"):
         normalisation.save(folder / f"normalisation/{kind}.json", toy.normalisation(len(members)), {})
+    slope, ratios = np.array([0.9, 0.0, 0.3]), np.linspace(0.5, 2, 21)
+    found = ErrorMap(model_error.SIGNS, np.array(model_error.LEAST), np.zeros(3), slope, ratios)
+    error_map.save(folder / EXPECTED_ERROR, found, {})
 
 
 def alarms_of(*, strangest: float) -> Alarms:

@@ -18,7 +18,13 @@ from clothkit.app.settings import AppConfig
 from clothkit.dataset.augment import AugmentConfig
 from clothkit.dataset.regularise import RegulariseConfig
 from clothkit.evaluation.camera_settings import EvaluateCameraConfig, SetAlarmsConfig
-from clothkit.evaluation.settings import EvaluateEstimationConfig, EvaluatePlanningConfig, EvaluatePredictionConfig
+from clothkit.evaluation.settings import (
+    CalibrateConfig,
+    EvaluateEstimationConfig,
+    EvaluatePlanningConfig,
+    EvaluatePredictionConfig,
+    ProbeConfig,
+)
 from clothkit.goals.settings import EvaluateGoalsConfig
 from clothkit.models.settings import EnsembleConfig
 from clothkit.planning.settings import NormaliseConfig, PlanConfig
@@ -27,7 +33,7 @@ from clothkit.report.card.settings import CardConfig
 from clothkit.report.settings import ReportConfig
 from clothkit.runtime.errors import InputError, system_error
 from clothkit.simulation.settings import SimulateConfig
-from clothkit.training.settings import TrainEMDVoxelConfig, TrainPEMDConfig, TrainVtMConfig
+from clothkit.training.settings import SupportTrainingConfig, TrainEMDVoxelConfig, TrainPEMDConfig, TrainVtMConfig
 
 Scale = Literal["smoke", "laptop", "overnight", "paper", "household"]
 
@@ -43,7 +49,10 @@ class StageParams(pydantic.BaseModel, frozen=True, extra="forbid", allow_inf_nan
     train_emd_voxel: TrainEMDVoxelConfig | None  # null: no voxel baseline at this scale
     train_vtm: TrainVtMConfig
     set_alarms: SetAlarmsConfig
+    train_support: SupportTrainingConfig
     normalise: NormaliseConfig
+    probe: ProbeConfig
+    calibrate: CalibrateConfig
     evaluate_estimation: EvaluateEstimationConfig
     evaluate_prediction: EvaluatePredictionConfig
     plan: PlanConfig

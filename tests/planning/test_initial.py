@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from clothkit.cloth.silhouette import iou
 from clothkit.cloth.topology import SQUARE
 from clothkit.cloth.voxels import observe
-from clothkit.planning.initial import EXTENT, RASTER, folds, random_manipulations, random_plans, snap
+from clothkit.manipulation.draws import random_manipulations
+from clothkit.planning.initial import EXTENT, RASTER, folds, random_plans, snap
 from clothkit.planning.mesh_representation import MESH
 from clothkit.planning.types import Candidates
 from clothkit.planning.voxel_representation import VOXEL

@@ -13,7 +13,7 @@ from scipy.stats import norm
 from clothkit.cloth.mesh import ProbabilisticMesh, whiten
 from clothkit.planning.mesh_representation import MESH
 from clothkit.planning.objective import (
-    Accuracy,
+    Likelihood,
     Outlook,
     Range,
     Reference,
@@ -47,9 +47,9 @@ def test_accuracy_term() -> None:
     nll = -norm.logpdf(goal_white, mean, std).mean()
     loss = MESH.accuracy(whiten(goal), outcome)
     np.testing.assert_allclose(loss, nll, rtol=1e-4)
-    term = Accuracy((Range(np.zeros(1), np.ones(1)), Range(np.float32([0, -0.5]), np.float32([9, 2.5]))))
-    np.testing.assert_allclose(term.of_net(loss, 1), (nll + 0.5) / 3, rtol=1e-4)
-    np.testing.assert_allclose(Accuracy(()).of_net(loss, 0), nll, rtol=1e-4)
+    term = Likelihood((Range(np.zeros(1), np.ones(1)), Range(np.float32([0, -0.5]), np.float32([9, 2.5]))))
+    np.testing.assert_allclose(term.in_range(loss, 1), (nll + 0.5) / 3, rtol=1e-4)
+    np.testing.assert_allclose(Likelihood(()).in_range(loss, 0), nll, rtol=1e-4)
 
 
 def test_accuracy_of_each_is_accuracy_for_each() -> None:

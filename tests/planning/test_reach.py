@@ -145,7 +145,7 @@ def outlook_of(plans: np.ndarray, mesh: np.ndarray, shifts: np.ndarray, represen
         means.append(toy.dragged(before, jnp.asarray(plans[:, step]), 1 + toy.REMEMBERED * step))
     predicted = ProbabilisticMesh(jnp.stack(means), jnp.ones_like(jnp.stack(means)))
     common = jnp.zeros(len(plans), jnp.int32)
-    return Outlook(representation, jnp.asarray(plans), (predicted,), None, common, (jnp.asarray(shifts),))
+    return Outlook(representation, jnp.asarray(plans), (predicted,), shifts=(jnp.asarray(shifts),), common=common)
 
 
 def paths_of(plan: np.ndarray) -> list[np.ndarray]:

@@ -16,7 +16,7 @@ from clothkit.manipulation.geometry import release_points, to_cartesian
 from clothkit.manipulation.vector import is_null
 from clothkit.planning.initial import EXTENT, FOLD_POINT, RASTER
 from clothkit.planning.mesh_representation import MESH
-from clothkit.planning.objective import Accuracy, Fixed, Objective, Range, Weights, evaluate, objective_of
+from clothkit.planning.objective import Fixed, Likelihood, Objective, Range, Weights, evaluate, objective_of
 from clothkit.planning.search import SearchConfig, carried_plans, search
 from clothkit.planning.types import UNKNOWN, Candidates, Found, Problem
 from clothkit.planning.uncertainty import uncertainty
@@ -195,7 +195,7 @@ def test_a_goal_that_is_foreseen_exactly_is_not_missed_by_thinned_vertices_eithe
     every = jnp.ones(SQUARE.count, bool)
     latents, traces = toy.encode(net[0], equivalents(mesh)), jnp.zeros((SQUARE.count, 3072))
     fixed = Fixed((latents,), (traces,), equivalents(whole), every)
-    plain, first = Objective(Accuracy(()), {}), jnp.array([0])
+    plain, first = Objective(Likelihood(()), {}), jnp.array([0])
     loss = evaluate(plain, toy.MODEL, MESH, net, fixed, plan[None], first, first, stride=4).loss
     std = np.asarray(outcome.std / jnp.maximum(outcome.mean.std((0, 1)), 0.005))
     np.testing.assert_allclose(loss[0], np.mean(np.log(std)) + np.log(2 * np.pi) / 2, rtol=1e-3)

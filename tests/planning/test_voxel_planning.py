@@ -18,7 +18,7 @@ from clothkit.manipulation.candidates import CandidateConfig
 from clothkit.models.emd_voxel import EMDVoxelConfig, initial
 from clothkit.models.forward import forward_model
 from clothkit.planning.normalisation import normalise
-from clothkit.planning.objective import Accuracy, Range, Weights
+from clothkit.planning.objective import Likelihood, Range, Weights
 from clothkit.planning.optimisers.gradient import GradientConfig
 from clothkit.planning.perception import ObservedVoxels
 from clothkit.planning.planner import Planner
@@ -49,7 +49,7 @@ def test_losses_by_hand() -> None:
     expected = -np.stack([(g * np.log(p) + (1 - g) * np.log(1 - p)).mean((1, 2, 3)) for g in goals], axis=-1)
     logits, goals = jnp.asarray(logits), jnp.asarray(goals)
     np.testing.assert_allclose(VOXEL.accuracy_of_each(goals, logits), expected, rtol=1e-5)
-    term = Accuracy((Range(np.float32([0.2]), np.float32([0.7])),)).of_net(VOXEL.accuracy(goals[1], logits), 0)
+    term = Likelihood((Range(np.float32([0.2]), np.float32([0.7])),)).in_range(VOXEL.accuracy(goals[1], logits), 0)
     np.testing.assert_allclose(term, (expected[:, 1] - 0.2) / 0.5, rtol=1e-4)
     np.testing.assert_allclose(VOXEL.difference(logits, -logits), ((2 * p - 1) ** 2).mean((1, 2, 3)), rtol=1e-5)
 

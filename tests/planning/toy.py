@@ -17,6 +17,7 @@ from clothkit.cloth.symmetry import relabel
 from clothkit.cloth.topology import SQUARE, thinned
 from clothkit.manipulation.candidates import CandidateConfig
 from clothkit.manipulation.geometry import to_geodesic
+from clothkit.models.ensemble import Ensemble
 from clothkit.planning.mesh_representation import MESH
 from clothkit.planning.normalisation import Normalisation
 from clothkit.planning.objective import Weights
@@ -122,6 +123,21 @@ def planner(name: str) -> Planner:
         grasping=CANDIDATES,
         labelled=True,
     )
+
+
+class Nets(Ensemble):
+    """The toy's two nets as an ensemble."""
+
+    def __init__(self) -> None:
+        self.__dict__.update(members=(0, 1), nets=(), best=0)
+
+    @property
+    def model(self) -> Any:
+        return MODEL
+
+    @property
+    def params(self) -> tuple[Any, ...]:
+        return NETS
 
 
 def searching(**changes: Any) -> SearchConfig:

@@ -11,14 +11,15 @@ import pandas as pd
 
 from clothkit.dataset.store import Dataset, papers_cloths
 from clothkit.dataset.tasks import TASKS
-from clothkit.evaluation import camera_planning, planning
+from clothkit.evaluation import camera_planning, doubt, planning
 from clothkit.evaluation.comparisons import of_predictions
-from clothkit.report import camera_tables, contents, goal_tables, pages, planning_tables, tables, timings
+from clothkit.report import camera_tables, contents, doubt_tables, goal_tables, pages, planning_tables, tables, timings
 from clothkit.report.blocks import Section
 from clothkit.report.budgets import budgets
 from clothkit.report.rows import VOXEL_SYSTEMS
 from clothkit.report.sections import TABLES, sections
 from tests.evaluation import camera_rows
+from tests.evaluation.doubt_rows import probe_rows, trust_rows
 from tests.evaluation.planning_rows import planning_rows
 from tests.goals.goal_rows import goal_rows
 
@@ -119,6 +120,8 @@ def _tables_of(planners: tuple[str, ...], sequences: int) -> dict[str, pd.DataFr
         "camera_estimation": camera_tables.estimation(camera_rows.estimation()),
         "camera_planning": camera_tables.planning(camera_rows.planning()),
         "camera_comparisons": camera_tables.comparisons(camera_planning.comparisons(camera_rows.planning())),
+        "doubt": doubt_tables.doubt(doubt.summary(probe_rows())),
+        "trust": doubt_tables.trust(trust_rows()),
         **{name: goal_tables.goals(goal_rows(), measure) for name, measure in GOAL_MEASURES.items()},
         "sigma_ratio": tables.sigma_ratio(tidy_estimates(), tidy),
         "splits": tables.splits(dataset()),

@@ -15,7 +15,7 @@ from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.store import Dataset, papers_cloths
 from clothkit.dataset.tasks import TASKS, Task
 from clothkit.episodes.record import Sessions, Sizes, record, tasks_of_dataset
-from clothkit.evaluation import calibration, camera_planning, planning
+from clothkit.evaluation import calibration, camera_planning, doubt, planning
 from clothkit.evaluation.comparisons import of_predictions
 from clothkit.report import pages, panels, timings
 from clothkit.report.build import build, example_tasks
@@ -27,6 +27,7 @@ from clothkit.report.rows import VOXEL_SYSTEMS
 from clothkit.report.sections import CAPTIONS, TABLES
 from clothkit.report.settings import ReportConfig
 from tests.evaluation import camera_rows
+from tests.evaluation.doubt_rows import probe_rows, trust_rows
 from tests.evaluation.planning_rows import planning_rows
 from tests.goals.goal_rows import goal_rows
 from tests.report.contents import LAPTOP
@@ -143,6 +144,9 @@ def inputs(dataset: Dataset) -> Inputs:
             "voxels": np.zeros((2, 2, 32, 32, 16), bool),
             "mesh": np.repeat(dataset.vertices[:, 1:2], 2, axis=1),
         },
+        probes=probe_rows(),
+        doubt=doubt.summary(probe_rows()),
+        trust=trust_rows(),
         goals=goal_rows(),
         goal_pictures={
             "goal": np.array([0, 0, 3, 3]),
@@ -161,7 +165,10 @@ def test_a_report_is_complete(inputs: Inputs, tmp_path: Path) -> None:
     report = tmp_path / "report"
     made = build(report, inputs, SETTINGS)
     found = set(contents(report))
-    tables = {path for path in TABLES if path.startswith("tables/")} | {"tables/planned.csv"}
+    tables = {path for path in TABLES if path.startswith("tables/")} | {
+        "tables/planned.csv",
+        "tables/doubt_intervals.csv",
+    }
     tables -= {"tables/by_cloth.csv"}  # All cloths are alike.
     assert {f"tables/{name}.csv" for name in made} == tables
     pictures = {f"figures/{name}.png" for name in CAPTIONS}

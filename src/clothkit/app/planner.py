@@ -83,11 +83,11 @@ def load_planner(system: System, data: Path, settings: Settings, *, optimiser: s
 
     Raises InputError that names a missing or broken artifact.
     """
-    found = artifacts(system, data, settings.members)
-    for name, path in found.items():
+    found = artifacts(system, data, settings.members, settings.plan.uncertainty.measure)
+    for path in found.values():
         if not path.exists():
             raise InputError(f"{path}: not found, system {system.name} plans with it; dvc repro makes it")
-        if name != "reference":
+        if path.is_dir():
             store.description(path)
     planner = assemble(system, data, settings.weights, settings.plan, settings.grasping, settings.members)
     if optimiser is not None and optimiser != optimisers.optimiser_of(planner.settings.search.optimiser).name:

@@ -18,7 +18,7 @@ import jax
 import viser
 
 from clothkit.app.extras import optional
-from clothkit.app.inputs import load_settings, observation_options, read_input, with_observation_options
+from clothkit.app.inputs import Settings, load_settings, observation_options, read_input, with_observation_options
 from clothkit.app.named_goals import goal_name
 from clothkit.app.output import check_target
 from clothkit.app.viewer.page import build
@@ -103,7 +103,7 @@ def command(
     own = SessionFiles(state, goal, steps, mask) if state and goal else None
     if not data.is_dir():
         raise InputError(f"{data}: not found, expected the folder that dvc repro fills")
-    _check_there_is_something(data, name, settings.members, own)
+    _check_there_is_something(data, name, settings, own)
     _check_address(host, port)
     # Fails here, not first on the page, if JAX was asked for a device that is not there.
     jax.devices()
@@ -142,9 +142,10 @@ def command(
         server.stop()
 
 
-def _check_there_is_something(data: Path, name: str, members: tuple[int, ...], own: SessionFiles | None) -> None:
+def _check_there_is_something(data: Path, name: str, settings: Settings, own: SessionFiles | None) -> None:
     """Check that there are recorded sessions to play, or nets to run a new one. Raises InputError."""
-    missing = [path for path in artifacts(SYSTEMS[name], data, members).values() if not path.exists()]
+    needed = artifacts(SYSTEMS[name], data, settings.members, settings.plan.uncertainty.measure)
+    missing = [path for path in needed.values() if not path.exists()]
     if missing and own is not None:
         raise InputError(f"{missing[0]}: not found, system {name} plans with it; dvc repro makes it")
     if missing and not systems_in(data):

@@ -12,6 +12,9 @@ from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE, Topology
 LEAST_SPREAD = 0.005
 """Lower bound of the standard deviation that whitening divides by; that of a flat cloth is zero in z."""
 
+LEAST_DISTANCE = 1e-3
+"""Added in squares to the distances of `smooth_distance` [normalised]; a vertex's own radius, so to speak."""
+
 Mesh = Float[Array, "*#batch u v 3"] | Float[ndarray, "*#batch u v 3"]
 """A mesh or a batch of meshes; functions of two meshes broadcast their batch axes."""
 
@@ -73,6 +76,17 @@ def align(mesh: Mesh, target: Mesh) -> Float[Array, "... u v 3"]:
 def distance_aligned(a: Mesh, b: Mesh) -> Float[Array, "..."]:
     """`distance` after subtraction of the mean 3D offset [cloth length], as for planning outcomes (section 6.3)."""
     return distance(align(a, b), b)
+
+
+def mean_sigma(prediction: ProbabilisticMesh) -> Float[Array, "..."]:
+    """Root of the mean predicted variance of a vertex's position [cloth length]."""
+    return jnp.sqrt(jnp.mean(jnp.sum(jnp.asarray(prediction.std) ** 2, axis=-1), axis=(-2, -1))) / CLOTH_LENGTH
+
+
+def smooth_distance(mesh: Mesh, target: Mesh) -> Float[Array, "..."]:
+    """`distance_aligned`, with a gradient that is finite where vertices coincide [cloth length]."""
+    squared = jnp.sum((align(mesh, target) - target) ** 2, axis=-1)
+    return jnp.mean(jnp.sqrt(squared + LEAST_DISTANCE**2), axis=(-2, -1)) / CLOTH_LENGTH
 
 
 def error(

@@ -31,3 +31,27 @@ class EvaluatePlanningConfig:
 
     systems: Annotated[tuple[str, ...], MinLen(1)] = ("main", "b1", "b2", "b3", "b4", "b5", "unrefined")
     """Planners whose outcomes are evaluated and compared."""
+
+
+@config
+class ProbeConfig:
+    """Settings of the probe stage."""
+
+    sequences: Annotated[int, Gt(0)] = 30
+    """Validation sequences whose states are probed."""
+    displaced: Annotated[int, Ge(0)] = 1
+    """Probes of that kind per state."""
+    grasped: Annotated[int, Ge(0)] = 1
+    random: Annotated[int, Ge(0)] = 1
+    """Random plans per sequence, each from one of its states in turn."""
+    edge: float = 0.9
+    """Share of later grasp points of random plans on the cloth's edge."""
+    seed: Annotated[int, Ge(0)] = 0
+
+
+@config
+class CalibrateConfig:
+    """Settings of the calibrate stage."""
+
+    sequences: Annotated[int, Gt(0)] = 10
+    """Validation sequences for all tasks of which is planned."""

@@ -12,6 +12,9 @@ from clothkit.dataset.tables import Column, Complete, Rule, Table
 VOXEL_SYSTEMS = ("main_occluded", "a2")
 """Systems whose predictions are voxels as a camera sees them, and which have no error in cloth lengths."""
 
+PROBE_KINDS = ("recorded", "displaced", "grasped", "random")
+"""Kinds of probes of the forward models: see `probes`."""
+
 _TEXT = Column("text")
 _SPLIT = Column("text", among=SPLITS)
 _SEQUENCE = Column("whole numbers", 0)
@@ -260,6 +263,34 @@ CAMERA_PLANNING = Table(
     rules=(_ENDS,),
     complete=(_every_task("condition", "split", "system"),),
     numbered=PLANNING.numbered,
+)
+
+PROBES = Table(
+    {
+        "sequence": _SEQUENCE,
+        "start": _START,
+        "kind": Column("text", among=PROBE_KINDS),
+        "step": _STATE,
+        **dict.fromkeys(("error", "distance", "sigma"), _ERROR),
+        **dict.fromkeys(("difference", "surprise"), Column("numbers", 0)),
+        "deviations": _missing(_NUMBER),
+        "expected": _missing(_ERROR),
+    },
+    numbered={"error": _ERROR},
+)
+
+TRUST = Table(
+    {
+        "sequence": _SEQUENCE,
+        "start": _START,
+        "length": _LENGTH,
+        **dict.fromkeys(("expected", "sigma", "error", "error_no_action"), _ERROR),
+        "model_error": _missing(_ERROR),
+        **dict.fromkeys(("trusted_error", "trusted_low", "trusted_high"), _missing(_ERROR)),
+        "trusted_trust": _missing(_SHARE),
+    },
+    keys=_TASK,
+    rules=(_ENDS,),
 )
 
 HISTORY = Table(

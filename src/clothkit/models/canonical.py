@@ -251,6 +251,11 @@ class Canonicalised:
         units, left, shift = self.model.step(params, units, trace_within(trace, latent), shown)
         return framed(units, found), framed(left, found), shift_undone(shift, found)
 
+    def shown(self, latent: Any, manipulation: Any) -> tuple[Float[Array, "*batch units"], Float[Array, "*batch 6"]]:
+        """Latent and manipulation as M is shown them: in the canonical description, without the frame."""
+        units, found = unframed(jnp.asarray(latent))
+        return units, self.description.manipulation(jnp.asarray(manipulation), found)
+
     def decode(self, params: PyTree, latent: Any, stride: int = 1) -> Any:
         """The prediction for a latent: eq. (4)."""
         units, found = unframed(jnp.asarray(latent))

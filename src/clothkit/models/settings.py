@@ -103,3 +103,11 @@ class Start:
     """Initial bias of the output units for sigma: standard deviations start near exp(sigma) + least_std."""
     logit: float = 0.0
     """Initial bias of the output units for voxels: probabilities of occupancy start near the sigmoid of it."""
+
+
+@config
+class SupportModelConfig:
+    """Sizes of the support model."""
+
+    hidden: Annotated[tuple[Count, ...], MinLen(1)] = (256, 256)
+    """Widths of the hidden layers."""

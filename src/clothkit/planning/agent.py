@@ -111,7 +111,7 @@ def pose(
 ) -> Problem:
     """The problem that a search for plans of one length solves, for each task of a batch."""
     covered = None
-    if planner.settings.search.fold:
+    if planner.settings.search.fold or planner.objective(length).draws:
         covered = np.stack([planner.representation.covered(one) for one in state])
     rest = np.where(memory.planned[:, None, None], memory.rest[:, :length], np.float32(0))
     return Problem(

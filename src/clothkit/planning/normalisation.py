@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Array, Int
 
 from clothkit.dataset.store import STEPS, Dataset
+from clothkit.manipulation.draws import random_manipulations
 from clothkit.models.forward import ForwardModel, rollout
 from clothkit.planning.batches import in_batches
-from clothkit.planning.initial import random_manipulations
 from clothkit.planning.objective import Range, Reference, mean_difference
 from clothkit.planning.predict import padded
 from clothkit.planning.representation import Representation

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
+from clothkit.cloth.mesh import smooth_distance
 from clothkit.cloth.symmetry import equal_labellings, equivalent_cloths
 from clothkit.cloth.topology import SQUARE
 from clothkit.models.ensemble import pairs
@@ -53,12 +54,14 @@ class Outlook:
     """The plans, in the labels of each one's common equivalent."""
     predictions: tuple[Any, ...]
     """Each net's predicted states [n strains ..]; [1 strains ..], the outcomes alone, if no term needs the others."""
-    steps: Int[Array, ""] | None = None
-    """Number of manipulations after which the plans end, if not after all n: then every state is predicted."""
-    common: Int[Array, " strains"] | None = None
-    """Each plan's common equivalent."""
+    latents: tuple[Float[Array, "n strains latent"], ...] = ()
+    """Each net's latents before each manipulation."""
     shifts: tuple[Float[Array, "n strains 2"], ...] = ()
     """Each net's predicted shift of the cloth's centre by each manipulation [normalised]."""
+    common: Int[Array, " strains"] | None = None
+    """Each plan's common equivalent."""
+    steps: Int[Array, ""] | None = None
+    """Number of manipulations after which the plans end, if not after all n: then every state is predicted."""
 
     @property
     def last(self) -> int | Int[Array, ""]:
@@ -94,9 +97,46 @@ class Term(Protocol):
         ...
 
 
+@runtime_checkable
+class PosedTerm(Protocol):
+    """A term that depends on the problem: it is told of plans on the support of the problem's state first."""
+
+    draws: int
+    """Number of these plans."""
+
+    def posed(self, drawn: Outlook) -> Term:
+        """The term for the problem of which `drawn` are plans on the support."""
+        ...
+
+
+@runtime_checkable
+class Accuracy(Protocol):
+    """What the accuracy term compares and how: a pytree whose leaves are its parameters."""
+
+    def targets(self, representation: Representation, goals: Shaped[Array, "..."]) -> Float[Array, "..."]:
+        """Goals, thinned or not, in the form in which they are compared with outcomes."""
+        ...
+
+    def of_each(
+        self, representation: Representation, targets: Float[Array, "goals *state"], outcome: Any, net: int, last: Any
+    ) -> Float[Array, "strains goals"]:
+        """How unlike each plan's outcome, as that net predicts it, is to each of several targets."""
+        ...
+
+    def of(
+        self, representation: Representation, target: Float[Array, "strains *state"], outcome: Any, net: int, last: Any
+    ) -> Float[Array, " strains"]:
+        """How unlike each plan's outcome is to its own target; `last` is the index of the last manipulation."""
+        ...
+
+    def total(self, of_nets: list[Float[Array, "..."]]) -> Float[Array, "..."]:
+        """The term's value from those of all nets."""
+        ...
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Accuracy:
+class Likelihood:
     """The accuracy terms of eq. (13): how unlike each net's outcome is to the goal, in its range of eq. (14).
 
     With K nets their sum is multiplied by 2 / K, so that it weighs as much as the paper's two. With one net (B2) the
@@ -105,7 +145,20 @@ class Accuracy:
 
     spans: tuple[Range, ...]
 
-    def of_net(self, loss: Float[Array, "..."], net: int, last: int | Int[Array, ""] = -1) -> Float[Array, "..."]:
+    def targets(self, representation: Representation, goals: Shaped[Array, "..."]) -> Float[Array, "..."]:
+        return representation.target(goals)
+
+    def of_each(
+        self, representation: Representation, targets: Float[Array, "goals *state"], outcome: Any, net: int, last: Any
+    ) -> Float[Array, "strains goals"]:
+        return self.in_range(representation.accuracy_of_each(targets, outcome), net, last)
+
+    def of(
+        self, representation: Representation, target: Float[Array, "strains *state"], outcome: Any, net: int, last: Any
+    ) -> Float[Array, " strains"]:
+        return self.in_range(representation.accuracy(target, outcome), net, last)
+
+    def in_range(self, loss: Float[Array, "..."], net: int, last: int | Int[Array, ""] = -1) -> Float[Array, "..."]:
         """A net's loss in its range: 0 for recorded manipulations, 1 for random ones, in the median.
 
         `last` is the index of the plans' last manipulation.
@@ -116,8 +169,32 @@ class Accuracy:
         return (loss - low) / (high - low)
 
     def total(self, of_nets: list[Float[Array, "..."]]) -> Float[Array, "..."]:
-        """The term's value from those of all nets."""
         return sum(of_nets[1:], of_nets[0]) * (2 / len(of_nets) if len(of_nets) > 2 else 1)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Distance:
+    """The accuracy term in cloth lengths: the distance of each net's mean outcome from the goal, aligned; their mean.
+
+    For meshes only.
+    """
+
+    def targets(self, representation: Representation, goals: Shaped[Array, "..."]) -> Float[Array, "..."]:
+        return jnp.asarray(goals)
+
+    def of_each(
+        self, representation: Representation, targets: Float[Array, "goals *state"], outcome: Any, net: int, last: Any
+    ) -> Float[Array, "strains goals"]:
+        return smooth_distance(jnp.asarray(outcome.mean)[:, None], targets)
+
+    def of(
+        self, representation: Representation, target: Float[Array, "strains *state"], outcome: Any, net: int, last: Any
+    ) -> Float[Array, " strains"]:
+        return smooth_distance(outcome.mean, target)
+
+    def total(self, of_nets: list[Float[Array, "..."]]) -> Float[Array, "..."]:
+        return sum(of_nets[1:], of_nets[0]) / len(of_nets)
 
 
 def mean_difference(representation: Representation, predictions: Sequence[Any]) -> Float[Array, "n *batch"] | None:
@@ -152,8 +229,18 @@ class Objective:
     accuracy: Accuracy
     terms: Mapping[str, Term]
 
+    @property
+    def draws(self) -> int:
+        """Number of plans on the support that terms need when a problem is posed."""
+        return max((term.draws for term in self.terms.values() if isinstance(term, PosedTerm)), default=0)
+
+    def posed(self, drawn: Outlook) -> "Objective":
+        """The objective for one problem, of which `drawn` are plans on the support."""
+        terms = {n: term.posed(drawn) if isinstance(term, PosedTerm) else term for n, term in self.terms.items()}
+        return replace(self, terms=terms)
+
     def with_term(self, name: str, term: Term) -> "Objective":
-        """The objective with one more term."""
+        """The objective with one more term, instead of one of that name if there is one."""
         return replace(self, terms={**self.terms, name: term})
 
 
@@ -162,7 +249,7 @@ def objective_of(nets: int, reference: Reference, weights: Weights) -> Objective
 
     Without alpha, or with one net, there is no uncertainty term.
     """
-    accuracy = Accuracy(reference.spans if nets > 1 else ())
+    accuracy = Likelihood(reference.spans if nets > 1 else ())
     if nets == 1 or float(weights.alpha) == 0:
         return Objective(accuracy, {})
     return Objective(
@@ -221,16 +308,27 @@ def evaluate(
     """
     every_step = steps is not None or any(term.every_step for term in objective.terms.values())
     decoded = slice(None) if every_step else slice(-1, None)
-    predictions, shifts = [], []
-    for net, latent, trace in zip(nets, fixed.latents, fixed.traces, strict=True):
-        rolled = rollout(model, net, latent[common], plan, trace[common])
-        predictions.append(model.decode(net, rolled.latents[decoded], stride))
-        shifts.append(rolled.shifts)
-    outlook = Outlook(representation, plan, tuple(predictions), steps, common, tuple(shifts))
+    rolled = [
+        rollout(model, net, latent[common], plan, trace[common])
+        for net, latent, trace in zip(nets, fixed.latents, fixed.traces, strict=True)
+    ]
+    outlook = Outlook(
+        representation,
+        plan,
+        tuple(model.decode(net, found.latents[decoded], stride) for net, found in zip(nets, rolled, strict=True)),
+        tuple(
+            jnp.concatenate([first[common][None], found.latents[:-1]])
+            for first, found in zip(fixed.latents, rolled, strict=True)
+        ),
+        tuple(found.shifts for found in rolled),
+        common,
+        steps,
+    )
     # Goals are thinned before they are whitened, because predictions are whitened by the moments of their own vertices.
-    goals = representation.target(representation.thinned(fixed.goals, stride))
+    accuracy = objective.accuracy
+    goals = accuracy.targets(representation, representation.thinned(fixed.goals, stride))
     of_each = [
-        objective.accuracy.of_net(representation.accuracy_of_each(goals, outcome), net, outlook.last)
+        accuracy.of_each(representation, goals, outcome, net, outlook.last)
         for net, outcome in enumerate(outlook.outcomes)
     ]
     # Row by row, the relabelling of the goal that each of its equivalents is for a plan in that common equivalent.
@@ -241,10 +339,9 @@ def evaluate(
     relative = jnp.where(relative == UNKNOWN, found, relative)
     goal = goals[jnp.asarray(SQUARE.composed)[relative, common]]
     accuracies = [
-        objective.accuracy.of_net(representation.accuracy(goal, outcome), net, outlook.last)
-        for net, outcome in enumerate(outlook.outcomes)
+        accuracy.of(representation, goal, outcome, net, outlook.last) for net, outcome in enumerate(outlook.outcomes)
     ]
-    loss = objective.accuracy.total(accuracies)
+    loss = accuracy.total(accuracies)
     terms: dict[str, Array] = {"accuracy": jnp.stack(accuracies, axis=-1)}
     for name, term in objective.terms.items():
         terms[name] = term(outlook)

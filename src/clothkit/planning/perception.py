@@ -7,10 +7,10 @@ import jax
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from clothkit.cloth.mesh import best_label
+from clothkit.cloth.mesh import best_label, mean_sigma
 from clothkit.cloth.symmetry import relabel
 from clothkit.cloth.voxels import VIEWPORT, Viewport
-from clothkit.estimation.estimate import estimate, estimate_unrefined
+from clothkit.estimation.estimate import estimate, estimate_probabilistic, estimate_unrefined
 from clothkit.estimation.refine import RefineConfig
 from clothkit.models.net import Net
 from clothkit.planning.batches import in_batches
@@ -33,6 +33,22 @@ class Perception(Protocol):
         `cloth` are the cloths' sides and thicknesses.
         """
         ...
+
+
+@runtime_checkable
+class Unsure(Protocol):
+    """A perception that tells how unsure it is."""
+
+    def sigma(self, observation: Observation, cloth: Float[np.ndarray, "task 3"]) -> Float[np.ndarray, " task"]:
+        """The root of the mean predicted variance of a vertex of each state [cloth length]."""
+        ...
+
+
+def sigma_of(
+    perception: Perception, observation: Observation, cloth: Float[np.ndarray, "task 3"]
+) -> Float[np.ndarray, " task"]:
+    """How unsure a perception is of the states [cloth length]; 0 if it does not tell, or takes what it observes."""
+    return perception.sigma(observation, cloth) if isinstance(perception, Unsure) else np.zeros(len(cloth), np.float32)
 
 
 @dataclass(frozen=True)
@@ -63,6 +79,14 @@ class Estimation:
         with timed("estimates", -(-len(observation.voxels) // self.batch) * self.batch):
             inputs = (observation.voxels, cloth, *(() if expected is None else (expected,)))
             return in_batches(meshes, self.batch, *inputs)
+
+    def sigma(self, observation: Observation, cloth: Float[np.ndarray, "task 3"]) -> Float[np.ndarray, " task"]:
+        assert observation.voxels is not None, "an observation to estimate from has voxels"
+
+        def unsure(voxels: np.ndarray, cloth: np.ndarray) -> jax.Array:
+            return mean_sigma(estimate_probabilistic(self.vtm, voxels, cloth=cloth))
+
+        return in_batches(unsure, self.batch, observation.voxels, cloth)
 
 
 @dataclass(frozen=True)

@@ -15,14 +15,15 @@ from clothkit.cloth.symmetry import relabel_manipulation_batch
 from clothkit.cloth.topology import SQUARE
 from clothkit.manipulation.geometry import release_points
 from clothkit.manipulation.vector import is_null
-from clothkit.models.forward import ForwardModel
+from clothkit.models.forward import ForwardModel, predict
 from clothkit.planning import objective as objectives
 from clothkit.planning.initial import folds, random_plans, snap
-from clothkit.planning.objective import Objective, fix
+from clothkit.planning.objective import Objective, Outlook, fix
 from clothkit.planning.optimisers import AnySettings, optimise
 from clothkit.planning.optimisers.gradient import GradientConfig
 from clothkit.planning.optimisers.space import Evaluation, Initial, Plans, Space
 from clothkit.planning.representation import Representation
+from clothkit.planning.support import supported_plans
 from clothkit.planning.types import Found, Problem
 from clothkit.runtime.config import config
 
@@ -63,11 +64,12 @@ def search(
     def one(problem: Problem, key: PRNGKeyArray) -> Found:
         problem = jax.tree.map(jnp.asarray, problem)
         fixed = fix(model, representation, nets, problem)
+        posed = _posed(objective, model, representation, nets, problem, length, key)
 
         def evaluate(plans: Plans, *, steps: Array | None = None, exact: bool = False) -> Evaluation:
             common, relative = plans.labels
             found = objectives.evaluate(
-                objective,
+                posed,
                 model,
                 representation,
                 nets,
@@ -87,6 +89,29 @@ def search(
         return Found(found.plan, found.loss, found.terms, common, relative, found.losses)
 
     return jax.vmap(one)(problems, keys)
+
+
+def _posed(
+    objective: Objective,
+    model: ForwardModel,
+    representation: Representation,
+    nets: tuple[Any, ...],
+    problem: Problem,
+    length: int,
+    key: PRNGKeyArray,
+) -> Objective:
+    """The objective for one problem, posed with plans on its support where a term needs them."""
+    if not objective.draws:
+        return objective
+    # Another key than the search's, so that it draws what it draws without such a term.
+    key = jax.random.fold_in(key, objective.draws)
+    plans = supported_plans(model, representation, nets[0], problem, count=objective.draws, length=length, key=key)
+    states, cloth = jnp.broadcast_to(problem.state, (len(plans), *problem.state.shape)), problem.cloth
+    found = [
+        predict(model, net, states, plans, jnp.broadcast_to(trace[0], (len(plans), trace.shape[-1])), cloth=cloth)[0]
+        for net, trace in zip(nets, problem.traces, strict=True)
+    ]
+    return objective.posed(Outlook(representation, plans, tuple(found)))
 
 
 def space_of(representation: Representation, problem: Problem, length: int, *, fold: bool, edge: float = 0.0) -> Space:

@@ -8,6 +8,7 @@ from annotated_types import Ge, Gt, MinLen
 from clothkit.estimation.refine import RefineConfig
 from clothkit.planning.search import SearchConfig
 from clothkit.planning.systems import SYSTEMS, System
+from clothkit.planning.uncertainty_terms import UncertaintyConfig
 from clothkit.runtime.config import config
 
 Count = Annotated[int, Gt(0)]
@@ -35,6 +36,7 @@ class PlanConfig:
     """Systems that plan. The plan stages of the others write that they were left out."""
     search: SearchConfig = SearchConfig()
     refine: RefineConfig = RefineConfig()
+    uncertainty: UncertaintyConfig = UncertaintyConfig()
     together: Count = 4
     """Sequences whose sessions run in parallel. An interrupted run loses the unfinished sessions of so many at most."""
     batch: Count = 4

@@ -29,6 +29,11 @@ class System:
         return "emd_voxel" if self.voxels else "pemd"
 
     @property
+    def doubts(self) -> bool:
+        """Whether its loss has an uncertainty term (`uncertainty_terms`)."""
+        return not (self.single or self.alpha == 0)
+
+    @property
     def estimates(self) -> bool:
         """Whether the system estimates meshes from voxels."""
         return not (self.voxels or self.true_meshes)

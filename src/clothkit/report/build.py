@@ -9,11 +9,12 @@ import pandas as pd
 from clothkit.cloth.symmetry import relabel
 from clothkit.dataset.tasks import Task, tasks_of
 from clothkit.evaluation.occupancy import TALL_MEASURE
-from clothkit.report import camera_tables, cloth_tables, goal_tables, metrics, planning_tables, tables
+from clothkit.report import camera_tables, cloth_tables, doubt_tables, goal_tables, metrics, planning_tables, tables
 from clothkit.report.captions import CAPTIONS_FILE
 from clothkit.report.figures.calibration import calibration
 from clothkit.report.figures.camera import camera
 from clothkit.report.figures.curves import curves
+from clothkit.report.figures.doubt import measures, trust
 from clothkit.report.figures.equivalents import equivalents
 from clothkit.report.figures.estimates import estimates
 from clothkit.report.figures.goals import goal_outcomes
@@ -65,6 +66,9 @@ def build(folder: Path, inputs: Inputs, settings: ReportConfig) -> dict[str, pd.
         "camera_planning": camera_tables.planning(inputs.camera_planning),
         "camera_comparisons": camera_tables.comparisons(inputs.camera_comparisons),
         "by_cloth": cloth_tables.by_cloth(inputs.dataset, inputs.estimation, planned),
+        "doubt": doubt_tables.doubt(inputs.doubt),
+        "doubt_intervals": inputs.doubt,
+        "trust": doubt_tables.trust(inputs.trust),
         "sigma_ratio": tables.sigma_ratio(inputs.estimation, found),
         "splits": tables.splits(inputs.dataset),
         "attempts": tables.attempts(inputs.attempts),
@@ -118,6 +122,8 @@ def draw_figures(folder: Path, inputs: Inputs, errors: pd.DataFrame, settings: R
     predictions(dataset, inputs.predictions, inputs.prediction, folder / "predictions.png", count=settings.predictions)
     calibration(inputs.calibration, folder / "calibration.png")
     curves(inputs.forward_histories, inputs.vtm_history, folder / "curves.png")
+    measures(inputs.doubt, folder / "doubt.png")
+    trust(inputs.probes, inputs.trust, folder / "trust.png")
     conditions = list(dict.fromkeys(inputs.camera_comparisons["system"]))
     camera(dataset, inputs.pictures, inputs.estimates, conditions, folder / "camera.png")
     names = [
@@ -127,6 +133,8 @@ def draw_figures(folder: Path, inputs: Inputs, errors: pd.DataFrame, settings: R
         "predictions",
         "calibration",
         "curves",
+        "doubt",
+        "trust",
         *representations(folder, inputs),
     ]
     if inputs.goal_pictures is not None:

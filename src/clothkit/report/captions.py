@@ -151,6 +151,36 @@ CAMERA_ESTIMATION = (
     "over union of the point cloud's silhouette and the true one. *alarm*, where alarms are set: share of the seen "
     "states that raise one.\n"
 )
+DOUBT = (
+    "What the planner knows of its own ignorance, on the validation split. Probes are manipulations that were executed "
+    "to learn where the forward models are wrong: *recorded* ones, hands at the cloth's corners with any displacement "
+    "(*displaced*), hands anywhere (*grasped*), and *random* plans of three manipulations as searches start from. The "
+    "error is that of the mean of the nets' predictions from the true start.\n"
+)
+DOUBT_MEASURES = (
+    "How well each measure tells the errors of probes, with 95 % intervals over sequences (bootstrap): over all, over "
+    "single manipulations from each state, and over the first, second and third manipulation of plans. The dashed line "
+    "is what a measure comes to that tells nothing."
+)
+DOUBT_TABLE = (
+    "*wrong*: area under the ROC curve for telling errors above 0.08 from those below; *off_support*: for telling "
+    "probes from recorded manipulations and the first ones of random plans; *rank*: Spearman's correlation with the "
+    "error. Measures: u of eq. (15) in *deviations*; the *distance* of the nets' predictions; their *sigma*; the "
+    "*surprise* of the support model, which tells recorded manipulations from random ones; and the *expected* error, a "
+    "map from distance, sigma and surprise that was fitted to the other sequences' probes. Intervals: "
+    "[doubt_intervals.csv](tables/doubt_intervals.csv).\n"
+)
+TRUST_PICTURED = (
+    "Expected against real errors, in lengths of the cloth's side: at the left those of the probes' predictions, at "
+    "the right the distances of plans' outcomes from their goals, of validation plans that were executed to their end. "
+    "Each is expected by a map that was fitted to the other sequences."
+)
+TRUST = (
+    "Validation plans by their *trust*: the share of plans with such an expectation that end at most 0.05 lengths of "
+    "the cloth's side from their goals, as the other sequences' plans tell it. *expected*, *error*: mean expected and "
+    "real distance from the goal. *trusted*, *came_true*: mean trust, and the share that did end so near. *inside*: "
+    "share of errors inside the interval that is told with a plan, which shall hold 80 %.\n"
+)
 GOALS = (
     "The field's standard folds, made in the simulator without a planner (`clothkit goals`), as goals. Each is planned "
     "for with as many manipulations as it needs, with at least three from a crumpled cloth: with *b1* from true meshes "

@@ -12,7 +12,7 @@ from clothkit.dataset.raw import ATTEMPTS
 from clothkit.dataset.store import Dataset
 from clothkit.episodes import record
 from clothkit.episodes.record import Sessions
-from clothkit.evaluation import arrays, tidy
+from clothkit.evaluation import arrays, doubt, tidy
 from clothkit.goals import tidy as goals_tidy
 from clothkit.models.ensemble import folders
 from clothkit.models.store import HISTORY
@@ -48,6 +48,12 @@ class Inputs:
     """Sessions of the first planner."""
     pictures: Mapping[str, np.ndarray]
     """Depth cameras' pictures of examples, with voxels and estimates from them."""
+    probes: pd.DataFrame
+    """Manipulations that were executed to learn where the nets are wrong."""
+    doubt: pd.DataFrame
+    """How well measures of uncertainty tell their errors (`doubt.summary`)."""
+    trust: pd.DataFrame
+    """Validation plans that were executed, and what was expected of them."""
     goals: pd.DataFrame | None = None
     """Plans for named goals; None: there are none at this scale."""
     goal_pictures: Mapping[str, np.ndarray] | None = None
@@ -73,6 +79,8 @@ def paths(data: Path, members: Sequence[int], settings: ReportConfig) -> list[Pa
         evaluation / f"planning/sessions_{settings.planners[0]}.zarr",
         *(evaluation / f"camera/{name}.parquet" for name in ("estimation", "planning", "comparisons")),
         evaluation / "camera/pictures.zarr",
+        evaluation / "probe.parquet",
+        evaluation / "trust.parquet",
         *(evaluation / name for name in ("goals.parquet", "goals.zarr") if settings.goals),
     ]
 
@@ -81,6 +89,7 @@ def read(data: Path, members: Sequence[int], settings: ReportConfig) -> Inputs:
     """The report's inputs from the artifacts under `data`. Raises InputError for what is missing or malformed."""
     evaluation = data / "evaluation"
     forward = folders(data / "nets", "pemd", members)
+    probes = tables.read(evaluation / "probe.parquet", tidy.PROBES)
     return Inputs(
         dataset=store.load(data / "meshes.zarr"),
         attempts=tables.read(data / "raw/attempts.parquet", ATTEMPTS),
@@ -101,6 +110,9 @@ def read(data: Path, members: Sequence[int], settings: ReportConfig) -> Inputs:
         camera_planning=tables.read(evaluation / "camera/planning.parquet", tidy.CAMERA_PLANNING),
         camera_comparisons=tables.read(evaluation / "camera/comparisons.parquet", tidy.ANY_COMPARISONS),
         pictures=arrays.load(evaluation / "camera/pictures.zarr", arrays.PICTURES),
+        probes=probes,
+        doubt=doubt.summary(probes),
+        trust=tables.read(evaluation / "trust.parquet", tidy.TRUST),
         goals=tables.read(evaluation / "goals.parquet", goals_tidy.TABLE) if settings.goals else None,
         goal_pictures=arrays.load(evaluation / "goals.zarr", goals_tidy.PICTURED) if settings.goals else None,
     )

@@ -24,6 +24,12 @@ STARTS = ("flat", "dragged", "crumpled")
 GOALS = ("goal", "manipulations", "source", "cloths", *STARTS)
 """Columns of the tables of named goals."""
 
+PROBED = ("all", "start 0", "start 1", "start 2", "step 1", "step 2", "step 3")
+"""Groups of probes: all, those of one manipulation by the state that they start from, those of each manipulation."""
+
+TRUST = ("trust", "plans", "expected", "error", "trusted", "came_true", "inside")
+"""Columns of the table of how far plans' expectations came true."""
+
 STATISTICS = ("mean", "std", "median")
 NO_ACTION = "no action"
 NO_ACTION_OCCLUDED = "no action, occluded"

@@ -12,7 +12,7 @@ from clothkit.report import blocks, captions, selections, texts
 from clothkit.report.contents import Contents
 from clothkit.report.entries import Card, Cards, Figure, Folded, Report, Section, Table, Text, Timings
 from clothkit.report.formatting import IDEAL_RATIO
-from clothkit.report.layout import BY_CLOTH, GOALS, LENGTHS, SPLITS, STATES, TASKS
+from clothkit.report.layout import BY_CLOTH, GOALS, LENGTHS, PROBED, SPLITS, STATES, TASKS, TRUST
 
 OUTCOMES = ("source", "split", "system", "statistic", *TASKS)
 COMPARISON = ("column", "sequences", "difference", "low", "high", "p")
@@ -241,6 +241,24 @@ SECTIONS = (
             ),
         ),
         needs=("camera_estimation", "camera_planning", "camera_comparisons"),
+    ),
+    Section(
+        "doubt",
+        "Doubt",
+        (
+            Text(captions.DOUBT),
+            Figure("doubt", "What tells the errors of predictions", captions.DOUBT_MEASURES),
+            Table(
+                "doubt",
+                "What tells the errors of predictions",
+                ("statistic", "measure", *PROBED),
+                (captions.DOUBT_TABLE,),
+                keys=("statistic",),
+            ),
+            Figure("trust", "Expected and real errors", captions.TRUST_PICTURED),
+            Table("trust", "How far expectations came true", TRUST, (captions.TRUST,)),
+        ),
+        needs=("doubt", "trust"),
     ),
     Section(
         "goals",

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Le
 
-from clothkit.models.settings import EMDVoxelConfig, PEMDConfig, Start, VtMConfig
+from clothkit.models.settings import EMDVoxelConfig, PEMDConfig, Start, SupportModelConfig, VtMConfig
 from clothkit.runtime.config import config
 
 Count = Annotated[int, Gt(0)]
@@ -113,3 +113,18 @@ class TrainEMDVoxelConfig:
     """The noise in z as a multiple of that in x and y (design 6.14)."""
     shift_weight: NotNegative = 1.0
     """Weight of loss_p relative to loss_s; `recipe: fast` only."""
+
+
+@config
+class SupportTrainingConfig:
+    """Settings of the support model and its training."""
+
+    net: SupportModelConfig = SupportModelConfig()
+    iterations: Count = 2000
+    batch: Count = 512
+    learning_rate: Rate = 0.001
+    decay: NotNegative = 0.03
+    """Weight decay of AdamW."""
+    noise: NotNegative = 0.05
+    """Standard deviation of noise on the latents, in standard deviations."""
+    seed: Annotated[int, Ge(0)] = 0

@@ -1,0 +1,133 @@
+"""A monotone map from signs of doubt to an expected error, learned from executed manipulations.
+
+log e = offset_step + slope . log(signs), with slopes that are not negative: the error grows as a power of each sign. It
+is fitted by least squares in logarithms, and its mean is made that of the data by one factor (Duan, "Smearing
+estimate", 1983), since a mean in logarithms is a median of errors.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+from scipy.optimize import lsq_linear
+
+from clothkit.runtime.errors import InputError
+from clothkit.runtime.json_file import read_json
+
+Values = Float[Array | np.ndarray, "*batch"]
+
+LEAST = 1e-3
+"""Least error of which a logarithm is taken [cloth length]."""
+
+_NUMBERS = ("least", "offset", "slope", "ratios")
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class ErrorMap:
+    """A fitted map."""
+
+    signs: tuple[str, ...] = field(metadata={"static": True})
+    """Names of the signs, in the order in which they are given."""
+    least: Float[np.ndarray, " signs"]
+    """Added to each sign before its logarithm is taken: beyond that, it tells nothing."""
+    offset: Float[np.ndarray, " steps"]
+    """By the number of manipulations, less one."""
+    slope: Float[np.ndarray, " signs"]
+    ratios: Float[np.ndarray, " quantiles"]
+    """Quantiles 0, 1 / n .. 1 of true errors, relative to the expected ones."""
+
+    def __call__(self, signs: Sequence[Values], step: int | Int[Array | np.ndarray, "..."]) -> Float[Array, "*batch"]:
+        """Return the expected error after step + 1 manipulations [cloth length]."""
+        powers = [a * jnp.log(sign + b) for a, sign, b in zip(self.slope, signs, self.least, strict=True)]
+        return jnp.exp(jnp.asarray(self.offset)[step] + sum(powers))
+
+    def interval(self, expected: Values, share: float = 0.8) -> tuple[np.ndarray, np.ndarray]:
+        """Return the bounds between which that share of the errors lies, for errors that are expected."""
+        low, high = np.interp([(1 - share) / 2, (1 + share) / 2], self._shares, self.ratios)
+        return np.asarray(expected) * low, np.asarray(expected) * high
+
+    def share_below(self, limit: float, expected: Values) -> np.ndarray:
+        """Return the share of the errors that are at most `limit`, for errors that are expected."""
+        return np.interp(limit / np.asarray(expected), self.ratios, self._shares, left=0.0, right=1.0)
+
+    @property
+    def _shares(self) -> Float[np.ndarray, " quantiles"]:
+        return np.linspace(0, 1, len(self.ratios))
+
+
+def fit(
+    signs: dict[str, Float[np.ndarray, " rows"]],
+    least: Sequence[float],
+    step: Int[np.ndarray, " rows"],
+    error: Float[np.ndarray, " rows"],
+    quantiles: int = 20,
+) -> ErrorMap:
+    """Fit the map to the signs of predictions, manipulations so far less one, and true errors [cloth length].
+
+    Raises ValueError for a step before the last one without rows.
+    """
+    steps = int(step.max()) + 1
+    if missing := set(range(steps)) - set(step.tolist()):
+        raise ValueError(f"expected rows of every step, found none of step {min(missing)}")
+    logarithms = np.log(np.stack(list(signs.values()), axis=-1) + np.asarray(least))
+    columns = np.concatenate([np.eye(steps)[step], logarithms], axis=-1)
+    true = np.maximum(error, LEAST)
+    bounds = (np.concatenate([np.full(steps, -np.inf), np.zeros(len(signs))]), np.inf)
+    found = lsq_linear(columns, np.log(true), bounds, method="bvls").x
+    ratio = true / np.exp(columns @ found)
+    mean = ratio.mean()
+    spread = np.quantile(ratio / mean, np.linspace(0, 1, quantiles + 1))
+    return ErrorMap(tuple(signs), np.array(least, float), found[:steps] + np.log(mean), found[steps:], spread)
+
+
+FOLDS = 5
+
+
+def expected_by_others(
+    signs: dict[str, Float[np.ndarray, " rows"]],
+    least: Sequence[float],
+    step: Int[np.ndarray, " rows"],
+    error: Float[np.ndarray, " rows"],
+    sequence: Int[np.ndarray, " rows"],
+) -> Float[np.ndarray, " rows"]:
+    """Return the error of each row that is expected by a map fitted to other sequences (cross-validation).
+
+    NaN where other sequences have no row of some step.
+    """
+    fold = np.searchsorted(np.unique(sequence), sequence) % FOLDS
+    expected = np.full(len(error), np.nan)
+    for k in range(FOLDS):
+        own, others = fold == k, fold != k
+        if own.any() and set(step[own]) <= set(step[others]) == set(range(int(step[others].max()) + 1)):
+            fitted = fit({name: values[others] for name, values in signs.items()}, least, step[others], error[others])
+            expected[own] = np.asarray(fitted([values[own] for values in signs.values()], step[own]))
+    return expected
+
+
+def save(path: Path, found: ErrorMap, attributes: dict[str, Any]) -> None:
+    """Write a map and the attributes (the params that it was made with) as JSON."""
+    numbers = {name: np.asarray(getattr(found, name)).tolist() for name in _NUMBERS}
+    path.write_text(json.dumps({"signs": found.signs, **numbers, "attributes": attributes}, indent=1) + "\n")
+
+
+def load(path: Path, signs: tuple[str, ...]) -> ErrorMap:
+    """Read a map of these signs. Raises InputError for a file that is missing, damaged, or holds another map."""
+    wanted = f"JSON with {', '.join(('signs', *_NUMBERS))}"
+    stored = read_json(path, expected=f"{wanted}; run the stage that writes it (dvc repro)")
+    try:
+        named, numbers = tuple(stored["signs"]), {name: np.array(stored[name], float) for name in _NUMBERS}
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{path}: expected {wanted}, could not read it ({error})") from error
+    if named != signs:
+        raise InputError(f"{path}: expected a map of {', '.join(signs)}, found one of {', '.join(map(str, named))}")
+    lists = all(values.ndim == 1 and len(values) and np.isfinite(values).all() for values in numbers.values())
+    if not lists or {len(numbers["least"]), len(numbers["slope"])} != {len(signs)} or (numbers["least"] <= 0).any():
+        raise InputError(f"{path}: expected lists of finite numbers, a slope and a least value above 0 for each sign")
+    return ErrorMap(signs, **numbers)

@@ -1,0 +1,175 @@
+"""What is doubt worth?  python studies/doubt.py [SEQUENCES] [options]
+
+Plans for each task of the first validation sequences (default: 40) with system main, the search of params.yaml, and
+each measure of uncertainty (`planning/uncertainty_terms.py`) at several weights alpha, with and without the rule that
+first manipulations fold as recorded ones do (`fold`). Plans are executed to their end without a look in between
+(`episodes.open_loop`), null checks left out. Alpha 0 is no uncertainty term: with the accuracy term of eq. (13)
+(paper), or in cloth lengths (expected).
+
+A row per variant and task goes to reports/<scale>/studies/doubt.csv, where a search failure is a plan with a larger
+loss than the recorded manipulations. Means with 95 % bootstrap intervals over sequences go to doubt_summary.csv, with
+paired differences (and the p of a sign-flip test) to the paper's objective without doubt (alpha 0) and the same rule;
+doubt.png shows them.
+
+`--system b1` plans from true meshes instead, into doubt_b1.csv. `--measures` and `--alphas` choose variants:
+`--measures expected --alphas 0.5 1 2`. `--draw` summarises and draws the rows that are there. Existing rows are not
+computed again; those made with other nets, maps or settings (`fingerprint`) are dropped. Needs the nets, the
+normalisation, the dataset and the probes (`dvc repro normalise probe`).
+"""
+
+import argparse
+import dataclasses
+from itertools import chain
+from pathlib import Path
+from typing import Any, NamedTuple, get_args
+
+import pandas as pd
+from fingerprint import COLUMN, append, fingerprint, read, write
+from optimisers import KEYS, free_programs, plans_of, pose, rows_of
+
+from clothkit.dataset import store
+from clothkit.dataset.store import STEPS, Dataset
+from clothkit.episodes.sessions import Execute
+from clothkit.evaluation.comparisons import compare, interval, totals
+from clothkit.params import Params, load_params
+from clothkit.planning.objective import Weights
+from clothkit.planning.planner import Planner, artifacts, assemble
+from clothkit.planning.systems import SYSTEMS, System
+from clothkit.planning.uncertainty_terms import Measure, UncertaintyConfig
+from clothkit.report.figures.studies import doubt as draw
+from clothkit.runtime.cache import ensure_jax_cache
+from clothkit.simulation.executor import make_simulator
+
+DATA = Path("data")
+ALPHAS: dict[Measure, tuple[float, ...]] = {
+    "paper": (0.0, 0.01, 1.0),
+    "conditional": (0.05, 0.2),
+    "support": (0.05, 0.2),
+    "expected": (0.0, 0.5, 1.0),
+}
+"""Weights that are tried. Those of conditional and support are in units of eq. (14)'s range, that of expected is 1."""
+
+VARIANT = ["measure", "alpha", "fold"]
+AGAINST: tuple[Measure, float] = ("paper", 0.0)
+"""What the others are compared with, each under its own rule."""
+
+TOGETHER = 10
+"""Sequences after which rows are written."""
+
+
+class Variant(NamedTuple):
+    """What is planned with."""
+
+    measure: Measure
+    alpha: float
+    fold: bool
+
+    @property
+    def name(self) -> str:
+        """Its name in comparisons."""
+        return f"{self.measure} {self.alpha:g} {'fold' if self.fold else 'any'}"
+
+
+def planner_of(variant: Variant, system: System, params: Params) -> Planner:
+    """Return the planner of a variant."""
+    plan = params.stages.plan
+    settings = dataclasses.replace(
+        plan,
+        search=dataclasses.replace(plan.search, fold=variant.fold),
+        uncertainty=UncertaintyConfig(measure=variant.measure),
+    )
+    weights = Weights(variant.alpha, params.beta, params.gamma)
+    return assemble(system, DATA, weights, settings, params.stages.simulate.candidates, params.ensemble.members)
+
+
+def planned(planner: Planner, dataset: Dataset, sequences: list[int], simulator: Execute, name: str) -> pd.DataFrame:
+    """Return a row per task of these sequences."""
+    posed = pose(planner, dataset, sequences)
+    optimisers: dict[int, Any] = {each.length: planner.settings.search.optimiser for each in posed}
+    return rows_of(plans_of(planner, optimisers, posed, name), posed, simulator)
+
+
+def summary(table: pd.DataFrame) -> pd.DataFrame:
+    """Return means per variant and column of the tables, with intervals and differences to AGAINST."""
+    names: Any = table[VARIANT].itertuples(index=False)
+    table, found = table.assign(system=[Variant(*row).name for row in names]), []
+    keys: Any
+    for keys, own in table.groupby(VARIANT, sort=False):
+        variant = Variant(*keys)
+        reference = Variant(*AGAINST, variant.fold)
+        failures = own.groupby("length")["search_failure"].mean()
+        apart = pd.DataFrame()
+        if variant != reference and (table["system"] == reference.name).any():
+            apart = compare(table, "error", variant.name, reference.name).set_index("column")
+        for part in totals(own, "error"):
+            low, high = interval(part.total, part.tasks)
+            row: dict[str, Any] = {
+                **variant._asdict(),
+                "column": part.column,
+                "sequences": len(part.total),
+                "error": part.mean,
+                "low": low,
+                "high": high,
+                "search_failures": failures[int(part.column[0])],
+            }
+            if part.column in apart.index:
+                pair = apart.loc[part.column]
+                row |= {f"difference{end}": pair[name] for end, name in ENDS.items()}
+            found.append(row)
+    columns = [*VARIANT, "column", "sequences", "error", "low", "high", *(f"difference{end}" for end in ENDS)]
+    return pd.DataFrame(found).reindex(columns=[*columns, "search_failures"])
+
+
+ENDS = {"": "difference", "_low": "low", "_high": "high", "_p": "p"}
+
+
+def conclude(table: pd.DataFrame, folder: Path, ending: str) -> None:
+    """Write and print the summary, and draw it."""
+    found = summary(table)
+    write(found, folder / f"doubt{ending}_summary.csv")
+    shown = found[found["column"].isin([f"{length}/all" for length in range(1, STEPS + 1)])]
+    print(shown.drop(columns=["low", "high"]).round(4).to_string(index=False))
+    draw(shown, folder / f"doubt{ending}.png")
+
+
+def main() -> None:
+    """Run the study and print the summary."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("sequences", type=int, nargs="?", default=40)
+    parser.add_argument("--system", choices=("main", "b1"), default="main")
+    parser.add_argument("--measures", nargs="+", choices=get_args(Measure), default=get_args(Measure))
+    parser.add_argument("--alphas", type=float, nargs="+", help="instead of the usual ones")
+    parser.add_argument("--draw", action="store_true", help="only summarise and draw the rows that are there")
+    asked = parser.parse_args()
+    params = load_params(Path("params.yaml"))
+    folder, ending = Path("reports") / params.scale / "studies", "" if asked.system == "main" else f"_{asked.system}"
+    path = folder / f"doubt{ending}.csv"
+    if asked.draw:
+        conclude(pd.read_csv(path), folder, ending)
+        return
+    simulate, plan, system = params.stages.simulate, params.stages.plan, SYSTEMS[asked.system]
+    ensure_jax_cache(Path(".work/compiled"))
+    dataset = store.load(DATA / "meshes.zarr")
+    sequences = dataset.indices("validation")[: asked.sequences].tolist()
+    folder.mkdir(parents=True, exist_ok=True)
+    inputs = [DATA / "meshes.zarr", *artifacts(system, DATA, params.ensemble.members, "expected").values()]
+    settings = (plan.search, plan.refine, plan.batch, plan.seed, params.beta, params.gamma)
+    current = fingerprint(inputs, settings, simulate.candidates, simulate.simulation)
+    table, simulator = read(path, [*VARIANT, *KEYS, "error"], current), make_simulator(simulate)
+    chosen = chain.from_iterable([(m, alpha) for alpha in asked.alphas or ALPHAS[m]] for m in asked.measures)
+    for variant in (Variant(measure, alpha, fold) for measure, alpha in list(chosen) for fold in (True, False)):
+        own = table[(table[VARIANT] == list(variant)).all(axis=1)] if len(table) else table
+        missing = [sequence for sequence in sequences if sequence not in set(own["sequence"])]
+        if not missing:
+            continue
+        free_programs()
+        planner = planner_of(variant, system, params)
+        for first in range(0, len(missing), TOGETHER):
+            found = planned(planner, dataset, missing[first : first + TOGETHER], simulator, variant.name)
+            table = append(table, found.assign(**variant._asdict(), **{COLUMN: current}))
+            write(table, path)
+    conclude(table, folder, ending)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,108 @@
+"""The map from signs of doubt to an expected error, fitted to data that follow such a law."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clothkit.planning.error_map import ErrorMap, expected_by_others, fit, load, save
+from clothkit.runtime.errors import InputError
+
+LEAST = (1e-3, 1e-3, 0.05)
+Rows = tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]
+
+
+def rows(seed: int, count: int = 4000) -> Rows:
+    """Rows with error 2 (step + 1) a^0.7 b^0.3 c^0.2, times noise of a known mean."""
+    rng = np.random.default_rng(seed)
+    ranges = {"a": (0.01, 0.3), "b": (0.01, 0.1), "c": (0, 10)}
+    signs = {name: rng.uniform(low, high, count) for name, (low, high) in ranges.items()}
+    step = rng.integers(0, 3, count)
+    powers = [(signs[name] + b) ** p for name, b, p in zip("abc", LEAST, (0.7, 0.3, 0.2), strict=True)]
+    return signs, step, 2 * (step + 1) * np.prod(powers, axis=0) * rng.lognormal(0, 0.4, count)
+
+
+def fitted(given: Rows) -> ErrorMap:
+    signs, step, error = given
+    return fit(signs, LEAST, step, error)
+
+
+def test_the_fit_finds_powers_offsets_and_the_mean() -> None:
+    signs, step, error = rows(0)
+    found = fitted((signs, step, error))
+    np.testing.assert_allclose(found.slope, [0.7, 0.3, 0.2], atol=0.03)
+    # The mean of a lognormal factor is exp(sigma^2 / 2).
+    np.testing.assert_allclose(np.exp(found.offset), 2 * np.arange(1, 4) * np.exp(0.08), rtol=0.15)
+    expected = np.asarray(found(list(signs.values()), step))
+    assert (error / expected).mean() == pytest.approx(1, abs=1e-3)
+
+
+def test_interval_and_share_hold_for_other_rows() -> None:
+    found = fitted(rows(0))
+    signs, step, error = rows(1)
+    expected = np.asarray(found(list(signs.values()), step))
+    low, high = found.interval(expected, 0.8)
+    assert ((low <= error) & (error <= high)).mean() == pytest.approx(0.8, abs=0.03)
+    limit = float(np.median(error))
+    for lower, upper in ((0.0, 0.5), (0.5, 0.9)):
+        share = found.share_below(limit, expected)
+        chosen = (lower < share) & (share <= upper)
+        assert (error[chosen] <= limit).mean() == pytest.approx(share[chosen].mean(), abs=0.04)
+
+
+def test_an_error_never_falls_where_a_sign_grows() -> None:
+    rng = np.random.default_rng(2)
+    signs = {name: rng.uniform(0.01, 0.3, 200) for name in "abc"}
+    # Errors that fall with every sign: slopes stay at zero.
+    found = fit(signs, LEAST, np.zeros(200, int), 0.01 / (signs["a"] * signs["b"] * signs["c"]))
+    np.testing.assert_allclose(found.slope, 0, atol=1e-6)
+
+
+def test_a_row_is_expected_by_the_others() -> None:
+    signs, step, error = rows(3, 400)
+    sequence = np.repeat(np.arange(40), 10)
+    expected = expected_by_others(signs, LEAST, step, error, sequence)
+    # A sequence whose errors are a hundred times larger changes nothing of what is expected of itself.
+    larger = np.where(sequence == 7, 100 * error, error)
+    own = expected_by_others(signs, LEAST, step, larger, sequence)[sequence == 7]
+    np.testing.assert_allclose(own, expected[sequence == 7])
+    assert np.isnan(expected_by_others(signs, LEAST, step, error, np.zeros(400, int))).all()
+
+
+def test_steps_without_rows_are_told() -> None:
+    with pytest.raises(ValueError, match="step 1"):
+        fit({"a": np.ones(4)}, (0.1,), np.array([0, 0, 2, 2]), np.ones(4))
+
+
+def test_a_map_is_read_as_it_was_written(tmp_path: Path) -> None:
+    found, path = fitted(rows(0, 200)), tmp_path / "map.json"
+    save(path, found, {"scale": "toy"})
+    again = load(path, ("a", "b", "c"))
+    signs, step, _ = rows(1, 50)
+    np.testing.assert_array_equal(again(list(signs.values()), step), found(list(signs.values()), step))
+    np.testing.assert_array_equal(again.ratios, found.ratios)
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"signs": ["a", "b"]}, "expected a map of a, b, c, found one of a, b"),
+        ({"slope": [1.0, 2.0]}, "a slope and a least value above 0 for each sign"),
+        ({"least": [0.0, 1.0, 1.0]}, "a least value above 0"),
+        ({"offset": []}, "lists of finite numbers"),
+        ({"ratios": ["x"]}, "could not read it"),
+        ({"offset": None}, "lists of finite numbers|could not read it"),
+    ],
+)
+def test_a_wrong_file_is_told(tmp_path: Path, changed: dict, told: str) -> None:
+    path = tmp_path / "map.json"
+    save(path, fitted(rows(0, 200)), {})
+    path.write_text(json.dumps({**json.loads(path.read_text()), **changed}))
+    with pytest.raises(InputError, match=f"map.json: .*({told})"):
+        load(path, ("a", "b", "c"))
+
+
+def test_a_missing_file_is_told(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"map\.json"):
+        load(tmp_path / "map.json", ("a",))

@@ -1,0 +1,134 @@
+"""Measures of uncertainty by name: which terms a planner gets, and that they say what a formula by hand says."""
+
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from clothkit.cloth.mesh import ProbabilisticMesh, distance_aligned
+from clothkit.models import support_model
+from clothkit.models.settings import SupportModelConfig
+from clothkit.models.support_model import SupportModel
+from clothkit.planning import error_map, uncertainty_terms
+from clothkit.planning.conditional import Conditional
+from clothkit.planning.error_map import ErrorMap
+from clothkit.planning.mesh_representation import MESH
+from clothkit.planning.model_error import LEAST, SIGNS, Surprise
+from clothkit.planning.objective import Distance, Evaluation, Objective, evaluate, fix
+from clothkit.planning.types import UNKNOWN, Candidates, Problem
+from clothkit.planning.uncertainty_terms import EXPECTED_ERROR, SUPPORT, Measure, UncertaintyConfig, terms_of
+from clothkit.runtime.errors import InputError
+from tests.planning import toy
+
+PLANS = np.array(
+    [
+        [[-1, -1, -1, -1, 0.6, 0.5], [1, 1, 1, 1, -0.7, -0.3]],
+        [[-1, 1, -1, 1, 0.9, 0.2], [0.2, 0.1, 0.2, 0.1, 0.4, -0.8]],
+    ],
+    np.float32,
+)
+MAP = ErrorMap(SIGNS, np.array(LEAST), np.array([0.1, 0.2, 0.3]), np.array([0.9, 0.4, 0.3]), np.ones(3))
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a support model and a map of errors."""
+    folder = tmp_path_factory.mktemp("data")
+    (folder / "nets").mkdir()
+    (folder / "normalisation").mkdir()
+    shown = np.random.default_rng(0).normal(size=(4, 3078)).astype(np.float32)
+    support = support_model.initial(SupportModelConfig(hidden=(8,)), shown, jax.random.key(0))
+    support_model.save(folder / SUPPORT, support)
+    error_map.save(folder / EXPECTED_ERROR, MAP, {})
+    return folder
+
+
+def chosen(measure: Measure, data: Path, alpha: float = 1.0) -> tuple[Any, Any]:
+    return terms_of(UncertaintyConfig(measure=measure), alpha, toy.Nets(), data)
+
+
+def test_the_papers_measure_adds_nothing_and_without_alpha_nothing_is_doubted(data: Path) -> None:
+    assert chosen("paper", data) == (None, {})
+    for measure in uncertainty_terms.MEASURES:
+        assert not chosen(measure, data, alpha=0)[1]
+    assert isinstance(chosen("expected", data, alpha=0)[0], Distance)
+    assert isinstance(chosen("conditional", data)[1]["uncertainty"], Conditional)
+    assert isinstance(chosen("support", data)[1]["uncertainty"], Surprise)
+
+
+def test_what_is_missing_is_told(tmp_path: Path) -> None:
+    assert chosen("conditional", tmp_path)[1]
+    with pytest.raises(InputError, match=r"support\.npz"):
+        chosen("expected", tmp_path)
+
+
+def evaluated(objective: Objective) -> Evaluation:
+    state = toy.bent()
+    goal = np.asarray(toy.dragged(jnp.asarray(state), jnp.asarray(PLANS[0, 0])))
+    candidates = Candidates(jnp.zeros((4, 2)), jnp.int32(4))
+    traces = (jnp.zeros((8, 3072)),) * 2
+    problem = Problem(state, goal, candidates, traces, jnp.int32(0), jnp.asarray(False), np.zeros((2, 6), np.float32))
+    fixed = fix(toy.MODEL, MESH, toy.NETS, problem)
+    first = jnp.zeros(2, int)
+    return evaluate(objective, toy.MODEL, MESH, toy.NETS, fixed, jnp.asarray(PLANS), first, first + UNKNOWN)
+
+
+def outcomes() -> tuple[list[list[np.ndarray]], np.ndarray]:
+    """Each net's predicted states by plan [2 3 u v 3], and the goal."""
+    found = []
+    for net in toy.NETS:
+        state, latents = np.broadcast_to(toy.bent().reshape(1, -1), (2, 3072)), []
+        trace = jnp.zeros((2, 3072))
+        for step in range(2):
+            latents.append(np.asarray(state).reshape(2, 32, 32, 3))
+            state, trace, _ = toy.step(net, jnp.asarray(state), trace, jnp.asarray(PLANS[:, step]))
+        found.append([*latents, np.asarray(state).reshape(2, 32, 32, 3)])
+    return found, np.asarray(toy.dragged(jnp.asarray(toy.bent()), jnp.asarray(PLANS[0, 0])))
+
+
+def surprises(support: SupportModel, states: list[np.ndarray]) -> np.ndarray:
+    """By hand [step plan]."""
+    found = []
+    for step in range(2):
+        units = np.concatenate([states[step].reshape(2, -1), PLANS[:, step]], axis=1)
+        units = (units - support.mean) / support.std
+        hidden, last = support.layers
+        units = units @ hidden.weights + hidden.bias
+        units = units / (1 + np.exp(-units))
+        found.append(np.log1p(np.exp(-(units @ last.weights + last.bias)[:, 0])))
+    return np.array(found)
+
+
+def test_the_objective_is_the_expected_distance_of_the_real_outcome(data: Path) -> None:
+    accuracy, terms = chosen("expected", data, alpha=0.5)
+    found = evaluated(Objective(accuracy, terms))
+    predicted, goal = outcomes()
+    support = support_model.load(data / SUPPORT, width=3078)
+    by_nets = [np.asarray(distance_aligned(states[-1], goal)) for states in predicted]
+    apart = np.asarray(distance_aligned(predicted[0][-1], predicted[1][-1]))
+    sigma = np.sqrt(3 * 0.015**2) / 1.4
+    signs = np.stack([apart, np.full(2, sigma), surprises(support, predicted[0]).sum(0)]) + np.array(LEAST)[:, None]
+    expected = np.exp(0.2) * np.prod(signs ** np.array([[0.9], [0.4], [0.3]]), axis=0)
+    np.testing.assert_allclose(found.terms["uncertainty"], expected, rtol=2e-3)
+    np.testing.assert_allclose(found.loss, np.mean(by_nets, axis=0) + 0.5 * expected, rtol=2e-3)
+
+
+def test_surprise_is_the_mean_over_manipulations(data: Path) -> None:
+    _, terms = chosen("support", data)
+    objective = toy.planner("b3").objective(2).with_term("uncertainty", terms["uncertainty"])
+    support = support_model.load(data / SUPPORT, width=3078)
+    expected = surprises(support, outcomes()[0][0]).mean(0)
+    np.testing.assert_allclose(evaluated(objective).terms["uncertainty"], expected, rtol=2e-3)
+
+
+def test_a_goal_that_is_foreseen_has_a_finite_gradient(data: Path) -> None:
+    accuracy, _ = chosen("expected", data)
+    mesh = jnp.asarray(toy.bent())
+
+    def value(mesh: jax.Array) -> jax.Array:
+        return jnp.sum(accuracy.of(MESH, toy.bent()[None], ProbabilisticMesh(mesh[None], mesh[None]), 0, -1))
+
+    assert np.isfinite(jax.grad(value)(mesh)).all()

@@ -1,0 +1,66 @@
+"""The study of doubt: variants plan by what they say, and the summary says what the rows say."""
+
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from clothkit.dataset.tasks import TASKS
+from clothkit.report.figures.studies import doubt as draw
+from tests.episodes.test_sessions import dataset
+from tests.planning import toy
+
+
+@pytest.fixture
+def study(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "studies"))
+    import doubt
+
+    return doubt
+
+
+def made_up(study: ModuleType, sequences: int = 20) -> pd.DataFrame:
+    """Rows in which the expected error takes 0.01 from every error, and a fold rule 0.02."""
+    rng, rows = np.random.default_rng(0), []
+    base = {(s, *task): rng.uniform(0.05, 0.1) for s in range(sequences) for task in TASKS}
+    for measure, alpha in (("paper", 0.0), ("paper", 1.0), ("expected", 1.0)):
+        for fold in (True, False):
+            for (sequence, start, length), error in base.items():
+                gain = 0.01 * (measure == "expected") + 0.02 * fold
+                rows.append(
+                    {
+                        "split": "validation",
+                        "sequence": sequence,
+                        "start": start,
+                        "length": length,
+                        "error": error - gain + 0.002 * rng.normal(),
+                        "search_failure": int(length == 3 and sequence % 4 == 0),
+                        **dict(zip(study.VARIANT, (measure, alpha, fold), strict=True)),
+                    }
+                )
+    return pd.DataFrame(rows)
+
+
+def test_the_summary_says_what_the_rows_say(study: ModuleType, tmp_path: Path) -> None:
+    table = made_up(study)
+    found = study.summary(table)
+    rows = found.set_index([*study.VARIANT, "column"])
+    own = table[(table["measure"] == "expected") & table["fold"] & (table["length"] == 2)]
+    row = rows.loc[("expected", 1.0, True, "2/all")]
+    assert row["error"] == pytest.approx(own["error"].mean())
+    assert row["low"] < row["error"] < row["high"]
+    assert row["difference"] == pytest.approx(-0.01, abs=0.002)
+    assert row["difference_p"] < 0.01
+    assert rows.loc[("paper", 1.0, False, "1/all"), "difference_p"] > 0.01
+    assert np.isnan(rows.loc[("paper", 0.0, True, "1/all"), "difference"])
+    assert rows.loc[("paper", 0.0, True, "3/all"), "search_failures"] == 0.25
+    draw(found[found["column"].str.endswith("/all")], tmp_path / "doubt.png")
+    assert (tmp_path / "doubt.png").stat().st_size > 10_000
+
+
+def test_a_variant_plans_and_executes(study: ModuleType) -> None:
+    found = study.planned(toy.planner("b1"), dataset(1), [0], toy.execute, "toy")
+    assert len(found) == len(TASKS)
+    assert found["error"].mean() < 0.5 * found["error_no_action"].mean()
