@@ -248,7 +248,8 @@ def main() -> None:
     settings, meshes = load_settings(asked.data), asked.data / "meshes.zarr"
     options = observation_options(settings.app, side=SIDE)
     planner, simulate = load_planner(SYSTEMS["main"], asked.data, settings), params.stages.simulate
-    inputs = [meshes, *artifacts(SYSTEMS["main"], asked.data, settings.members).values()]
+    measure = settings.plan.uncertainty.measure
+    inputs = [meshes, *artifacts(SYSTEMS["main"], asked.data, settings.members, measure).values()]
     how = (settings.plan, settings.weights, settings.grasping, simulate.simulation, settings.app.motion)
     current = fingerprint(inputs, *how, SEED, WEIGHT, MARGIN)
     dataset, simulator = store.load(meshes), make_simulator(simulate)

@@ -84,6 +84,15 @@ def test_a_map_is_read_as_it_was_written(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.ratios, found.ratios)
 
 
+def test_a_map_of_some_signs_is_told_from_one_of_others(tmp_path: Path) -> None:
+    path = tmp_path / "map.json"
+    save(path, fitted(rows(0, 200)), {})
+    assert load(path, ("z", "a", "b", "c"), some=True).signs == ("a", "b", "c")
+    for others in (("a", "b"), ("c", "b", "a")):
+        with pytest.raises(InputError, match="found one of a, b, c"):
+            load(path, others, some=True)
+
+
 @pytest.mark.parametrize(
     ("changed", "told"),
     [

@@ -281,12 +281,13 @@ class Agent:
             seed,
             frame_of(source, self._frame),
             self._agreements,
+            self._settings,
         )
         paths = paths_of(self._planner, now.planned, source.pose, self._settings.app.motion)
         hands = [hands_of(self._limits, path.points) for path in paths]
         found = describe(self._planner, now.planned, paths, request._replace(hands=hands))
         *before, step = self.session.steps
-        step = step._replace(plan=shown_plan(self._planner, now.planned))
+        step = step._replace(plan=shown_plan(self._planner, now.planned, settings=self._settings))
         self._session = self.session._replace(steps=(*before, step), goal=now.target)
         self._now = now
         return found

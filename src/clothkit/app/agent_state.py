@@ -15,7 +15,7 @@ from clothkit.app.planner import Planned, State, decide, goal_of, memory_after, 
 from clothkit.app.reach import reached
 from clothkit.manipulation.vector import is_null
 from clothkit.planning import agent
-from clothkit.planning.perception import KnownMeshes
+from clothkit.planning.perception import KnownMeshes, sigma_of
 from clothkit.planning.planner import Planner
 from clothkit.planning.reach import Limits
 from clothkit.planning.types import Memory, Observation, Plan
@@ -33,6 +33,8 @@ class Perceived:
     """In the labels of what was expected, if anything was."""
     candidates: Float[np.ndarray, "candidate 2"]
     """Grasp points in the coordinates of the nets' inputs, NaN where there are fewer."""
+    sigma: float = np.nan
+    """How unsure the perception is of the state [cloth length]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,7 +76,8 @@ def observe(now: AgentState, source: Input) -> AgentState:
     """
     observation = observation_of(now.planner, source, now.settings.data, now.settings)
     states, candidates = agent.perceive(now.planner, observation, now.memory)
-    perceived = Perceived(source, observation, states[0], candidates[0])
+    sigma = float(sigma_of(now.planner.perception, observation, now.memory.cloth)[0])
+    perceived = Perceived(source, observation, states[0], candidates[0], sigma)
     return dataclasses.replace(now, perceived=perceived, planned=None)
 
 
@@ -110,6 +113,7 @@ def kept_within(limits: Limits, now: AgentState, *, seed: int) -> AgentState:
         limits,
         seed=seed,
     )
+    planned = planned._replace(sigma=perceived.sigma)
     return dataclasses.replace(now if turn is None else turned(now, turn), planned=planned)
 
 
@@ -128,7 +132,9 @@ def turned(now: AgentState, matrix: Float[np.ndarray, "2 2"]) -> AgentState:
 
 def with_plan(now: AgentState, found: Plan) -> AgentState:
     """The state with a plan that a search found for what was perceived, as a batch of one."""
-    return dataclasses.replace(now, planned=planned_of(now.planner, found, now.memory))
+    assert now.perceived is not None, "a state with an observation"
+    planned = planned_of(now.planner, found, now.memory)._replace(sigma=now.perceived.sigma)
+    return dataclasses.replace(now, planned=planned)
 
 
 def advanced(now: AgentState, *, executed: bool) -> AgentState:

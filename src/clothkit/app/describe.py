@@ -8,9 +8,9 @@ from jaxtyping import Float
 
 from clothkit.app import plan_file
 from clothkit.app.agreement import EstimateAgreement
-from clothkit.app.inputs import Input
+from clothkit.app.inputs import Input, Settings
 from clothkit.app.plan_file import Plan, plan_of, rounded
-from clothkit.app.planner import Planned, State, epistemic_uncertainty, usage_of
+from clothkit.app.planner import Planned, State, epistemic_uncertainty, trusted_of, usage_of
 from clothkit.cloth.mesh import distance
 from clothkit.cloth.silhouette import centred, iou, silhouette
 from clothkit.cloth.topology import CLOTH_LENGTH
@@ -44,6 +44,8 @@ class PlanRequest(NamedTuple):
     frame: Frame
     agreements: tuple[EstimateAgreement | None, EstimateAgreement | None] = (None, None)
     """Agreement of the estimates of state and goal with their observations; None: not estimated."""
+    settings: Settings | None = None
+    """What is known of the nets: how far plans can be trusted."""
     hands: Sequence[tuple[int, ...] | None] = ()
     """Which of the robot's hands follow the paths of each step; None, or no entry: any."""
 
@@ -166,6 +168,13 @@ def expected(planner: Planner, planned: Planned, request: PlanRequest) -> dict[s
         else:
             fields[f"error{name}_cloth_lengths"], fields[f"error{name}_m"] = error, error * request.side
         fields[f"silhouette_iou{name}"] = iou(covered(state), covered(request.target))
+    told = None if request.settings is None else trusted_of(planned, request.settings, planner.system)
+    outcome_error = ("outcome_error_m", "outcome_error_low_m", "outcome_error_high_m")
+    fields |= dict.fromkeys((*outcome_error, "trust"))
+    if told is not None:
+        lengths = (told.error, told.low, told.high)
+        fields |= {name: float(value[0]) * request.side for name, value in zip(outcome_error, lengths, strict=True)}
+        fields["trust"] = float(told.trust[0])
     return {
         **fields,
         "epistemic_uncertainty": epistemic_uncertainty(planner, planned),

@@ -26,6 +26,8 @@ from clothkit.observation.settings import CloudConfig, Triple
 from clothkit.observation.side import Stated
 from clothkit.observation.states import MeshState, PointCloud, VoxelState
 from clothkit.params import load_params
+from clothkit.planning import trust
+from clothkit.planning.error_map import ErrorMap
 from clothkit.planning.objective import Weights
 from clothkit.planning.settings import PlanConfig
 from clothkit.runtime.cache import ensure_jax_cache
@@ -57,15 +59,20 @@ class Settings(NamedTuple):
     """The folder of the nets."""
     alarms: Alarms | None = None
     """From which signs on an observation is unknown to the net that estimates meshes; None: not set."""
+    trust: ErrorMap | None = None
+    """How far the expectations of system main came true; None: not known."""
 
 
 def load_settings(data: Path) -> Settings:
     """Read params.yaml in the current directory, at its selected scale; without such a file return the defaults.
 
-    Voxels are those that the net under `data` that estimates meshes takes, if there is one, and alarms are its own.
+    Voxels are those that the net under `data` that estimates meshes takes, if there is one, and alarms are its own; how
+    far plans can be trusted is what is known of the nets there.
     Raises InputError if a file is invalid.
     """
-    settings = _settings()._replace(data=data)
+    settings, calibrated = _settings()._replace(data=data), data / trust.PLACE
+    if calibrated.exists():
+        settings = settings._replace(trust=trust.load(calibrated))
     vtm, set_alarms = data / "nets/vtm", data / "nets/alarms.npz"
     if not vtm.exists():
         return settings

@@ -29,6 +29,7 @@ from clothkit.dataset.store import STEPS
 from clothkit.goals.folds import GOALS
 from clothkit.planning.optimisers import OPTIMISERS, optimiser_of
 from clothkit.planning.systems import SYSTEMS, System, system
+from clothkit.planning.trust import NEAR
 from clothkit.runtime.errors import InputError
 
 
@@ -240,6 +241,17 @@ def summary(plan: Plan, path: Path) -> str:
     else:
         lines.append(
             f"expected voxel error {expected.voxel_error:.4f}, {expected.voxel_error_no_action:.4f} if nothing is done"
+        )
+    if (
+        expected.outcome_error_m is not None
+        and expected.outcome_error_low_m is not None
+        and expected.outcome_error_high_m is not None
+        and expected.trust is not None
+    ):
+        low, high = expected.outcome_error_low_m * 1000, expected.outcome_error_high_m * 1000
+        lines.append(
+            f"such plans ended {expected.outcome_error_m * 1000:.0f} mm from their goals, 80 % of them {low:.0f} to "
+            f"{high:.0f} mm; trust {expected.trust:.2f}: the share that ended within {NEAR:g} cloth lengths"
         )
     lines.append(
         f"silhouette IoU {expected.silhouette_iou:.2f}, {expected.silhouette_iou_no_action:.2f} if nothing is done"

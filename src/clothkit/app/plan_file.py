@@ -216,6 +216,14 @@ class Expectation(Part):
     silhouette_iou: Share
     """Intersection over union of what outcome and goal cover, both centred."""
     silhouette_iou_no_action: Share
+    outcome_error_m: NotNegative | None = None
+    """Distance from the goal that plans with such an expectation came to, in the mean of executed validation plans:
+    errors of nets and estimate are part of it. null: not known, or the file is of an older version."""
+    outcome_error_low_m: NotNegative | None = None
+    """80 % of these plans ended between this distance and the next."""
+    outcome_error_high_m: NotNegative | None = None
+    trust: Share | None = None
+    """The share of these plans that ended at most 0.05 cloth lengths from their goals."""
     epistemic_uncertainty: NotNegative | None
     """u of eq. (15): how much the nets disagree, against what is usual; null for one net."""
     loss: float

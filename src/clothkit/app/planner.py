@@ -24,6 +24,7 @@ from clothkit.planning.perception import Estimation, KnownMeshes
 from clothkit.planning.planner import Planner, artifacts, assemble
 from clothkit.planning.predict import Prediction, differences, predict
 from clothkit.planning.systems import System
+from clothkit.planning.trust import Signs, Trusted, signs_of, tells, trusted
 from clothkit.planning.types import Memory, Observation, Plan
 from clothkit.planning.uncertainty import uncertainty
 from clothkit.runtime.errors import InputError
@@ -66,6 +67,10 @@ class Planned(NamedTuple):
     the null check: aligned [cloth length], or the mean difference of voxels."""
     expected_no_action: float = np.nan
     """The same of the state."""
+    model_error: float = np.nan
+    """Expected error of the predicted outcome [cloth length]; NaN if the planner has no such measure."""
+    sigma: float = np.nan
+    """How unsure the perception is of the state [cloth length]."""
     useless: bool = False
     """Whether the agent found that the plan is not expected to bring the state nearer to its goal."""
 
@@ -205,6 +210,7 @@ def planned_of(planner: Planner, plan: Plan, memory: Memory) -> Planned:
         loss=float(one.loss),
         expected=float(one.expected),
         expected_no_action=float(planner.representation.distance(plan.state, goal)[0]),
+        model_error=float(signs_of(plan, np.zeros(1), planner.settings.uncertainty.measure).model_error[0]),
         useless=bool(one.useless),
     )
 
@@ -315,12 +321,20 @@ def epistemic_uncertainty(planner: Planner, planned: Planned) -> float | None:
     return float(uncertainty(apart, spread, beta=planner.weights.beta, gamma=planner.weights.gamma))
 
 
+def trusted_of(planned: Planned, settings: Settings, system: System) -> Trusted | None:
+    """What plans with such an expectation came to; None if that is not known, or the system is another than main."""
+    if settings.trust is None or system.name != "main":
+        return None
+    signs = Signs(*(np.array([value]) for value in (planned.expected, planned.model_error, planned.sigma)))
+    return trusted(settings.trust, signs, np.array([len(planned.plan)])) if tells(settings.trust, signs) else None
+
+
 def turned_plan(planner: Planner, planned: Planned, goal: State, matrix: Float[np.ndarray, "2 2"]) -> Planned:
     """Return the plan turned or mirrored by `matrix`, a symmetry of the state; its goal is the turned one.
 
     The state keeps its place and its labels, and only the manipulations turn. The nets' predictions and what is
-    expected of them are computed again for the turned plan; the loss is that of the original, and so is the decision
-    whether it is useless.
+    expected of them are computed again for the turned plan; loss and doubt are those of the original, and so is the
+    decision whether it is useless.
     """
     turn = jnp.asarray(matrix, jnp.float32)
     turns = jnp.broadcast_to(turn, (len(planned.plan), 2, 2))
@@ -338,7 +352,13 @@ def turned_plan(planner: Planner, planned: Planned, goal: State, matrix: Float[n
         float(representation.distance(state[None], labelled)[0]) for state in (found.means[:, -1].mean(0), found.state)
     )
     return found._replace(
-        relative=relative, loss=planned.loss, expected=expected, expected_no_action=no_action, useless=planned.useless
+        relative=relative,
+        loss=planned.loss,
+        expected=expected,
+        expected_no_action=no_action,
+        model_error=planned.model_error,
+        sigma=planned.sigma,
+        useless=planned.useless,
     )
 
 

@@ -117,17 +117,20 @@ def save(path: Path, found: ErrorMap, attributes: dict[str, Any]) -> None:
     path.write_text(json.dumps({"signs": found.signs, **numbers, "attributes": attributes}, indent=1) + "\n")
 
 
-def load(path: Path, signs: tuple[str, ...]) -> ErrorMap:
-    """Read a map of these signs. Raises InputError for a file that is missing, damaged, or holds another map."""
+def load(path: Path, signs: tuple[str, ...], *, some: bool = False) -> ErrorMap:
+    """Read a map of these signs or, with `some`, of some of them.
+
+    Raises InputError for a file that is missing, damaged, or holds another map.
+    """
     wanted = f"JSON with {', '.join(('signs', *_NUMBERS))}"
     stored = read_json(path, expected=f"{wanted}; run the stage that writes it (dvc repro)")
     try:
         named, numbers = tuple(stored["signs"]), {name: np.array(stored[name], float) for name in _NUMBERS}
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(f"{path}: expected {wanted}, could not read it ({error})") from error
-    if named != signs:
+    if named != (tuple(name for name in signs if name in named) if some else signs):
         raise InputError(f"{path}: expected a map of {', '.join(signs)}, found one of {', '.join(map(str, named))}")
     lists = all(values.ndim == 1 and len(values) and np.isfinite(values).all() for values in numbers.values())
-    if not lists or {len(numbers["least"]), len(numbers["slope"])} != {len(signs)} or (numbers["least"] <= 0).any():
+    if not lists or {len(numbers["least"]), len(numbers["slope"])} != {len(named)} or (numbers["least"] <= 0).any():
         raise InputError(f"{path}: expected lists of finite numbers, a slope and a least value above 0 for each sign")
-    return ErrorMap(signs, **numbers)
+    return ErrorMap(named, **numbers)

@@ -5,11 +5,13 @@ its perception is unsure of the state that it starts from. From these, a map tha
 (`error_map`) gives the expected distance of the real outcome from the goal.
 """
 
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from clothkit.planning import error_map
 from clothkit.planning.error_map import ErrorMap
 from clothkit.planning.types import Plan
 from clothkit.planning.uncertainty_terms import Measure
@@ -65,9 +67,19 @@ def least_of(names: tuple[str, ...]) -> tuple[float, ...]:
     return tuple(_LEAST[name] for name in names)
 
 
+def tells(trust: ErrorMap, signs: Signs) -> bool:
+    """Return whether a map can tell of plans with such signs: none is missing that it needs."""
+    return all(bool(np.isfinite(getattr(signs, name)).all()) for name in trust.signs)
+
+
 def trusted(trust: ErrorMap, signs: Signs, length: Int[np.ndarray, " task"]) -> Trusted:
     """Return what plans of that many manipulations with such signs came to."""
     return of_error(trust, np.asarray(trust([getattr(signs, name) for name in trust.signs], length - 1)))
+
+
+def load(path: Path) -> ErrorMap:
+    """Read the map. Raises InputError for a file that is missing, damaged, or holds another map."""
+    return error_map.load(path, Signs._fields, some=True)
 
 
 def of_error(trust: ErrorMap, error: Float[np.ndarray, " task"]) -> Trusted:

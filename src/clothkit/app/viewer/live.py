@@ -136,7 +136,9 @@ def with_progress(live: Live, progress: Progress) -> Live:
 def _with_plan(live: Live, agent: AgentState, progress: Progress) -> Live:
     """Return the session with the agent's plan, and with its goal if that was turned."""
     assert agent.planned is not None
-    shown = shown_plan(agent.planner, agent.planned, progress=progress.lowest, tried=progress.tried)
+    shown = shown_plan(
+        agent.planner, agent.planned, progress=progress.lowest, tried=progress.tried, settings=agent.settings
+    )
     session = live.session if agent.matrix is live.agent.matrix else live.session._replace(goal=agent.target)
     return dataclasses.replace(live, agent=agent, session=_with_step(session, Step(live.estimate, shown)))
 

@@ -9,8 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Shaped
 
+from clothkit.app.inputs import Settings
 from clothkit.app.plan_file import UNLIKELY
-from clothkit.app.planner import Planned, epistemic_uncertainty
+from clothkit.app.planner import Planned, epistemic_uncertainty, trusted_of
 from clothkit.cloth.mesh import error
 from clothkit.cloth.symmetry import relabel, relabel_manipulation
 from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE
@@ -56,6 +57,10 @@ class ShownPlan(NamedTuple):
     for voxels."""
     expected_no_action: float | None = None
     """The same of the estimated state."""
+    outcome_error: tuple[float, float, float] | None = None
+    """What such plans came to, and the bounds of 80 % of them [cloth length]; None: not known."""
+    trust: float | None = None
+    """The share of such plans that came true."""
     note: str = ""
     """What happened to the plan, in words."""
 
@@ -92,8 +97,13 @@ def shown_plan(
     *,
     progress: Float[np.ndarray, " evaluations"] | None = None,
     tried: int = 0,
+    settings: Settings | None = None,
 ) -> ShownPlan:
-    """Return a plan as it is shown, with the progress of its search if that is known."""
+    """Return a plan as it is shown, with the progress of its search if that is known.
+
+    With `settings`, it is told how far such plans can be trusted, if that is known.
+    """
+    told = None if settings is None else trusted_of(planned, settings, planner.system)
     return ShownPlan(
         manipulations=planned.plan,
         members=planner.members,
@@ -106,6 +116,8 @@ def shown_plan(
         improves=planned.improves,
         expected=None if planner.system.voxels else planned.expected,
         expected_no_action=None if planner.system.voxels else planned.expected_no_action,
+        outcome_error=None if told is None else (float(told.error[0]), float(told.low[0]), float(told.high[0])),
+        trust=None if told is None else float(told.trust[0]),
     )
 
 
@@ -175,6 +187,10 @@ def _facts_of(plan: ShownPlan | None) -> list[str]:
         lines.append(
             f"- expected error **{plan.expected:.3f}** after the plan, {plan.expected_no_action:.3f} if nothing is done"
         )
+    if plan.outcome_error is not None and plan.trust is not None:
+        error, low, high = plan.outcome_error
+        ended = f"such plans ended at {error:.3f}, 80 % of them at {low:.3f} to {high:.3f}"
+        lines.append(f"- {ended}; trust **{plan.trust:.2f}**")
     if plan.uncertainty is not None:
         lines.append(f"- epistemic uncertainty u = {plan.uncertainty:.3g}")
     apart = disagreement(plan)
