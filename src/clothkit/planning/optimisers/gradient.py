@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from clothkit.cloth.topology import SQUARE
 from clothkit.manipulation.vector import is_single
+from clothkit.planning.batches import take
 from clothkit.planning.irprop import IRpropConfig, irprop_minus
 from clothkit.planning.optimisers.space import (
     Best,
@@ -26,7 +27,6 @@ from clothkit.planning.optimisers.space import (
     clip_grasps,
     masked,
     select,
-    take,
 )
 from clothkit.runtime.config import config
 
@@ -135,7 +135,7 @@ def descend(
     def iterate(state: _State, turn: tuple[Array, _Draws]) -> tuple[_State, Array]:
         first, draws = turn
         rows = first + jnp.arange(size)
-        group = take(rows, state)
+        group = take(state, rows)
         restarted = _started(_some_near(state.best, draws), settings.irprop)
         strains = select(group.restart, restarted, group.strains)
         tried, gradient = _tried(evaluate, space, strains.plans)
@@ -160,7 +160,7 @@ def descend(
     draws = _draws(space, len(rounds) * last * size, settings.near, key=key_search)
     draws = jax.tree.map(lambda leaf: leaf.reshape(len(rounds), last, size, *leaf.shape[1:]), draws)
     state, losses = jax.lax.scan(pursue, state, (first, draws))
-    best = take(jnp.arange(size), state.best)
+    best = take(state.best, jnp.arange(size))
     return Outcome(_polished(evaluate, space, settings, best) if settings.polish else best, losses.reshape(-1, size))
 
 
@@ -179,7 +179,7 @@ def _tried(
 
 def _polished(evaluate: Evaluate, space: Space, settings: GradientConfig, best: Best) -> Best:
     """The best plans, each after some iterations with exact evaluations in the labels that were found for it."""
-    best = take(jnp.argsort(best.loss)[: settings.finalists], best)
+    best = take(best, jnp.argsort(best.loss)[: settings.finalists])
     found = jnp.isfinite(best.loss)
     strains = _started(Plans(best.plans.plan, best.labels), settings.irprop)
     strains = strains._replace(rate=jnp.full_like(strains.rate, POLISHING_RATE))
@@ -204,7 +204,7 @@ def _first_state(
     if settings.screen > 1:
         loss = masked(evaluate(drawn).loss, space.valid(drawn))
         # The plan of lowest loss among each `screen` consecutive ones.
-        drawn = take(jnp.arange(count) * settings.screen + jnp.argmin(loss.reshape(count, -1), axis=1), drawn)
+        drawn = take(drawn, jnp.arange(count) * settings.screen + jnp.argmin(loss.reshape(count, -1), axis=1))
     plans, given = begin_with(initial, count, drawn)
     best = Best(plans, plans.labels, jnp.full(count, jnp.inf))
     return _State(_started(plans, settings.irprop), best, restart=~given & (settings.screen == 1))
@@ -216,14 +216,14 @@ def _sorted(evaluate: Evaluate, space: Space, settings: GradientConfig, state: _
     As many as there are in the last round are tried in all labels, and go on in those of the lowest loss. A strain
     starts anew from its best plan, unless it found that plan since its last start: then it goes on from where it is.
     """
-    strains, best, restart = take(jnp.argsort(state.best.loss), state)
+    strains, best, restart = take(state, jnp.argsort(state.best.loss))
     leading = jnp.arange(settings.together)
-    variants = space.variants(take(leading, best.plans))
+    variants = space.variants(take(best.plans, leading))
     found = evaluate(variants)
     loss = masked(found.loss, space.valid(variants)).reshape(len(leading), -1)
     rows = leading * loss.shape[1] + jnp.argmin(loss, axis=1)
-    tried = Best(take(rows, variants), take(rows, found.labels), loss.min(axis=1))
-    better = select(tried.loss < best.loss[leading], tried, take(leading, best))
+    tried = Best(take(variants, rows), take(found.labels, rows), loss.min(axis=1))
+    better = select(tried.loss < best.loss[leading], tried, take(best, leading))
     best = jax.tree.map(lambda all, some: all.at[leading].set(some), best, better)
     elsewhere = restart | (best.loss < strains.lowest)
     return _State(select(elsewhere, _started(best.plans, settings.irprop), strains), best, jnp.isinf(best.loss))

@@ -4,7 +4,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from clothkit.planning.optimisers.space import Best, Evaluate, Initial, Plans, Space, begin_with, masked, take
+from clothkit.planning.batches import take
+from clothkit.planning.optimisers.space import Best, Evaluate, Initial, Plans, Space, begin_with, masked
 
 
 def check_sizes(plans: int, chunk: int, finalists: int) -> None:
@@ -42,14 +43,14 @@ def evaluate_in_chunks(
 
 def nothing_yet(population: Plans, finalists: int) -> Best:
     """As many rows without a valid plan as there are to be finalists."""
-    plans = take(jnp.arange(finalists), population)
+    plans = take(population, jnp.arange(finalists))
     return Best(plans, plans.labels, jnp.full(finalists, jnp.inf))
 
 
 def keep_best(best: Best, tried: Best) -> Best:
     """The best of both, as many as there are rows in `best`, in order of their losses; of equal ones, the earlier."""
     both = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), best, tried)
-    return take(lowest(both.loss, len(best.loss)), both)
+    return take(both, lowest(both.loss, len(best.loss)))
 
 
 def lowest(loss: Float[Array, " plans"], count: int) -> Int[Array, " lowest"]:

@@ -17,6 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from clothkit.planning.batches import take
+
 
 class Plans(NamedTuple):
     """Plans, one per row."""
@@ -147,11 +149,6 @@ def select(condition: Bool[Array, " rows"], yes: Any, no: Any) -> Any:
     return jax.tree.map(lambda a, b: jnp.where(condition.reshape(-1, *(1,) * (a.ndim - 1)), a, b), yes, no)
 
 
-def take(rows: Int[Array, " taken"], tree: Any) -> Any:
-    """These rows of every array of a pytree."""
-    return jax.tree.map(lambda leaf: leaf[rows], tree)
-
-
 def clip_grasps(plan: Float[Array, "*plans 6"]) -> Float[Array, "*plans 6"]:
     """The plans with all grasp points clipped to -1..1."""
     return jnp.concatenate([jnp.clip(plan[..., :4], -1, 1), plan[..., 4:]], axis=-1)
@@ -167,4 +164,4 @@ def begin_with(initial: Initial | None, count: int, drawn: Plans) -> tuple[Plans
     # Rows beyond the initial ones repeat them, and are marked as not given.
     rows = jnp.arange(count) % len(initial.given)
     given = jnp.asarray(initial.given)[rows] & (jnp.arange(count) < len(initial.given))
-    return select(given, take(rows, initial.plans), drawn), given
+    return select(given, take(initial.plans, rows), drawn), given
