@@ -18,6 +18,7 @@ from clothkit.app.inputs import (
     read_input,
     with_observation_options,
 )
+from clothkit.app.lengths import AUTO, Steps, check_can_choose, choice_in_words
 from clothkit.app.named_goals import (
     goal_name,
     lying,
@@ -60,8 +61,10 @@ from clothkit.runtime.errors import InputError
 @with_variant_options
 @click.option(
     "--steps",
-    type=click.IntRange(1, STEPS),
-    help="Manipulations; needed but with --after. [default: as many as a named goal needs]",
+    type=Steps(),
+    metavar="N|auto",
+    help="Manipulations, 1 to 3; auto: as many as are worth it, none if the cloth is the goal already. Needed but with "
+    "--after. [default: as many as a named goal needs]",
 )
 @click.option("--out", type=click.Path(path_type=Path), default=Path("plan.json"), show_default=True, metavar="FILE")
 @click.option(
@@ -113,7 +116,7 @@ def command(
     *,
     state: str,
     goal: str,
-    steps: int | None,
+    steps: int | str | None,
     out: Path,
     after: Path | None,
     name: str | None,
@@ -139,6 +142,9 @@ def command(
     the predicted states of each net, the expected error and how unsure the nets are. If nothing is expected to come
     of it, it says so.
 
+    With --steps auto, plans of each length are searched for, and that is taken whose number of manipulations is worth
+    it (app.length in params.yaml); none, if the cloth is as near to its goal as it is expected to get.
+
     A plan is made once, from one observation. Cloths do not do quite what nets predict: execute the first step,
     observe, and plan again for the steps that are left, with --after.
 
@@ -157,18 +163,21 @@ def command(
         values |= cloth_of(previous, values, after)
     options, box = observation_options(settings.app, **values), reach_of(settings.app, reach)
     named = goal_name(goal, turn, mirror)
-    length = _length(steps, previous, after, named)
+    length = STEPS if steps == AUTO else _length(steps, previous, after, named)
     variant = variant_before(named, previous, after, turn, mirror) if named else None
     keep_compiled_programs()
     with part("observe"):
         start = read_input(state, options, mask=mask)
         goal_input = None if named else read_input(goal, options)
     chosen = _system(name, start, previous, after)
+    if steps == AUTO:
+        check_can_choose(chosen)
     with part("load nets"):
         planner = load_planner(chosen, data, settings, optimiser=optimiser)
         if previous and after:
             check_nets(previous, planner, data, after)
-            check_steps_left(previous, after)
+            if steps != AUTO:
+                check_steps_left(previous, after)
             traces = traces_before(previous, planner, after)
     if named:
         with part("make the goal"):
@@ -186,7 +195,8 @@ def command(
         if previous and after:
             memory = memory_of(previous, planner, memory, traces)
     with part(f"search by {optimiser_of(planner.settings.search.optimiser).name}"):
-        planned, _ = decide(planner, observation, memory, seed=seed)
+        choosing = settings.app.length if steps == AUTO else None
+        planned, _ = decide(planner, observation, memory, seed=seed, length=choosing)
         found = (compare_state(chosen, start, planned.state, settings), goal_agreement)
         planned, paths, turned = reached(planner, planned, target, start, settings.app.motion, box)
         if turned is not None:
@@ -207,9 +217,11 @@ def command(
     plan = describe(planner, planned, paths, request)
     write_plan(out, plan)
     click.echo(summary(plan, out))
+    if planned.choice is not None:
+        click.echo(choice_in_words(planned.choice, options.side))
 
 
-def _length(steps: int | None, previous: Plan | None, after: Path | None, named: str | None) -> int:
+def _length(steps: int | str | None, previous: Plan | None, after: Path | None, named: str | None) -> int:
     if previous is None:
         if steps is None and named:
             needed = GOALS[named].manipulations
@@ -220,7 +232,7 @@ def _length(steps: int | None, previous: Plan | None, after: Path | None, named:
                     err=True,
                 )
             return min(needed, STEPS)
-        if steps is None:
+        if not isinstance(steps, int):
             raise click.UsageError("Missing option '--steps': how many manipulations, 1 to 3.")
         return steps
     left = len(previous.steps) - 1

@@ -20,11 +20,12 @@ from clothkit.models import store
 from clothkit.models.net import Net
 from clothkit.planning import agent, optimisers
 from clothkit.planning.batches import take
+from clothkit.planning.lengths import LengthConfig
 from clothkit.planning.perception import Estimation, KnownMeshes
 from clothkit.planning.planner import Planner, artifacts, assemble
 from clothkit.planning.predict import Prediction, differences, predict
 from clothkit.planning.systems import System
-from clothkit.planning.types import Memory, Observation, Plan
+from clothkit.planning.types import Choice, Memory, Observation, Plan
 from clothkit.planning.uncertainty import uncertainty
 from clothkit.runtime.errors import InputError
 
@@ -68,6 +69,8 @@ class Planned(NamedTuple):
     """The same of the state."""
     useless: bool = False
     """Whether the agent found that the plan is not expected to bring the state nearer to its goal."""
+    choice: Choice | None = None
+    """How the agent chose the number of manipulations, as a batch of one; None: it was told."""
 
     @property
     def improves(self) -> bool:
@@ -178,12 +181,15 @@ def begin(planner: Planner, goal: State, length: int, cloth: Float[np.ndarray, "
     return agent.begin(planner, goal[None], np.array([length]), cloth[None])
 
 
-def decide(planner: Planner, observation: Observation, memory: Memory, *, seed: int) -> tuple[Planned, Memory]:
+def decide(
+    planner: Planner, observation: Observation, memory: Memory, *, seed: int, length: LengthConfig | None = None
+) -> tuple[Planned, Memory]:
     """The agent's decision for one cloth: the plan, and the memory after its first manipulation.
 
-    Raises InputError when the nets have no reference values for plans of that length.
+    With `length`, the agent chooses how many of the manipulations that are left are worth it. Raises InputError when
+    the nets have no reference values for plans of that length.
     """
-    plan, later = agent.decide(planner, observation, memory, key=jax.random.key(seed).reshape(1))
+    plan, later = agent.decide(planner, observation, memory, key=jax.random.key(seed).reshape(1), length=length)
     return planned_of(planner, plan, memory), later
 
 
@@ -206,6 +212,7 @@ def planned_of(planner: Planner, plan: Plan, memory: Memory) -> Planned:
         expected=float(one.expected),
         expected_no_action=float(planner.representation.distance(plan.state, goal)[0]),
         useless=bool(one.useless),
+        choice=plan.choice,
     )
 
 
@@ -305,7 +312,12 @@ def turned_plan(planner: Planner, planned: Planned, goal: State, matrix: Float[n
         float(representation.distance(state[None], labelled)[0]) for state in (found.means[:, -1].mean(0), found.state)
     )
     return found._replace(
-        relative=relative, loss=planned.loss, expected=expected, expected_no_action=no_action, useless=planned.useless
+        relative=relative,
+        loss=planned.loss,
+        expected=expected,
+        expected_no_action=no_action,
+        useless=planned.useless,
+        choice=planned.choice,
     )
 
 

@@ -7,6 +7,7 @@ from annotated_types import Gt
 from clothkit.estimation.agreement import AgreementConfig
 from clothkit.observation.settings import CloudConfig, Triple
 from clothkit.observation.waypoints import MotionConfig, ReachConfig
+from clothkit.planning.lengths import LengthConfig
 from clothkit.runtime.config import config
 from clothkit.simulation.settings import SimulationConfig
 
@@ -35,3 +36,5 @@ class AppConfig:
     motion: MotionConfig = MotionConfig()
     reach: ReachConfig | None = None
     """The box that the hands reach; None: no limit."""
+    length: LengthConfig = LengthConfig()
+    """How `clothkit plan --steps auto` chooses the number of manipulations."""
