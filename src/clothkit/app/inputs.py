@@ -60,13 +60,14 @@ class Settings(NamedTuple):
     """From which signs on an observation is unknown to the net that estimates meshes; None: not set."""
 
 
-def load_settings(data: Path) -> Settings:
-    """Read params.yaml in the current directory, at its selected scale; without such a file return the defaults.
+def load_settings(data: Path, *, scale: str | None = None) -> Settings:
+    """Read params.yaml in the current directory, at its selected scale or another; without such a file return the
+    defaults.
 
     Voxels are those that the net under `data` that estimates meshes takes, if there is one, and alarms are its own.
     Raises InputError if a file is invalid.
     """
-    settings = _settings()._replace(data=data)
+    settings = _settings(scale)._replace(data=data)
     vtm, set_alarms = data / "nets/vtm", data / "nets/alarms.npz"
     if not vtm.exists():
         return settings
@@ -76,11 +77,13 @@ def load_settings(data: Path) -> Settings:
     return settings._replace(app=dataclasses.replace(settings.app, cloud=cloud), alarms=known)
 
 
-def _settings() -> Settings:
+def _settings(scale: str | None) -> Settings:
     # lexists, because a broken or circular link must be reported and not replaced by the defaults.
     if not os.path.lexists(PARAMS):
         return Settings(AppConfig(), PlanConfig(), _WEIGHTS, CandidateConfig(), SimulationConfig(), (0, 1))
     params = load_params(PARAMS)
+    if scale in params.scales:
+        params = params.model_copy(update={"scale": scale})
     simulate = params.stages.simulate
     weights = Weights(params.alpha, params.beta, params.gamma)
     return Settings(

@@ -12,7 +12,6 @@ from clothkit.app.describe import Frame, PlanRequest, describe, frame_of, paths_
 from clothkit.app.inputs import (
     Input,
     keep_compiled_programs,
-    load_settings,
     observation_options,
     reach_of,
     read_input,
@@ -41,6 +40,7 @@ from clothkit.app.planner import (
     turned_goal,
     turned_plan,
 )
+from clothkit.app.prebuilt import load_nets
 from clothkit.dataset.store import STEPS
 from clothkit.goals.folds import GOALS
 from clothkit.observation.waypoints import HandPaths, MotionConfig, ReachConfig, beyond, symmetries
@@ -87,7 +87,8 @@ from clothkit.runtime.errors import InputError
     default=Path("data"),
     show_default=True,
     metavar="FOLDER",
-    help="Where nets/ and normalisation/ are, as dvc repro makes them.",
+    help="Where nets/ and normalisation/ are, as dvc repro makes them; the default folder, while it has no nets, is "
+    "replaced by the nets under prebuilt/, if there are any.",
 )
 @click.option(
     "--optimiser",
@@ -153,7 +154,7 @@ def command(
     clothkit plan --state cloud.ply --goal half --sides 0.5 0.3 --table 0 0 -1 -0.8
     clothkit plan --state cloud2.ply --goal goal.obj --after plan.json --out plan2.json --table 0 0 -1 -0.8
     """
-    settings = load_settings(data)
+    data, settings = load_nets(data)
     check_target(out, ("json",))
     # Path.resolve fails where links lead in a circle.
     if after and os.path.realpath(out) == os.path.realpath(after):
