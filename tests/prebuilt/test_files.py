@@ -88,11 +88,9 @@ def truncate(folder: Path) -> None:
 
 
 def exchange(folder: Path) -> None:
-    """One net's file in the place of another's, of the same size."""
-    one, other = (folder / f"nets/pemd/{member}/net.json" for member in MEMBERS)
-    content = other.read_text()
-    assert len(content) == len(one.read_text())
-    one.write_text(content)
+    """Another file of the same size."""
+    path = folder / "nets/pemd/0/net.json"
+    path.write_text(path.read_text().replace("0.1", "0.2"))
 
 
 def remove(folder: Path) -> None:

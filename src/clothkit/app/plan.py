@@ -8,6 +8,7 @@ import click
 import numpy as np
 
 from clothkit.app.agreement import compare_goal, compare_state, warn
+from clothkit.app.confirm import confirm_goal
 from clothkit.app.describe import Frame, PlanRequest, describe, frame_of, paths_of
 from clothkit.app.inputs import (
     Input,
@@ -112,6 +113,12 @@ from clothkit.runtime.errors import InputError
     help="Low and high corner of the box that the hands reach, metres in the table's frame. A plan that leaves it is "
     "turned by right angles or mirrored, where this cloth looks the same turned; its goal turns along.",
 )
+@click.option(
+    "--confirm",
+    is_flag=True,
+    help="Before the search, draw the goal as it was seen and what it is taken for, beside --out (plan.goal.png), and "
+    "ask whether that is right.",
+)
 @with_observation_options
 def command(
     *,
@@ -128,6 +135,7 @@ def command(
     reach: tuple[float, ...] | None,
     turn: str | None,
     mirror: bool | None,
+    confirm: bool,
     mask: str | None,
     **values: Any,
 ) -> None:
@@ -195,6 +203,8 @@ def command(
         memory = begin(planner, target, length, start.cloth)
         if previous and after:
             memory = memory_of(previous, planner, memory, traces)
+    if confirm:
+        confirm_goal(out, goal_input, target, goal_agreement)
     with part(f"search by {optimiser_of(planner.settings.search.optimiser).name}"):
         choosing = settings.app.length if steps == AUTO else None
         planned, _ = decide(planner, observation, memory, seed=seed, length=choosing)

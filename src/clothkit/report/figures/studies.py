@@ -229,11 +229,8 @@ def plan_length(table: pd.DataFrame, path: Path) -> None:
     for axis, ((split, system), own) in zip(axes, groups, strict=True):
         rows = own.set_index(["steps", "column"]).sort_index()
         for length, colour in zip(TOLD, COLOURS, strict=True):
-            of = {
-                steps: rows.loc[(steps, f"{length}/all")]
-                for steps in rows.index.levels[0]
-                if (steps, f"{length}/all") in rows.index
-            }
+            ways = own["steps"].unique()
+            of = {steps: rows.loc[(steps, f"{length}/all")] for steps in ways if (steps, f"{length}/all") in rows.index}
             told = [of[steps] for steps in TOLD if steps in of]
             axis.plot([row["used"] for row in told], [row["error"] for row in told], ".-", color=colour, linewidth=1.0)
             if told:
@@ -250,15 +247,15 @@ def plan_length(table: pd.DataFrame, path: Path) -> None:
         axis.set_xlabel("manipulations that were executed", fontsize=8)
         axis.set_ylabel("error of the outcome [cloth length]", fontsize=8)
         axis.set_title(f"{system}, {split} split", fontsize=8.5, color=panels.INK)
-    marks = [
-        ("D", "chosen", "full"),
-        ("o", "as recorded", "none"),
-        (".", "1, 2, 3", "full"),
-        ("x", "nothing done", "full"),
-    ]
-    handles = [Line2D([], [], color=QUIET, marker=m, linestyle="", fillstyle=fill) for m, _, fill in marks]
+    marks: dict[str, dict[str, Any]] = {
+        "chosen": {"marker": "D"},
+        "as recorded": {"marker": "o", "fillstyle": "none"},
+        "1, 2, 3": {"marker": "."},
+        "nothing done": {"marker": "x"},
+    }
+    handles = [Line2D([], [], color=QUIET, linestyle="", **mark) for mark in marks.values()]
     handles += [Line2D([], [], color=colour, linewidth=1.5) for colour in COLOURS]
-    labels = [label for _, label, _ in marks] + [f"goal of {length}" for length in TOLD]
+    labels = [*marks, *(f"goal of {length}" for length in TOLD)]
     figure.legend(handles, labels, fontsize=7.5, frameon=False, loc="outside upper center", ncols=4)
     panels.save(figure, path)
 
