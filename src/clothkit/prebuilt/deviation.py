@@ -2,8 +2,8 @@
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
-import jax
 import numpy as np
 from jaxtyping import Float, Shaped
 
@@ -119,7 +119,7 @@ def predicted(
     traces = agent.initial_traces(planner, len(state))
     common = np.zeros(len(state), np.int32) if common is None else common
 
-    def outcomes(*batch: np.ndarray) -> tuple[jax.Array, ...]:
+    def outcomes(*batch: Any) -> tuple[np.ndarray, ...]:
         found = predict(planner.model, planner.representation, planner.nets, *batch)
         return tuple(planner.representation.mean(of_net.states)[:, -1] for of_net in found)
 
