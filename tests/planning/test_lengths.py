@@ -30,7 +30,7 @@ distances = st.lists(st.floats(0, 2, width=32), min_size=2, max_size=4)
 def test_the_cheapest_number_by_brute_force(values: list[float], margin: float) -> None:
     expected = np.array([values[1:]])
     (found,) = chosen_lengths(np.array(values[:1]), expected, LengthConfig(margin=margin))
-    costs = [value + margin * number for number, value in enumerate(values)]
+    costs = [value + margin * max(number - 1, 0) for number, value in enumerate(values)]
     assert costs[found] == min(costs)
     assert all(cost > costs[found] for cost in costs[:found])
 
@@ -114,7 +114,7 @@ def test_as_many_manipulations_as_the_goal_takes() -> None:
         assert plan.choice.expected[task, 0] == pytest.approx(float(distance_aligned(start, goals[task])), abs=1e-6)
 
 
-def test_no_more_than_are_left_and_none_that_is_not_worth_its_margin() -> None:
+def test_no_more_than_are_left_and_no_further_one_that_is_not_worth_its_margin() -> None:
     start = toy.bent()
     goal = after(start, FOLDS)[None]
     with finding({n: FOLDS[:n] for n in (1, 2, 3)}):
@@ -125,7 +125,7 @@ def test_no_more_than_are_left_and_none_that_is_not_worth_its_margin() -> None:
     assert np.isinf(plan.choice.expected[0, 3])
     assert memory.left.tolist() == [1]
     assert dear.choice is not None
-    assert dear.choice.length.tolist() == [0]
+    assert dear.choice.length.tolist() == [1]
 
 
 def test_a_goal_in_other_labels_is_reached_already() -> None:

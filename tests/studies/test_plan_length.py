@@ -68,12 +68,15 @@ def table() -> pd.DataFrame:
 
 
 def test_what_a_margin_would_have_chosen(study: ModuleType, table: pd.DataFrame) -> None:
-    for margin, used, error in ((0.0, 2, 0.09), (0.005, 2, 0.09), (0.02, 1, 0.1), (0.5, 0, 0.4)):
+    for margin, used, error in ((0.0, 2, 0.09), (0.005, 2, 0.09), (0.02, 1, 0.1), (0.5, 1, 0.1)):
         found = study.replayed(table, margin)
         assert len(found) == 24
         assert (found["used"] == used).all()
-        expected = error + (0.001 * found["sequence"] if used else 0)
-        np.testing.assert_allclose(found["error"], expected)
+        np.testing.assert_allclose(found["error"], error + 0.001 * found["sequence"])
+    # Where no number is expected to help, nothing is done.
+    found = study.replayed(table.assign(expected_no_action=0.06), 0.0)
+    assert (found["used"] == 0).all()
+    assert (found["error"] == 0.4).all()
 
 
 def test_the_largest_margin_that_is_as_good_as_the_best(study: ModuleType, table: pd.DataFrame) -> None:

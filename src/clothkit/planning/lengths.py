@@ -17,20 +17,23 @@ class LengthConfig:
     """How the number of a plan's manipulations is chosen."""
 
     margin: Annotated[float, Ge(0)] = 0.01
-    """By how much nearer to the goal each manipulation has to be expected to bring the cloth, in the representation's
-    measure of the null check: cloth lengths for meshes."""
+    """By how much nearer to the goal each manipulation beyond the first has to be expected to bring the cloth, in the
+    representation's measure of the null check: cloth lengths for meshes."""
 
 
 def chosen_lengths(
     now: Float[np.ndarray, " task"], expected: Float[np.ndarray, "task length"], settings: LengthConfig
 ) -> Int[np.ndarray, " task"]:
-    """The number of manipulations, 0 or more, for which expected distance + margin * number is the lowest.
+    """The number of manipulations, 0 or more, for which expected distance + margin * (number - 1) is the lowest.
 
+    Between nothing and one manipulation there is no margin, as in the null check: what nets expect has their own errors
+    in it, which count against every plan, and not against the state as it is.
     `now` are the distances from the goal if nothing is done, `expected` those after the best plans of one, two, ..
     manipulations; infinite where there is no plan. Of equal ones, the fewest manipulations are chosen.
     """
     distance = np.concatenate([now[:, None], expected], axis=1)
-    return np.argmin(distance + settings.margin * np.arange(distance.shape[1]), axis=1)
+    further = np.maximum(np.arange(distance.shape[1]) - 1, 0)
+    return np.argmin(distance + settings.margin * further, axis=1)
 
 
 class Nearest(NamedTuple):
