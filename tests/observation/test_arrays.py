@@ -153,7 +153,7 @@ def test_headers_are_held_against_what_is_there(tmp_path: Path, content: bytes, 
 @pytest.mark.parametrize(
     ("arrays", "sentence"),
     [
-        ({"K": POINTS, "D": MASK}, "has D, K; expected one of mesh, voxels, points, and beside points cloth"),
+        ({"K": POINTS, "D": MASK}, "has K, D; expected one of mesh, voxels, points, and beside points cloth"),
         ({"points": POINTS, "xyz": POINTS}, "holds points and xyz, of which only one can be the points"),
         ({"points": POINTS, "mesh": folded()}, "has points, mesh; expected one of mesh, voxels, points"),
         ({"points": POINTS, "mask": MASK * 2}, r"cloth has values other than 0 and 1 \(or 255\), expected a mask"),

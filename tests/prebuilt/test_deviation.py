@@ -70,6 +70,16 @@ def test_measures_of_two_toy_planners() -> None:
         check(found | flat(), within=0.02)
 
 
+def test_chance_is_not_held_against_them() -> None:
+    """The same mean, 5 % too high: once on all examples, once by a single one."""
+    full, sure = np.full(9, 0.1), np.full(9, 0.105)
+    unsure = np.where(np.arange(9) == 0, 0.145, 0.1)
+    rest = {name: deviation(full, full) for name in HELD}
+    check({**rest, "plan": deviation(full, unsure)}, within=0.02)
+    with pytest.raises(InputError, match=r"is 0\.1050 with packed nets, 5\.0 % above 0\.1000"):
+        check({**rest, "plan": deviation(full, sure)}, within=0.02)
+
+
 def flat() -> dict:
     """An estimate that is the same with both nets, and not zero."""
     return {"estimate": deviation(np.array([0.1, 0.1]), np.array([0.1, 0.1]))}

@@ -19,6 +19,7 @@ class PrebuildConfig:
     executed: Annotated[int, Ge(0)] = 5
     """Of these, the sequences whose sessions are executed."""
     within: Annotated[float, Gt(0)] = 0.02
-    """Largest accepted share by which mean errors of packed nets are above those of the full ones."""
+    """Largest accepted share by which mean errors of packed nets, less a standard error, are above those of the full
+    ones."""
     megabytes: Annotated[float, Gt(0)] = 30.0
     """Largest accepted size of all packed files."""
