@@ -11,9 +11,11 @@ from clothkit.runtime.config import config
 class PrebuildConfig:
     """How nets are packed, and on how much it is measured what that costs."""
 
-    half: tuple[str, ...] = ()
-    """Weights that are kept in 16 bits instead of 8: those whose names begin with one of these, for instance pemd/D or
-    vtm/mesh."""
+    half: tuple[str, ...] = ("pemd/M", "pemd/D/layer")
+    """Weights that are kept in 16 bits instead of 8: those whose names begin with one of these. By default M, whose
+    layers are applied one after another, manipulation after manipulation, and D's hidden layers: a fifth more bytes of
+    a forward model, and at `laptop` predictions of two manipulations that deviate by 0.0009 cloth lengths in place of
+    0.0031."""
     sequences: Annotated[int, Gt(0)] = 10
     """Validation sequences whose states are estimated, and whose tasks are predicted and planned, with both nets."""
     executed: Annotated[int, Ge(0)] = 5
