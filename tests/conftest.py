@@ -32,6 +32,7 @@ FLOORS = (
     "episodes",
     "evaluation",
     "goals",
+    "prebuilt",
     "report",
     "environment",
     "app",

@@ -18,6 +18,7 @@ FLOORS = [
     "episodes",
     "evaluation",
     "goals",
+    "prebuilt",
     "training",
     "report",
     "environment",

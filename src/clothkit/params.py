@@ -29,6 +29,7 @@ from clothkit.goals.settings import EvaluateGoalsConfig
 from clothkit.models.settings import EnsembleConfig
 from clothkit.planning.settings import NormaliseConfig, PlanConfig
 from clothkit.planning.systems import SYSTEMS
+from clothkit.prebuilt.settings import PrebuildConfig
 from clothkit.report.card.settings import CardConfig
 from clothkit.report.settings import ReportConfig
 from clothkit.runtime.errors import InputError, system_error
@@ -59,6 +60,7 @@ class StageParams(pydantic.BaseModel, frozen=True, extra="forbid", allow_inf_nan
     evaluate_camera: EvaluateCameraConfig
     evaluate_goals: EvaluateGoalsConfig | None  # null: no named goals at this scale
     evaluate_planning: EvaluatePlanningConfig
+    prebuild: PrebuildConfig | None  # null: no prebuilt nets at this scale
     report: ReportConfig
 
     @pydantic.model_validator(mode="after")

@@ -8,13 +8,15 @@ import numpy as np
 import pytest
 
 from clothkit.cloth import voxels
+from clothkit.cloth.topology import SQUARE
 from clothkit.observation.arrays import from_array, read_numpy
+from clothkit.observation.camera import CameraConfig, render
 from clothkit.observation.cloud import observe_cloud
 from clothkit.observation.settings import CloudConfig
 from clothkit.observation.states import MeshState, PointCloud, VoxelState
 from clothkit.runtime.errors import InputError
 from tests.observation.pcds import packed
-from tests.observation.scenes import CLOTH, folded
+from tests.observation.scenes import CLOTH, SCALE, folded
 
 RANDOM = np.random.default_rng(0)
 POINTS = RANDOM.normal(size=(70, 80, 3))
@@ -151,7 +153,7 @@ def test_headers_are_held_against_what_is_there(tmp_path: Path, content: bytes, 
 @pytest.mark.parametrize(
     ("arrays", "sentence"),
     [
-        ({"K": POINTS, "depth": MASK}, "has K, depth; expected one of mesh, voxels, points, and beside points cloth"),
+        ({"K": POINTS, "D": MASK}, "has K, D; expected one of mesh, voxels, points, and beside points cloth"),
         ({"points": POINTS, "xyz": POINTS}, "holds points and xyz, of which only one can be the points"),
         ({"points": POINTS, "mesh": folded()}, "has points, mesh; expected one of mesh, voxels, points"),
         ({"points": POINTS, "mask": MASK * 2}, r"cloth has values other than 0 and 1 \(or 255\), expected a mask"),
@@ -182,3 +184,50 @@ def test_from_array_takes_what_it_is_given() -> None:
     cloud = from_array(POINTS, name="memory", cloth_side=CLOTH, cloth=MASK)
     assert isinstance(cloud, PointCloud)
     np.testing.assert_array_equal(cloud.cloth, MASK.ravel())
+
+
+CAMERA = CameraConfig(columns=160, rows=120, focal=147.5)
+K = np.array([[147.5, 0, 79.5], [0, 147.5, 59.5], [0, 0, 1]])
+"""The camera's matrix: its pixels' centres are half a pixel from their corners."""
+
+
+def test_a_depth_image_is_the_points_that_its_camera_sees(tmp_path: Path) -> None:
+    image = render(folded(angle=0.3).astype(float) * SCALE, SQUARE.triangles(), CAMERA)
+    metres = image.depth.astype(np.float32)
+    metres[0, 0] = np.nan
+    by_ray = image.points().reshape(-1, 3)
+    for name, depth, within in (
+        ("depth", metres, 1e-6),
+        ("Depth_Image", np.rint(1000 * image.depth).astype("u2"), 6e-4),
+    ):
+        cloud = saved(tmp_path / "a.npz", **{name: depth, "cloth": image.cloth, "K": K})
+        np.testing.assert_allclose(cloud.points[1:], by_ray[1:], atol=within)
+        np.testing.assert_array_equal(cloud.cloth, image.cloth.ravel())
+        np.testing.assert_array_equal(cloud.viewpoint, np.zeros(3))
+        assert not cloud.notices
+    # Where points are there, too, nothing else is read.
+    cloud = saved(tmp_path / "b.npz", points=POINTS, depth=metres, K=K)
+    np.testing.assert_allclose(cloud.points, POINTS.reshape(-1, 3))
+    assert "depth, K are not read" in cloud.notices[0] or "K, depth are not read" in cloud.notices[0]
+
+
+@pytest.mark.parametrize(
+    ("arrays", "sentence"),
+    [
+        ({}, r"has depth but no K, the camera's matrix \[3, 3\], expected both"),
+        ({"K": np.eye(4)}, r"K has shape \[4, 4\], expected the camera's matrix"),
+        ({"K": np.diag([-1.0, 1, 1])}, r"K is .*, expected fx 0 cx, 0 fy cy, 0 0 1 with fx and fy above 0"),
+        ({"K": np.ones((3, 3))}, r"K is .*, expected fx 0 cx"),
+        (
+            {"K": K, "depth": np.ones((70, 80, 1))},
+            r"depth is float64 \[70, 80, 1\], expected numbers \[rows, columns\]",
+        ),
+        ({"K": K, "depth": MASK}, r"depth is bool \[70, 80\], expected numbers"),
+        ({"K": K, "depth": np.ones((20, 20))}, r"has shape \[20, 20, 3\], expected"),
+    ],
+)
+def test_depth_images_that_are_no_points(tmp_path: Path, arrays: dict, sentence: str) -> None:
+    path = tmp_path / "a.npz"
+    np.savez(path, **{"depth": np.ones((70, 80)), **arrays})
+    with pytest.raises(InputError, match=sentence):
+        read_numpy(path, cloth_side=CLOTH)

@@ -4,7 +4,7 @@ import copy
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -20,6 +20,7 @@ from clothkit.app.inputs import (
     load_settings,
     observation_options,
 )
+from clothkit.app.lengths import AUTO, check_can_choose
 from clothkit.app.named_goals import goal_like, goal_name, manipulations_of, named_goal, variant_before
 from clothkit.app.observables import Mask, Observable, input_of
 from clothkit.app.output import check_target
@@ -180,13 +181,15 @@ class Agent:
     def begin(
         self,
         goal: Observable,
-        steps: int | None = None,
+        steps: int | Literal["auto"] | None = None,
         *,
         turn: Turn | None = None,
         mirror: bool | None = None,
         after: Plan | str | Path | None = None,
     ) -> "Agent":
         """Begin a session: a goal, wherever it lies, and how many manipulations (1 to 3) to reach it in.
+
+        With "auto", the agent chooses anew for each plan how many are worth it, and ends when nothing more is.
 
         A goal can be a name of `clothkit goals`, such as "half": it is made of the agent's cloth in the simulator and
         lies turned as the cloth lies that is observed first; `turn` (degrees) and `mirror` tell from which side of the
@@ -198,30 +201,30 @@ class Agent:
         source = Path(after) if isinstance(after, str | Path) else Path("the plan before")
         previous = read_plan(source) if isinstance(after, str | Path) else after
         name = goal_name(goal, turn, mirror)
-        variant, traces = None, None
+        variant, traces, choosing = None, None, None
         if previous is not None:
             check_nets(previous, self._planner, self._settings.data, source)
-            steps = steps_left(previous, source, steps)
             traces = traces_before(previous, self._planner, source)
             variant = variant_before(name, previous, source, turn, mirror) if name else None
-        elif name and steps is None:
-            steps = manipulations_of(name)
-        if steps is None or steps not in range(1, STEPS + 1):
-            raise InputError(f"steps: expected 1, 2 or 3 manipulations, found {steps}")
+        if steps == AUTO:
+            check_can_choose(self._planner.system)
+            length, choosing = STEPS, self._settings.app.length
+        else:
+            length = _length(steps, name, previous, source)
         if name:
             form = variant or Variant(turn=turn or 0, mirror=bool(mirror))
             wanted = named_goal(name, form, self._options, self._settings)
         else:
             wanted = input_of(goal, self._options, name="goal")
-        now = agent_state.begin(self._planner, self._settings, wanted, steps)
+        now = agent_state.begin(self._planner, self._settings, wanted, length, choosing)
         agreement = compare_goal(self._planner.system, wanted, now.target, self._settings)
         if previous is not None and traces is not None:
             if previous.turned and not self._planner.system.voxels:
                 now = agent_state.turned(now, np.array(previous.turned))
-            now = dataclasses.replace(now, memory=memory_of(previous, self._planner, now.memory, traces))
+            now = dataclasses.replace(now, memory=memory_of(previous, self._planner, now.memory, traces, length))
         self._now, self._agreements = now, (None, agreement)
         self._unlaid = _NamedGoal(name, turn, mirror) if name and variant is None else None
-        self._session = Session(f"{self._planner.system.name}, {wanted.file}", steps, now.target, (), ())
+        self._session = Session(f"{self._planner.system.name}, {wanted.file}", length, now.target, (), ())
         return self
 
     def observe(
@@ -332,6 +335,17 @@ class Agent:
             agreement=self._agreements[0],
             notices=tuple(told),
         )
+
+
+def _length(steps: int | None, name: str | None, previous: Plan | None, source: Path) -> int:
+    """The number of manipulations that are asked for. Raises InputError if it is not 1 to STEPS."""
+    if previous is not None:
+        return steps_left(previous, source, steps)
+    if name and steps is None:
+        return manipulations_of(name)
+    if steps is None or steps not in range(1, STEPS + 1):
+        raise InputError(f"steps: expected 1, 2 or 3 manipulations or {AUTO}, found {steps}")
+    return steps
 
 
 def _with_state(session: Session, perceived: Perceived, *, replacing: bool) -> Session:

@@ -15,6 +15,7 @@ from clothkit.app.planner import Planned, State, decide, goal_of, memory_after, 
 from clothkit.app.reach import reached
 from clothkit.manipulation.vector import is_null
 from clothkit.planning import agent
+from clothkit.planning.lengths import LengthConfig
 from clothkit.planning.perception import KnownMeshes, sigma_of
 from clothkit.planning.planner import Planner
 from clothkit.planning.reach import Limits
@@ -46,6 +47,8 @@ class AgentState:
     goal: Input
     memory: Memory
     """Before the next decision, as a batch of one; its goal is the one that is planned for."""
+    choosing: LengthConfig | None = None
+    """How the agent chooses how many of the manipulations that are left are worth it; None: it uses all."""
     matrix: Float[np.ndarray, "2 2"] | None = None
     """What the goal was turned or mirrored by; None: it was not."""
     perceived: Perceived | None = None
@@ -63,10 +66,15 @@ class AgentState:
         return int(self.memory.left[0]) - (self.planned is not None)
 
 
-def begin(planner: Planner, settings: Settings, goal: Input, length: int) -> AgentState:
-    """A session of `length` manipulations. Raises InputError when the goal can't be planned for."""
+def begin(
+    planner: Planner, settings: Settings, goal: Input, length: int, choosing: LengthConfig | None = None
+) -> AgentState:
+    """A session of `length` manipulations or, with `choosing`, of as many of them as are worth it.
+
+    Raises InputError when the goal can't be planned for.
+    """
     target = goal_of(planner.system, goal, settings.data, settings)
-    return AgentState(planner, settings, goal, plans.begin(planner, target, length, goal.cloth))
+    return AgentState(planner, settings, goal, plans.begin(planner, target, length, goal.cloth), choosing)
 
 
 def observe(now: AgentState, source: Input) -> AgentState:
@@ -91,7 +99,7 @@ def plan(now: AgentState, *, seed: int, limits: Limits = Limits()) -> AgentState
         raise InputError("agent: has observed nothing since the session began, expected an observation to plan from")
     if not now.memory.left[0]:
         raise InputError("agent: the session is over, expected manipulations that are left to plan")
-    planned, _ = decide(*_known(now.planner, perceived.state), now.memory, seed=seed)
+    planned, _ = decide(*_known(now.planner, perceived.state), now.memory, seed=seed, length=now.choosing)
     return kept_within(limits, dataclasses.replace(now, planned=planned), seed=seed)
 
 
@@ -145,6 +153,7 @@ def advanced(now: AgentState, *, executed: bool) -> AgentState:
     planned = now.planned
     assert planned is not None, "a state with a plan"
     executed = executed and not bool(is_null(planned.plan[0]))
+    over = planned.choice is not None and planned.choice.length[0] == 0
     memory = memory_after(
         now.planner,
         now.memory,
@@ -154,6 +163,7 @@ def advanced(now: AgentState, *, executed: bool) -> AgentState:
         relative=planned.relative,
         traces=planned.traces,
         predicted=planned.means[now.planner.best, 0] if executed else None,
+        left=0 if over else int(now.memory.left[0]) - 1,
     )
     return dataclasses.replace(now, memory=memory, planned=None)
 

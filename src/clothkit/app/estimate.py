@@ -11,13 +11,13 @@ from clothkit.app.agreement import compare_estimate
 from clothkit.app.inputs import (
     Input,
     keep_compiled_programs,
-    load_settings,
     observation_options,
     read_input,
     with_observation_options,
 )
 from clothkit.app.output import check_target, part, write_arrays, write_mesh
 from clothkit.app.planner import alternatives_of, load_vtm
+from clothkit.app.prebuilt import load_nets
 from clothkit.cloth.silhouette import silhouette
 from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.dataset.export import FORMATS
@@ -58,7 +58,7 @@ def command(file: str, *, out: Path, sigma: Path | None, data: Path, mask: str |
     \b
     clothkit estimate cloud.ply --table 0 0 -1 -0.8 --out mesh.obj
     """
-    settings = load_settings(data)
+    data, settings = load_nets(data)
     options = observation_options(settings.app, **values)
     check_target(out, FORMATS)
     sigma_path = sigma or out.with_suffix(".sigma.npz")

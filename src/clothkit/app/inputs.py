@@ -63,14 +63,15 @@ class Settings(NamedTuple):
     """How far the expectations of system main came true; None: not known."""
 
 
-def load_settings(data: Path) -> Settings:
-    """Read params.yaml in the current directory, at its selected scale; without such a file return the defaults.
+def load_settings(data: Path, *, scale: str | None = None) -> Settings:
+    """Read params.yaml in the current directory, at its selected scale or another; without such a file return the
+    defaults.
 
     Voxels are those that the net under `data` that estimates meshes takes, if there is one, and alarms are its own; how
     far plans can be trusted is what is known of the nets there.
     Raises InputError if a file is invalid.
     """
-    settings, calibrated = _settings()._replace(data=data), data / trust.PLACE
+    settings, calibrated = _settings(scale)._replace(data=data), data / trust.PLACE
     if calibrated.exists():
         settings = settings._replace(trust=trust.load(calibrated))
     vtm, set_alarms = data / "nets/vtm", data / "nets/alarms.npz"
@@ -82,11 +83,13 @@ def load_settings(data: Path) -> Settings:
     return settings._replace(app=dataclasses.replace(settings.app, cloud=cloud), alarms=known)
 
 
-def _settings() -> Settings:
+def _settings(scale: str | None) -> Settings:
     # lexists, because a broken or circular link must be reported and not replaced by the defaults.
     if not os.path.lexists(PARAMS):
         return Settings(AppConfig(), PlanConfig(), _WEIGHTS, CandidateConfig(), SimulationConfig(), (0, 1))
     params = load_params(PARAMS)
+    if scale in params.scales:
+        params = params.model_copy(update={"scale": scale})
     simulate = params.stages.simulate
     weights = Weights(params.alpha, params.beta, params.gamma)
     return Settings(

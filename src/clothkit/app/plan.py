@@ -3,27 +3,29 @@
 import os
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import click
 
 from clothkit.app.agent import Agent
 from clothkit.app.agreement import warn
+from clothkit.app.confirm import confirm_goal
 from clothkit.app.describe import Frame
 from clothkit.app.inputs import (
     Input,
     keep_compiled_programs,
-    load_settings,
     observation_options,
     read_input,
     tell,
     with_observation_options,
 )
+from clothkit.app.lengths import AUTO, Steps, choice_in_words
 from clothkit.app.named_goals import goal_option, manipulations_of, variant_before, with_variant_options
 from clothkit.app.output import check_target, part
 from clothkit.app.plan_arrays import cloth_of, steps_left
 from clothkit.app.plan_file import Plan, Source, read_plan, write_plan
 from clothkit.app.planner import load_planner
+from clothkit.app.prebuilt import load_nets
 from clothkit.app.reach import limits_of
 from clothkit.dataset.store import STEPS
 from clothkit.goals.folds import GOALS
@@ -44,8 +46,10 @@ from clothkit.runtime.errors import InputError
 @with_variant_options
 @click.option(
     "--steps",
-    type=click.IntRange(1, STEPS),
-    help="Manipulations; needed but with --after. [default: as many as a named goal needs]",
+    type=Steps(),
+    metavar="N|auto",
+    help="Manipulations, 1 to 3; auto: as many as are worth it, none if the cloth is the goal already. Needed but with "
+    "--after. [default: as many as a named goal needs]",
 )
 @click.option("--out", type=click.Path(path_type=Path), default=Path("plan.json"), show_default=True, metavar="FILE")
 @click.option(
@@ -68,7 +72,8 @@ from clothkit.runtime.errors import InputError
     default=Path("data"),
     show_default=True,
     metavar="FOLDER",
-    help="Where nets/ and normalisation/ are, as dvc repro makes them.",
+    help="Where nets/ and normalisation/ are, as dvc repro makes them; the default folder, while it has no nets, is "
+    "replaced by the nets under prebuilt/, if there are any.",
 )
 @click.option(
     "--optimiser",
@@ -111,12 +116,18 @@ from clothkit.runtime.errors import InputError
     help="Low and high corner of a box that no hand may enter; any number of them.",
 )
 @click.option("--apart", type=float, metavar="METRES", help="Least distance between two hands. [default: app.apart]")
+@click.option(
+    "--confirm",
+    is_flag=True,
+    help="Before the search, draw the goal as it was seen and what it is taken for, beside --out (plan.goal.png), and "
+    "ask whether that is right.",
+)
 @with_observation_options
 def command(
     *,
     state: str,
     goal: str,
-    steps: int | None,
+    steps: int | Literal["auto"] | None,
     out: Path,
     after: Path | None,
     name: str | None,
@@ -130,6 +141,7 @@ def command(
     apart: float | None,
     turn: str | None,
     mirror: bool | None,
+    confirm: bool,
     mask: str | None,
     **values: Any,
 ) -> None:
@@ -145,6 +157,9 @@ def command(
     the predicted states of each net, the expected error and how unsure the nets are. If nothing is expected to come
     of it, it says so.
 
+    With --steps auto, plans of each length are searched for, and that is taken whose number of manipulations is worth
+    it (app.length in params.yaml); none, if the cloth is as near to its goal as it is expected to get.
+
     A plan is made once, from one observation. Cloths do not do quite what nets predict: execute the first step,
     observe, and plan again for the steps that are left, with --after.
 
@@ -153,7 +168,7 @@ def command(
     clothkit plan --state cloud.ply --goal half --sides 0.5 0.3 --table 0 0 -1 -0.8
     clothkit plan --state cloud2.ply --goal goal.obj --after plan.json --out plan2.json --table 0 0 -1 -0.8
     """
-    settings = load_settings(data)
+    data, settings = load_nets(data)
     check_target(out, ("json",))
     # Path.resolve fails where links lead in a circle.
     if after and os.path.realpath(out) == os.path.realpath(after):
@@ -181,15 +196,24 @@ def command(
         agent.observe(start)
     if named:
         tell(agent.state.goal.notices)
+    if confirm:
+        confirm_goal(out, agent.state.goal, agent.state.target, agent.agreements[1])
     with part(f"search by {optimiser_of(planner.settings.search.optimiser).name}"):
         plan = agent.plan(seed=seed)
     for estimate in agent.agreements:
         warn(estimate)
     write_plan(out, plan)
     click.echo(summary(plan, out))
+    planned = agent.state.planned
+    if planned is not None and planned.choice is not None:
+        click.echo(choice_in_words(planned.choice, options.side))
 
 
-def _length(steps: int | None, previous: Plan | None, after: Path | None, named: str | None) -> int:
+def _length(
+    steps: int | Literal["auto"] | None, previous: Plan | None, after: Path | None, named: str | None
+) -> int | Literal["auto"]:
+    if steps == AUTO:
+        return steps
     if previous is not None and after is not None:
         return steps_left(previous, after, steps)
     if steps is not None:

@@ -89,11 +89,11 @@ def steps_left(plan: Plan, name: Path, steps: int | None = None) -> int:
     return left
 
 
-def memory_of(plan: Plan, planner: Planner, blank: Memory, traces: Traces) -> Memory:
+def memory_of(plan: Plan, planner: Planner, blank: Memory, traces: Traces, left: int) -> Memory:
     """Return what the next decision needs after a plan's first step (section 5.1), as a batch of one.
 
-    `blank` is the memory before a first decision, with the goal, and `traces` are those before the plan. A null
-    manipulation is not executed.
+    `blank` is the memory before a first decision, with the goal, `traces` are those before the plan, and `left` is how
+    many manipulations are left. A null manipulation is not executed.
     """
     first, predicted = plan.steps[0], None
     if not first.null:
@@ -108,4 +108,5 @@ def memory_of(plan: Plan, planner: Planner, blank: Memory, traces: Traces) -> Me
         relative=plan.memory.relative,
         traces=traces,
         predicted=predicted,
+        left=left,
     )

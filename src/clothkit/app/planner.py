@@ -20,12 +20,13 @@ from clothkit.models import store
 from clothkit.models.net import Net
 from clothkit.planning import agent, optimisers
 from clothkit.planning.batches import take
+from clothkit.planning.lengths import LengthConfig
 from clothkit.planning.perception import Estimation, KnownMeshes
 from clothkit.planning.planner import Planner, artifacts, assemble
 from clothkit.planning.predict import Prediction, differences, predict
 from clothkit.planning.systems import System
 from clothkit.planning.trust import Signs, Trusted, signs_of, tells, trusted
-from clothkit.planning.types import Memory, Observation, Plan
+from clothkit.planning.types import Choice, Memory, Observation, Plan
 from clothkit.planning.uncertainty import uncertainty
 from clothkit.runtime.errors import InputError
 
@@ -73,6 +74,8 @@ class Planned(NamedTuple):
     """How unsure the perception is of the state [cloth length]."""
     useless: bool = False
     """Whether the agent found that the plan is not expected to bring the state nearer to its goal."""
+    choice: Choice | None = None
+    """How the agent chose the number of manipulations, as a batch of one; None: it was told."""
 
     @property
     def improves(self) -> bool:
@@ -183,12 +186,15 @@ def begin(planner: Planner, goal: State, length: int, cloth: Float[np.ndarray, "
     return agent.begin(planner, goal[None], np.array([length]), cloth[None])
 
 
-def decide(planner: Planner, observation: Observation, memory: Memory, *, seed: int) -> tuple[Planned, Memory]:
+def decide(
+    planner: Planner, observation: Observation, memory: Memory, *, seed: int, length: LengthConfig | None = None
+) -> tuple[Planned, Memory]:
     """The agent's decision for one cloth: the plan, and the memory after its first manipulation.
 
-    Raises InputError when the nets have no reference values for plans of that length.
+    With `length`, the agent chooses how many of the manipulations that are left are worth it. Raises InputError when
+    the nets have no reference values for plans of that length.
     """
-    plan, later = agent.decide(planner, observation, memory, key=jax.random.key(seed).reshape(1))
+    plan, later = agent.decide(planner, observation, memory, key=jax.random.key(seed).reshape(1), length=length)
     return planned_of(planner, plan, memory), later
 
 
@@ -212,6 +218,7 @@ def planned_of(planner: Planner, plan: Plan, memory: Memory) -> Planned:
         expected_no_action=float(planner.representation.distance(plan.state, goal)[0]),
         model_error=float(signs_of(plan, np.zeros(1), planner.settings.uncertainty.measure).model_error[0]),
         useless=bool(one.useless),
+        choice=plan.choice,
     )
 
 
@@ -267,12 +274,14 @@ def memory_after(
     relative: int,
     traces: Traces,
     predicted: State | None,
+    left: int,
 ) -> Memory:
     """Return what the decision after a plan's first step needs (section 5.1), as a batch of one.
 
     `before` is the memory before the plan, with the goal that the plan leads to, and `traces` are those before it.
     `predicted` is the best net's mean prediction of the state after the first step; None: the step was not executed,
-    so that the expected state and the traces are those before it. In both cases the cloth is observed anew.
+    so that the expected state and the traces are those before it. In both cases the cloth is observed anew. `left` is
+    how many manipulations are left.
     """
     expected = state if predicted is None else predicted
     if predicted is not None:
@@ -280,7 +289,7 @@ def memory_after(
     rest = np.full_like(before.rest, np.nan)
     rest[0, : len(plan) - 1] = plan[1:]
     return before._replace(
-        left=np.array([len(plan) - 1], np.int64),
+        left=np.array([left], np.int64),
         planned=np.ones(1, bool),
         still=np.zeros(1, bool),
         relative=np.array([relative], np.int32),
@@ -359,6 +368,7 @@ def turned_plan(planner: Planner, planned: Planned, goal: State, matrix: Float[n
         model_error=planned.model_error,
         sigma=planned.sigma,
         useless=planned.useless,
+        choice=planned.choice,
     )
 
 

@@ -10,7 +10,6 @@ from clothkit.app.agreement import compare_state, warn
 from clothkit.app.describe import poses_of
 from clothkit.app.inputs import (
     keep_compiled_programs,
-    load_settings,
     observation_options,
     read_input,
     with_observation_options,
@@ -19,6 +18,7 @@ from clothkit.app.output import check_target, part, write_arrays, write_mesh
 from clothkit.app.plan_arrays import check_nets, cloth_of, manipulations, placed_state, traces_before
 from clothkit.app.plan_file import read_plan
 from clothkit.app.planner import begin, load_planner, observation_of, predict_plan
+from clothkit.app.prebuilt import load_nets
 from clothkit.cloth.mesh import distance_aligned
 from clothkit.planning import agent
 from clothkit.planning.systems import system
@@ -44,7 +44,7 @@ def command(*, state: str, source: Path, out: Path, data: Path, mask: str | None
     \b
     clothkit predict --state start.obj --plan plan.json --out predicted
     """
-    settings = load_settings(data)
+    data, settings = load_nets(data)
     plan = read_plan(source)
     values |= cloth_of(plan, values, source)
     options = observation_options(settings.app, **values)

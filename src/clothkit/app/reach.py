@@ -161,12 +161,13 @@ def _searched(
     weight = np.float32(WEIGHT * _range(planner) / (CLOTH_LENGTH * place.scale))
     terms = terms_of(limits, situation, weight=weight, net=planner.best)
     bounded = dataclasses.replace(planner, terms={**planner.terms, **terms})
-    length = int(memory.left[0])
+    length = len(planned.plan)
     points = np.full((planner.grasping.most, 2), np.nan, np.float32)
     points[: len(candidates)] = candidates
     problems = pose(bounded, planned.state[None].astype(np.float32), points[None], memory, length)
     found: Any = bounded.search(problems, jax.random.key(seed).reshape(1), length=length)
-    return planned_of(bounded, conclude(bounded, problems, jax.tree.map(np.asarray, found), points[None]), memory)
+    other = planned_of(bounded, conclude(bounded, problems, jax.tree.map(np.asarray, found), points[None]), memory)
+    return other._replace(choice=planned.choice)
 
 
 def _range(planner: Planner) -> float:

@@ -7,6 +7,7 @@ from annotated_types import Ge, Gt, MaxLen
 from clothkit.estimation.agreement import AgreementConfig
 from clothkit.observation.settings import CloudConfig, Triple
 from clothkit.observation.waypoints import MotionConfig, ReachConfig
+from clothkit.planning.lengths import LengthConfig
 from clothkit.runtime.config import config
 from clothkit.simulation.settings import SimulationConfig
 
@@ -49,6 +50,8 @@ class AppConfig:
     """Boxes and balls that no hand may enter."""
     apart: Annotated[float, Ge(0)] = 0.0
     """Least distance between the two hands of a manipulation [m]."""
+    length: LengthConfig = LengthConfig()
+    """How `clothkit plan --steps auto` chooses the number of manipulations."""
 
     def __post_init__(self) -> None:
         if self.reach is not None and self.hands:

@@ -12,7 +12,6 @@ from clothkit.app.agreement import compare_estimate, warn
 from clothkit.app.inputs import (
     Input,
     keep_compiled_programs,
-    load_settings,
     observation_options,
     read_input,
     tell,
@@ -23,6 +22,7 @@ from clothkit.app.output import check_target, part, write_mesh
 from clothkit.app.plan_arrays import cloth_of, placed_state
 from clothkit.app.plan_file import Plan, Step, read_plan
 from clothkit.app.planner import estimate_mesh, load_vtm, mesh_of
+from clothkit.app.prebuilt import load_nets
 from clothkit.cloth.mesh import error
 from clothkit.cloth.silhouette import centred, iou, silhouette
 from clothkit.cloth.topology import CLOTH_LENGTH, PAPERS_CLOTH
@@ -100,7 +100,7 @@ def command(
     \b
     clothkit simulate --state start.obj --plan plan.json --goal goal.obj --out outcome.glb
     """
-    settings = load_settings(data)
+    data, settings = load_nets(data)
     plan = read_plan(source)
     if steps and steps > len(plan.steps):
         raise InputError(f"--steps: {source} has {len(plan.steps)}, found {steps}")

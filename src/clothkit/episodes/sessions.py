@@ -16,6 +16,7 @@ from clothkit.estimation.refine import refine
 from clothkit.manipulation.vector import is_null, is_single
 from clothkit.planning.agent import Keys, begin, decide
 from clothkit.planning.batches import in_batches, take
+from clothkit.planning.lengths import LengthConfig
 from clothkit.planning.planner import Planner
 from clothkit.planning.types import Memory, Meshes, Observation, Plan
 from clothkit.runtime.errors import InputError
@@ -32,8 +33,18 @@ REFINED_TOGETHER = 24
 _error_aligned = jax.jit(partial(error, aligned=True))
 
 
-def run_sessions(tasks: Tasks, planner: Planner, execute: Execute, *, sensor: Sensor | None = None) -> Sessions:
+def run_sessions(
+    tasks: Tasks,
+    planner: Planner,
+    execute: Execute,
+    *,
+    sensor: Sensor | None = None,
+    length: LengthConfig | None = None,
+) -> Sessions:
     """Run the sessions of a batch of tasks in parallel, and return their record.
+
+    With `length`, the agent chooses how many manipulations are worth it, as many as a task's length at most, and ends a
+    session when nothing is; the record then repeats its last step, in which nothing was done.
 
     At each step, the manipulations of all sessions are passed to `execute` in one call. Without a `sensor`, the planner
     observes exactly. Raises InputError if an outcome is not finite.
@@ -46,14 +57,16 @@ def run_sessions(tasks: Tasks, planner: Planner, execute: Execute, *, sensor: Se
     acting, steps = np.arange(len(lengths)), []
     observation, shift = sensor(state, None)
     for step in range(int(lengths.max())):
-        # Sessions whose manipulations are used up leave the batch; `acting` has the rows of the others.
-        kept = lengths[acting] > step
+        # Sessions that are over leave the batch; `acting` has the rows of the others.
+        kept = memory.left > 0
+        if not kept.any():
+            break
         acting, memory = acting[kept], take(memory, kept)
         state, centre, observation, shift = take((state, centre, observation, shift), kept)
         if step:
             observation, shift = _observed(sensor, state, memory, observation, shift)
         keys = search_keys(tasks, acting, step, planner.settings.seed)
-        plan, memory = decide(planner, observation, memory, key=keys)
+        plan, memory = decide(planner, observation, memory, key=keys, length=length)
         state, centre, error_otherwise = _executed(
             plan,
             state,
@@ -67,7 +80,22 @@ def run_sessions(tasks: Tasks, planner: Planner, execute: Execute, *, sensor: Se
         )
         refined = _refined(planner, plan, memory.cloth)
         steps.append(Step(acting, plan, refined, state, centre, error_otherwise))
-    return record(tasks, steps, sizes_of(planner))
+    return record(tasks, _to_the_end(steps, lengths), sizes_of(planner))
+
+
+def _to_the_end(steps: list[Step], lengths: Int[np.ndarray, " task"]) -> list[Step]:
+    """The steps of sessions, in which those that ended before their length repeat their last step.
+
+    Nothing was done in that step, so that its state and its plan are those of all later ones.
+    """
+    whole = steps[:1]
+    for number in range(1, int(lengths.max())):
+        before = whole[-1]
+        acting = steps[number].tasks if number < len(steps) else np.zeros(0, int)
+        ended = (lengths[before.tasks] > number) & ~np.isin(before.tasks, acting)
+        parts = steps[number : number + 1] + ([take(before, ended)] if ended.any() else [])
+        whole.append(parts[0] if len(parts) == 1 else jax.tree.map(lambda *each: np.concatenate(each), *parts))
+    return whole
 
 
 def _observed(

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from clothkit.cloth.silhouette import centred
 from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE, Topology
@@ -24,11 +24,13 @@ _STATES = {
     "mesh": ("mesh", "vertices", "verts"),
     "voxels": ("voxels", "occupancy"),
     "points": ("points", "point_cloud", "pointcloud", "cloud", "pcd", "xyz", "pts", "positions"),
+    "depth": ("depth", "depth_image", "depth_map"),
 }
 _EXTRAS = {
     "cloth": ("cloth", "mask", "cloth_mask", "segmentation", "seg"),
     "colours": ("colours", "colors", "rgb", "colour", "color"),
     "viewpoint": ("viewpoint", "view_point", "camera_position"),
+    "intrinsics": ("k", "intrinsics", "camera_matrix"),
 }
 _LEAST_IMAGE = 60
 """Least rows and columns of an array [rows, columns, 3] that is read as a camera's image of points.
@@ -63,6 +65,9 @@ def read_numpy(path: Path, *, cloth_side: float, topology: Topology = SQUARE) ->
     unread = tuple(name for name in members if name not in names.values())
     state = next(role for role in names if role not in _EXTRAS)
     extras = {role: array for role, array in arrays.items() if role in _EXTRAS}
+    if state == "depth":
+        arrays["depth"] = back_projected(str(path), arrays["depth"], extras.pop("intrinsics", None))
+        extras.setdefault("viewpoint", np.zeros(3))
     return from_array(arrays[state], name=str(path), cloth_side=cloth_side, topology=topology, unread=unread, **extras)
 
 
@@ -80,6 +85,11 @@ def _chosen(path: Path, names: Iterable[str], topology: Topology) -> dict[str, s
             raise InputError(f"{path}: holds {' and '.join(several)}, of which only one can be the {role}")
         if several:
             found[role] = several[0]
+    # Beside points, an image of their depths and the matrix of its camera tell nothing more.
+    if any(role in found for role in _STATES if role != "depth"):
+        found.pop("depth", None)
+    if "depth" not in found:
+        found.pop("intrinsics", None)
     states = [role for role in found if role in _STATES]
     others = [name for name in names if name not in found.values()]
     if not states and len(others) == 1:
@@ -114,6 +124,29 @@ def _array(name: str, content: bytes) -> np.ndarray:
         raise InputError(f"{name}: says that it is an array {list(shape)}, but has {left} bytes of data")
     file.seek(0)
     return np.lib.format.read_array(file, allow_pickle=False)
+
+
+def back_projected(name: str, depth: np.ndarray, intrinsics: np.ndarray | None) -> Float[np.ndarray, "rows columns 3"]:
+    """The point [m] that each pixel of a depth image shows, in the camera's frame; (0, 0, 0) where there is none.
+
+    Depth is along the camera's z: whole numbers are millimetres, others metres; 0 and what is not finite was not
+    measured. `intrinsics` is the camera's matrix [3, 3], fx 0 cx, 0 fy cy, 0 0 1 in pixels, for which the first pixel's
+    centre is at 0, 0. Raises InputError, in which the image is that of `name`, unless they have these forms.
+    """
+    if depth.ndim != 2 or depth.dtype.kind not in "fiu":
+        raise InputError(f"{name}: depth is {depth.dtype} {list(depth.shape)}, expected numbers [rows, columns]")
+    if intrinsics is None:
+        raise InputError(f"{name}: has depth but no K, the camera's matrix [3, 3], expected both")
+    if intrinsics.shape != (3, 3) or intrinsics.dtype.kind not in "fiu":
+        raise InputError(f"{name}: K has shape {list(intrinsics.shape)}, expected the camera's matrix [3, 3]")
+    (fx, skew, cx), (zero, fy, cy), last = intrinsics.astype(float).tolist()
+    if not np.isfinite([fx, fy, cx, cy]).all() or min(fx, fy) <= 0 or skew or zero or last != [0, 0, 1]:
+        raise InputError(f"{name}: K is {intrinsics.tolist()}, expected fx 0 cx, 0 fy cy, 0 0 1 with fx and fy above 0")
+    metres = depth.astype(float) * (1 if depth.dtype.kind == "f" else 0.001)
+    metres = np.where(np.isfinite(metres), metres, 0)
+    rows, columns = depth.shape
+    x, y = np.meshgrid((np.arange(columns) - cx) / fx, (np.arange(rows) - cy) / fy)
+    return np.stack([x * metres, y * metres, metres], axis=-1)
 
 
 def from_array(

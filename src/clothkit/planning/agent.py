@@ -4,21 +4,35 @@
 one of them: `perceive`, `pose`, `conclude`, `remember`.
 """
 
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 
 from clothkit.cloth.topology import PAPERS_CLOTH
 from clothkit.dataset.store import STEPS
 from clothkit.manipulation.vector import is_null
 from clothkit.planning.batches import in_batches, take
+from clothkit.planning.lengths import LengthConfig, chosen_lengths, nearest_labelling
 from clothkit.planning.planner import Planner
 from clothkit.planning.predict import Prediction, differences, predict
-from clothkit.planning.types import UNKNOWN, Candidates, Found, Memory, Observation, Plan, Problem, States, Traces
+from clothkit.planning.search import evaluated
+from clothkit.planning.types import (
+    UNKNOWN,
+    Candidates,
+    Choice,
+    Found,
+    Memory,
+    Observation,
+    Plan,
+    Problem,
+    States,
+    Traces,
+)
 from clothkit.runtime.clock import timed
 
 Keys = Shaped[jax.Array, " task"]
@@ -58,8 +72,13 @@ def initial_traces(planner: Planner, count: int) -> Traces:
     return tuple(np.zeros((count, planner.representation.labels, width), np.float32) for width in widths)
 
 
-def decide(planner: Planner, observation: Observation, memory: Memory, *, key: Keys) -> tuple[Plan, Memory]:
+def decide(
+    planner: Planner, observation: Observation, memory: Memory, *, key: Keys, length: LengthConfig | None = None
+) -> tuple[Plan, Memory]:
     """Plan for each task of a batch, and remember what the next decision needs.
+
+    Plans have as many manipulations as are left; with `length`, the agent chooses how many of them are worth it, and
+    leaves none if nothing is (section 8).
 
     `key` has one key per task, so that a task's plan does not depend on the batch. The new memory is that of an agent
     whose plan's first manipulation is executed unless it is null; where that is not so, `remember` gives another one.
@@ -67,17 +86,89 @@ def decide(planner: Planner, observation: Observation, memory: Memory, *, key: K
     manipulations left.
     """
     state, candidates = perceive(planner, observation, memory)
+    if length is None:
+        plan = _planned(planner, state, candidates, memory, key, {n: memory.left == n for n in range(1, STEPS + 1)})
+    else:
+        plan = _chosen(planner, state, candidates, memory, key, length)
+    return plan, remember(planner, memory, plan, executed=~plan.null)
+
+
+def _planned(
+    planner: Planner,
+    state: States,
+    candidates: Float[np.ndarray, "task candidate 2"],
+    memory: Memory,
+    key: Keys,
+    tasks: Mapping[int, Bool[np.ndarray, " task"]],
+) -> Plan:
+    """The best plans of each length for some of the tasks, ordered by task, then by length."""
     plans, rows_of_plans = [], []
-    for length in range(1, STEPS + 1):
-        rows = np.flatnonzero(memory.left == length)
+    for length, chosen in tasks.items():
+        rows = np.flatnonzero(chosen)
         if len(rows):
             problems = pose(planner, state[rows], candidates[rows], take(memory, rows), length)
             found = _searched(planner, problems, key[rows], length)
             plans.append(conclude(planner, problems, found, candidates[rows]))
             rows_of_plans.append(rows)
     order = np.argsort(np.concatenate(rows_of_plans), kind="stable")
-    plan = take(jax.tree.map(lambda *parts: np.concatenate(parts), *plans), order)
-    return plan, remember(planner, memory, plan, executed=~plan.null)
+    return take(_joined(plans), order)
+
+
+def _joined(plans: Sequence[Plan]) -> Plan:
+    """The plans of several batches."""
+    return jax.tree.map(lambda *parts: np.concatenate(parts), *plans)
+
+
+def _chosen(
+    planner: Planner,
+    state: States,
+    candidates: Float[np.ndarray, "task candidate 2"],
+    memory: Memory,
+    key: Keys,
+    settings: LengthConfig,
+) -> Plan:
+    """For each task, of the best plans of each length that is left, that whose number of manipulations is worth it."""
+    lengths = range(1, planner.normalisation.longest + 1)
+    plans = _planned(planner, state, candidates, memory, key, {n: memory.left >= n for n in lengths})
+    now, relative = nearest_labelling(planner.representation, state, memory)
+    expected = np.full((len(state), len(lengths)), np.inf)
+    task = np.repeat(np.arange(len(state)), np.minimum(memory.left, len(lengths)))
+    # A useless plan is farther from the goal than its start, or no plan at all.
+    expected[task, plans.length - 1] = np.where(plans.useless, np.inf, plans.expected)
+    chosen = chosen_lengths(now, expected, settings)
+    distances = np.concatenate([now[:, None], expected], axis=1)
+    taken, done = plans.length == chosen[task], np.flatnonzero(chosen == 0)
+    plan, order = take(plans, taken), task[taken]
+    if len(done):
+        nothing = _nothing(planner, take((state, candidates, memory), done), relative[done], now[done])
+        plan, order = _joined([plan, nothing]), np.concatenate([order, done])
+    return take(plan, np.argsort(order, kind="stable"))._replace(choice=Choice(chosen, distances))
+
+
+def _nothing(
+    planner: Planner,
+    of: tuple[States, Float[np.ndarray, "task candidate 2"], Memory],
+    relative: Int[np.ndarray, " task"],
+    now: Float[np.ndarray, " task"],
+) -> Plan:
+    """The plans of tasks for which nothing is worth doing: a null manipulation at a candidate, which leaves all as is.
+
+    `now` are the states' distances from the goal in its relabellings `relative`.
+    """
+    state, candidates, memory = of
+    problems = pose(planner, state, candidates, memory, 1)
+    null = np.zeros((len(state), 1, 6), np.float32)
+    null[:, 0, :4] = np.nan_to_num(np.tile(candidates[:, 0], 2))
+    search = partial(evaluated, planner.model, planner.representation, planner.nets)
+    found = in_batches(
+        lambda problems, plan, relative: search(problems, planner.objective(1), plan, relative),
+        planner.settings.batch,
+        problems,
+        null,
+        relative,
+    )
+    plan = conclude(planner, problems, found, candidates)
+    return plan._replace(expected=now.astype(plan.expected.dtype), useless=np.ones_like(plan.useless))
 
 
 def perceive(
@@ -113,7 +204,8 @@ def pose(
     covered = None
     if planner.settings.search.fold or planner.objective(length).draws:
         covered = np.stack([planner.representation.covered(one) for one in state])
-    rest = np.where(memory.planned[:, None, None], memory.rest[:, :length], np.float32(0))
+    # A plan whose length was chosen anew may be longer than what is left of the one before: null manipulations follow.
+    rest = np.where(memory.planned[:, None, None], np.nan_to_num(memory.rest[:, :length]), np.float32(0))
     return Problem(
         state=state,
         goal=memory.goal,
@@ -204,13 +296,15 @@ def remember(planner: Planner, memory: Memory, plan: Plan, *, executed: np.ndarr
     Only there do the expected state and the memory traces move on by one manipulation.
     """
 
+    over = np.zeros_like(executed) if plan.choice is None else plan.choice.length == 0
+
     def where(new: Any, old: Any) -> np.ndarray:
         return np.where(executed.reshape(-1, *(1,) * (old.ndim - 1)), new, old)
 
     return Memory(
         goal=memory.goal,
         cloth=memory.cloth,
-        left=memory.left - 1,
+        left=np.where(over, 0, memory.left - 1),
         planned=np.ones_like(memory.planned),
         still=~executed,
         state=plan.state,

@@ -8,8 +8,9 @@ from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from annotated_types import Ge, Gt, Le, Predicate
-from jaxtyping import Array, Bool, PRNGKeyArray, Shaped
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
 from clothkit.cloth.symmetry import relabel_manipulation_batch
 from clothkit.cloth.topology import SQUARE
@@ -112,6 +113,32 @@ def _posed(
         for net, trace in zip(nets, problem.traces, strict=True)
     ]
     return objective.posed(Outlook(representation, plans, tuple(found)))
+
+
+@partial(jax.jit, static_argnames=("model", "representation"))
+def evaluated(
+    model: ForwardModel,
+    representation: Representation,
+    nets: tuple[Any, ...],
+    problems: Problem,
+    objective: Objective,
+    plan: Float[Array | np.ndarray, "tasks n 6"],
+    relative: Int[Array | np.ndarray, " tasks"],
+) -> Found:
+    """Plans that nobody searched for as a search would return them, found in the labels of their states.
+
+    `relative` are the relabellings of the goals that their losses refer to.
+    """
+
+    def one(problem: Problem, plan: Array, relative: Array) -> Found:
+        problem = jax.tree.map(jnp.asarray, problem)
+        fixed, common = fix(model, representation, nets, problem), jnp.zeros((), jnp.int32)
+        posed = _posed(objective, model, representation, nets, problem, plan.shape[0], jax.random.key(0))
+        found = objectives.evaluate(posed, model, representation, nets, fixed, plan[None], common[None], relative[None])
+        loss, terms = found.loss[0], {name: term[0] for name, term in found.terms.items()}
+        return Found(plan, loss, terms, common, relative, found.loss[None])
+
+    return jax.vmap(one)(problems, jnp.asarray(plan), jnp.asarray(relative, jnp.int32))
 
 
 def space_of(representation: Representation, problem: Problem, length: int, *, fold: bool, edge: float = 0.0) -> Space:

@@ -79,6 +79,16 @@ class Found(NamedTuple):
     losses: Float[Array, "iterations strains"]
 
 
+class Choice(NamedTuple):
+    """How the number of manipulations was chosen, for each task of a batch (section 8)."""
+
+    length: Int[np.ndarray, " task"]
+    """The number of manipulations; 0: nothing more is expected to improve the state, and the session is over."""
+    expected: Float[np.ndarray, "task length"]
+    """Expected distance from the goal after none, one, two, .. manipulations, in the measure of the null check;
+    infinite where no such plan was found or allowed."""
+
+
 class Plan(NamedTuple):
     """A plan for each task of a batch, from the state as the planner knows it, in that state's labels.
 
@@ -117,6 +127,8 @@ class Plan(NamedTuple):
     """The lowest loss of all strains up to each iteration of the search, as the optimiser evaluates it: not exact."""
     tried: Int[np.ndarray, " task"]
     """Number of plans that the search evaluates in an iteration."""
+    choice: Choice | None = None
+    """How the number of manipulations was chosen; None: it was told. A plan of none is one null manipulation."""
 
 
 class Memory(NamedTuple):
@@ -126,7 +138,7 @@ class Memory(NamedTuple):
     cloth: Float[np.ndarray, "task 3"]
     """Sides along u and v and thickness of each cloth, in the labels of states and goal [normalised]."""
     left: Int[np.ndarray, " task"]
-    """Number of manipulations that are left."""
+    """Number of manipulations that are left; of an agent that chooses their number, that are left at most."""
     planned: Bool[np.ndarray, " task"]
     """Whether a plan was made before; if not, the fields below mean nothing but the traces, which are zero."""
     still: Bool[np.ndarray, " task"]

@@ -5,13 +5,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from clothkit.cloth.silhouette import centred
 from clothkit.goals.folds import GOALS
 from clothkit.goals.settings import SOURCE_NAMES, START_NAMES, SYSTEM_OF
 from clothkit.report import panels
-from clothkit.report.draw import draw
+from clothkit.report.draw import draw, draw_heights
 from clothkit.report.panels import GOAL
 
 
@@ -48,6 +48,18 @@ def goals(folded: Sequence[Folded], path: Path, *, columns: int = 2) -> None:
             panels.show(line[step], draw(mesh, table=GOAL if last else (1.0, 1.0, 1.0)))
             if not last:
                 panels.manipulate(line[step], mesh, one.manipulations[step])
+    panels.save(figure, path)
+
+
+def goal_seen(voxels: Bool[np.ndarray, "x y z"], mesh: Float[np.ndarray, "u v 3"] | None, path: Path) -> None:
+    """Writes a picture of the heights that were seen of a goal, and of the mesh that it is taken for, if it is one."""
+    pictures = {"seen, by height": draw_heights(voxels)}
+    if mesh is not None:
+        pictures["taken for"] = draw(centred(mesh.astype(np.float32))[0], table=GOAL)
+    figure, axes = panels.sheet([0.12, 2.0], [2.0] * len(pictures))
+    for axis, (title, picture) in zip(axes[1], pictures.items(), strict=True):
+        panels.show(axis, picture)
+        axis.text(0, 1.02, title, transform=axis.transAxes, fontsize=8, color=panels.INK, va="bottom")
     panels.save(figure, path)
 
 

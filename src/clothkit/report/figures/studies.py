@@ -213,6 +213,53 @@ def ensemble(table: pd.DataFrame, path: Path) -> None:
     panels.save(figure, path)
 
 
+TOLD = ("1", "2", "3")
+
+
+def plan_length(table: pd.DataFrame, path: Path) -> None:
+    """Writes charts of error against executed manipulations, one per split and system, a colour per recorded length.
+
+    Lines join the sessions with one, two and three manipulations; a diamond marks those in which the agent chose, with
+    the 95 % interval of its error, a ring those with the recorded number, a cross that nothing is done. Columns of
+    `table`: split, system, steps (1, 2, 3, given, chosen), column (1/all, ..), used, error, error_low, error_high,
+    error_no_action.
+    """
+    groups = list(table.groupby(["split", "system"], sort=False))
+    figure, axes = panels.chart(len(groups), width=4.2, height=3.2, columns=min(len(groups), 3))
+    for axis, ((split, system), own) in zip(axes, groups, strict=True):
+        rows = own.set_index(["steps", "column"]).sort_index()
+        for length, colour in zip(TOLD, COLOURS, strict=True):
+            ways = own["steps"].unique()
+            of = {steps: rows.loc[(steps, f"{length}/all")] for steps in ways if (steps, f"{length}/all") in rows.index}
+            told = [of[steps] for steps in TOLD if steps in of]
+            axis.plot([row["used"] for row in told], [row["error"] for row in told], ".-", color=colour, linewidth=1.0)
+            if told:
+                axis.plot(0, told[0]["error_no_action"], "x", color=colour, markersize=5)
+            if "given" in of:
+                given = of["given"]
+                axis.plot(given["used"], given["error"], "o", color=colour, fillstyle="none", markersize=8)
+            if "chosen" in of:
+                chosen = of["chosen"]
+                apart = [[chosen["error"] - chosen["error_low"]], [chosen["error_high"] - chosen["error"]]]
+                axis.errorbar(chosen["used"], chosen["error"], yerr=apart, fmt="D", color=colour, markersize=6)
+        axis.set_xlim(left=-0.1)
+        axis.set_ylim(bottom=0)
+        axis.set_xlabel("manipulations that were executed", fontsize=8)
+        axis.set_ylabel("error of the outcome [cloth length]", fontsize=8)
+        axis.set_title(f"{system}, {split} split", fontsize=8.5, color=panels.INK)
+    marks: dict[str, dict[str, Any]] = {
+        "chosen": {"marker": "D"},
+        "as recorded": {"marker": "o", "fillstyle": "none"},
+        "1, 2, 3": {"marker": "."},
+        "nothing done": {"marker": "x"},
+    }
+    handles = [Line2D([], [], color=QUIET, linestyle="", **mark) for mark in marks.values()]
+    handles += [Line2D([], [], color=colour, linewidth=1.5) for colour in COLOURS]
+    labels = [*marks, *(f"goal of {length}" for length in TOLD)]
+    figure.legend(handles, labels, fontsize=7.5, frameon=False, loc="outside upper center", ncols=4)
+    panels.save(figure, path)
+
+
 OPTIMISERS = {
     "gradient": ("gradient (reference)", COLOURS[0], "o"),
     "gradient_paper": ("gradient, the paper's rules", "#8fb4d6", "o"),

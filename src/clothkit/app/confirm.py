@@ -1,0 +1,29 @@
+"""Before a plan: what a goal is taken for, shown and confirmed."""
+
+from pathlib import Path
+
+import click
+
+from clothkit.app.agreement import EstimateAgreement
+from clothkit.app.inputs import Input
+from clothkit.app.planner import State
+from clothkit.cloth.voxels import RESOLUTION
+from clothkit.report.figures.goals import goal_seen
+from clothkit.runtime.publish import unfinished
+
+ENDING = ".goal.png"
+
+
+def confirm_goal(out: Path, goal: Input, target: State, agreement: EstimateAgreement | None) -> None:
+    """Draw a goal as it was seen and as the system takes it, into a picture beside `out`, and ask if that is right.
+
+    `agreement` is that of its estimate with what was seen; None: it was not estimated. Raises click.Abort,
+    which ends a command, if it is not the goal.
+    """
+    path = out.with_suffix(ENDING)
+    with unfinished(path) as part:
+        goal_seen(goal.observation.voxels, None if target.shape == RESOLUTION else target, part)
+    click.echo(f"{path}: the goal as it was seen, and what it is taken for", err=True)
+    if agreement is not None:
+        click.echo(agreement.sentence, err=True)
+    click.confirm("Is this the goal?", abort=True, err=True)
