@@ -3,10 +3,10 @@
 Estimates the states of the first validation sequences (default: 40) by VtM, and refines the estimates in several ways:
 
 mean        VtM's mean, not refined
-paper       section 4.7's loss alone: likelihood, springs, upward bias
-observed    and the mesh explains the observed voxels
-coarse      and it moves as a coarse grid at first
-lift        and layers are moved apart at the end: what params.yaml says (plan.refine)
+paper       section 4.7's: likelihood, springs and upward bias; vertices move one by one
+observed    and the mesh explains the observed voxels; coarse grids of control points move along, and steps settle
+unsure      and where VtM is very unsure, its mean is not given up for springs
+chosen      and creases cost little, noise much, and layers are moved apart at the end: what params.yaml says
 
 A row per way and state goes to reports/<scale>/studies/refinement.csv: error [cloth length], intersection over union of
 the silhouettes of voxels and estimate and of the voxels themselves, pairs of an edge and a triangle that pierce each
@@ -28,7 +28,7 @@ from clothkit.dataset import store
 from clothkit.dataset.store import STATES
 from clothkit.estimation.agreement import agreement
 from clothkit.estimation.estimate import estimate, estimate_unrefined
-from clothkit.estimation.refine import RefineConfig
+from clothkit.estimation.refine import PAPERS, RefineConfig
 from clothkit.evaluation.errors import errors
 from clothkit.models import store as nets
 from clothkit.models.vtm import seen_by
@@ -41,9 +41,9 @@ BATCH = 20
 
 def ways(chosen: RefineConfig) -> dict[str, RefineConfig | None]:
     """Return the settings of each way; None: not refined."""
-    coarse = dataclasses.replace(chosen, lift=False)
-    observed = dataclasses.replace(RefineConfig(), observed_weight=chosen.observed_weight)
-    return {"mean": None, "paper": RefineConfig(), "observed": observed, "coarse": coarse, "lift": chosen}
+    unsure = dataclasses.replace(chosen, bending_weight=0.0, lift=False)
+    observed = dataclasses.replace(unsure, slack_weight=1.0, greatest_std=None)
+    return {"mean": None, "paper": PAPERS, "observed": observed, "unsure": unsure, "chosen": chosen}
 
 
 def main() -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from ruamel.yaml import YAML
 
+from clothkit.estimation.refine import PAPERS
 from clothkit.params import load_params
 from clothkit.runtime.errors import InputError
 
@@ -38,6 +39,7 @@ def test_every_scale_of_the_repository_is_valid(tmp_path: Path) -> None:
     params = load_params(write(tmp_path))
     assert set(params.scales) == {"smoke", "laptop", "overnight", "paper", "household"}
     assert hash(params.stages.plan) == hash(params.stages.plan)
+    assert params.scales["paper"].plan.refine == PAPERS
     assert params.section("regularise")["train"] == params.stages.regularise.train
 
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from clothkit.cloth.topology import SQUARE
-from clothkit.estimation.layering import APART, lift, neighbours, overlapping
+from clothkit.estimation.layering import APART, HIGHEST_RISE, lift, neighbours, overlapping
 from clothkit.simulation.quality import intersections
 
 THICKNESS = 0.007
@@ -64,8 +64,16 @@ def test_no_vertex_goes_below_the_table() -> None:
 
 def test_a_thicker_cloth_is_moved_further_apart() -> None:
     rough = roughened(in_half(), 0.003, 2)
-    thin, thick = (lift(rough, thickness=t, sides=SIDES)[..., 2].max() for t in (THICKNESS, 4 * THICKNESS))
-    assert thick > thin + 2 * THICKNESS
+    thin, thick = (lift(rough, thickness=t, sides=SIDES)[..., 2] for t in (THICKNESS, 4 * THICKNESS))
+    between, more = ((z[20:] - z[11::-1]).mean() for z in (thin, thick))
+    assert more > between + 0.5 * THICKNESS
+
+
+def test_what_lies_above_itself_in_a_circle_rises_to_a_limit() -> None:
+    rng = np.random.default_rng(3)
+    tangle = (rng.normal(0, 0.1, (32, 32, 3)) * [1, 1, 0.1]).astype(np.float32)
+    rise = (lift(tangle, thickness=THICKNESS, sides=SIDES) - tangle)[..., 2].max()
+    assert rise == pytest.approx(HIGHEST_RISE * THICKNESS, rel=1e-3)
 
 
 @pytest.mark.parametrize("seed", range(3))

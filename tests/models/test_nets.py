@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from flax.traverse_util import flatten_dict
 
-from clothkit.cloth.mesh import distance
+from clothkit.cloth.mesh import ProbabilisticMesh, distance
 from clothkit.cloth.symmetry import equivalents, relabel_batch
 from clothkit.cloth.topology import SQUARE
 from clothkit.models import pemd, store, vtm
 from clothkit.models.forward import forward_model
+from clothkit.models.hypotheses import Hypotheses
 from clothkit.models.net import Net
 from clothkit.models.settings import PEMDConfig, Start, VtMConfig
 from tests.models.predicted import predicted_by
@@ -146,7 +147,7 @@ def test_what_eight_views_show_turns_with_the_voxels():
 def test_eight_views_are_a_mixture_of_what_each_shows():
     seen = np.random.default_rng(5).uniform(size=(32, 32, 16)) < 0.05
     mixed, one = vtm.estimate(nearly_flat(8), seen), nearly_flat(1)
-    means, squares = [], []
+    means, squares, weights = [], [], []
     for quarters in range(4):
         for mirrored in (False, True):
             view = np.rot90(np.flip(seen, 0) if mirrored else seen, quarters)
@@ -161,9 +162,23 @@ def test_eight_views_are_a_mixture_of_what_each_shows():
             best = int(np.argmin([np.linalg.norm(c - SQUARE.flat(), axis=-1).mean() for c in candidates]))
             means.append(candidates[best])
             squares.append(stds[best] ** 2 + candidates[best] ** 2)
-    np.testing.assert_allclose(mixed.mean, np.mean(means, 0), atol=1e-5)
-    variance = np.mean(squares, 0) - np.mean(means, 0) ** 2
+            weights.append(np.exp(np.log(std.astype(float)).mean()) ** -vtm.SURENESS)
+    mean = np.average(means, axis=0, weights=weights)
+    np.testing.assert_allclose(mixed.mean, mean, atol=1e-5)
+    variance = np.average(squares, axis=0, weights=weights) - mean**2
     np.testing.assert_allclose(mixed.std, np.sqrt(variance), atol=1e-4)
+
+
+def test_of_views_that_disagree_the_surest_counts():
+    apart = [SQUARE.flat(), 0.5 * SQUARE.flat()]
+    views = [
+        Hypotheses(ProbabilisticMesh(mean[None], np.full_like(mean, std)[None]), np.ones(1))
+        for mean, std in zip(apart, (0.1, 0.02), strict=True)
+    ]
+    found = vtm.averaged(views).mesh
+    np.testing.assert_allclose(found.mean[0], apart[1], atol=1e-3)
+    np.testing.assert_allclose(found.std[0], 0.02, rtol=0.05)
+    assert np.asarray(vtm.averaged([views[0], views[0]]).mesh.std) == pytest.approx(0.1)
 
 
 def test_start_scales_what_writes_into_the_channel_and_sets_sigma():

@@ -14,8 +14,12 @@ from jaxtyping import Float, Int
 from scipy.sparse import csr_matrix, diags, identity
 from scipy.spatial import cKDTree
 
-APART = 3
+APART = 2
 """Two vertices nearer to one another along the cloth than this belong to one layer [grid steps]."""
+
+SEPARATION = 0.5
+"""Distance to which two layers are moved apart, in thicknesses. Less than one, because this keeps their order as well,
+and where an estimate is wrong, more layers lie on one another than in truth: the heap would be higher than was seen."""
 
 ROUNDS = 100
 """How often differences in height are averaged over neighbouring pairs: over so many grid steps they tell the order."""
@@ -25,6 +29,10 @@ HIGHEST = 0.03
 
 MOVES = 60
 """Largest number of times that all vertices are moved."""
+
+HIGHEST_RISE = 2.0
+"""By how much a vertex is lifted at most, in thicknesses. Where an estimate is tangled, parts of it lie above one
+another in a circle, and would rise without end."""
 
 TOLERANCE = 1e-4
 """Lack of distance between two layers that is left [normalised]."""
@@ -43,8 +51,8 @@ def lift(
     """The mesh with its layers moved apart, in z alone; `sides` are those of the flat cloth [normalised].
 
     Two vertices overlap if they are less than the larger grid spacing apart in x and y. They are moved to a distance of
-    the thickness if they are near one another, and to less at the border of their overlap. No vertex gets below half of
-    the thickness.
+    SEPARATION x thickness if they are near one another, and to less at the border of their overlap. No vertex gets
+    below half of the thickness, nor higher than HIGHEST_RISE allows.
     """
     reach = max(side / (count - 1) for side, count in zip(sides, mesh.shape[:2], strict=True))
     vertices = mesh.reshape(-1, 3).astype(float)
@@ -53,7 +61,8 @@ def lift(
         return mesh
     upper, lower = order_of(vertices, pairs, mesh.shape[:2])
     apart = np.linalg.norm(vertices[upper, :2] - vertices[lower, :2], axis=-1) / reach
-    wanted, z = thickness * np.clip(2 * (1 - apart), 0, 1), vertices[:, 2]
+    wanted, z = SEPARATION * thickness * np.clip(2 * (1 - apart), 0, 1), vertices[:, 2]
+    highest = z + HIGHEST_RISE * thickness
     for _ in range(MOVES):
         lack = wanted - (z[upper] - z[lower])
         close = lack > TOLERANCE
@@ -63,7 +72,7 @@ def lift(
         np.maximum.at(up, upper[close], lack[close])
         np.maximum.at(down, lower[close], lack[close])
         # Lower layers give way less than upper ones, since most lie on the table.
-        z += up / 2 - np.minimum(down / 4, np.maximum(0, z - thickness / 2))
+        z += np.minimum(up / 2, highest - z) - np.minimum(down / 4, np.maximum(0, z - thickness / 2))
     return vertices.reshape(mesh.shape).astype(mesh.dtype)
 
 

@@ -26,6 +26,11 @@ SUPPORT_LAYER, UNITS = 1, "units"
 """The hidden layer, counted from 0, whose units tell how strange an observation is, and their name."""
 
 
+SURENESS = 8
+"""How much more a view counts that is surer than others. Views that disagree show different shapes, whose mean is none
+of them; the surest is most often right."""
+
+
 class VtM(nn.Module):
     """Five hidden layers with tanh, and the output of eq. (6); `start` affects the initial weights only.
 
@@ -120,16 +125,21 @@ class Views:
 
 
 def averaged(views: Sequence[Hypotheses], cloth: Cloth = PAPERS_CLOTH) -> Hypotheses:
-    """The mean and the standard deviation of the mixture of all views' meshes, in the labels nearest to the first."""
+    """The mean and the standard deviation of the mixture of all views' meshes, in the labels nearest to the first.
+
+    The weight of a view is the geometric mean of its standard deviations, to the power of -SURENESS.
+    """
     first, cloth = views[0].mesh.mean, jnp.asarray(cloth)[..., None, :]
     labelled = [
         (relabelled_like(mean, first, mean, cloth), relabelled_like(std, first, mean, cloth))
         for (mean, std), _ in views
     ]
     means, stds = (jnp.stack(parts) for parts in zip(*labelled, strict=True))
-    mean = jnp.mean(means, axis=0)
-    mixture = ProbabilisticMesh(mean, jnp.sqrt(jnp.mean(stds**2 + (means - mean) ** 2, axis=0)))
-    return Hypotheses(mixture, views[0].probability)
+    unsureness = jnp.mean(jnp.log(stds), axis=(-3, -2, -1), keepdims=True)
+    weights = nn.softmax(-SURENESS * unsureness, axis=0)
+    mean = jnp.sum(weights * means, axis=0)
+    variance = jnp.sum(weights * (stds**2 + (means - mean) ** 2), axis=0)
+    return Hypotheses(ProbabilisticMesh(mean, jnp.sqrt(variance)), views[0].probability)
 
 
 def estimator(config: VtMConfig) -> Estimator:
