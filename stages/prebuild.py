@@ -13,7 +13,18 @@ from clothkit.runtime.stage import stage
 from clothkit.simulation.executor import end_workers, make_simulator
 
 DATA = Path("data")
-SECTIONS = ("simulate", "regularise", "augment", "train_pemd", "train_vtm", "set_alarms", "normalise")
+SECTIONS = (
+    "simulate",
+    "regularise",
+    "augment",
+    "train_pemd",
+    "train_vtm",
+    "set_alarms",
+    "train_support",
+    "normalise",
+    "probe",
+    "calibrate",
+)
 """The params of what the sources come from."""
 
 

@@ -27,14 +27,14 @@ from clothkit.estimation.alarms import Alarms
 from clothkit.estimation.support import fit
 from clothkit.evaluation import arrays, estimation, prediction
 from clothkit.evaluation.session_rows import rows
-from clothkit.models import emd_voxel, ensemble, pemd, store, vtm
+from clothkit.models import emd_voxel, ensemble, pemd, store, support_model, vtm
 from clothkit.models.net import Net
-from clothkit.models.settings import EMDVoxelConfig, PEMDConfig, VtMConfig
+from clothkit.models.settings import EMDVoxelConfig, PEMDConfig, SupportModelConfig, VtMConfig
 from clothkit.observation.camera import back_project
 from clothkit.params import Params, load_params
-from clothkit.planning import error_map, model_error, normalisation
+from clothkit.planning import error_map, model_error, normalisation, trust
 from clothkit.planning.error_map import ErrorMap
-from clothkit.planning.uncertainty_terms import EXPECTED_ERROR
+from clothkit.planning.uncertainty_terms import EXPECTED_ERROR, SUPPORT
 from clothkit.simulation.attempts import Attempts
 from clothkit.simulation.material import Material
 from clothkit.simulation.records import write_raw
@@ -78,6 +78,11 @@ def write_nets(folder: Path, members: Sequence[int] = MEMBERS) -> None:
     slope, ratios = np.array([0.9, 0.0, 0.3]), np.linspace(0.5, 2, 21)
     found = ErrorMap(model_error.SIGNS, np.array(model_error.LEAST), np.zeros(3), slope, ratios)
     error_map.save(folder / EXPECTED_ERROR, found, {})
+    least = np.array(trust.least_of(trust.Signs._fields))
+    error_map.save(folder / trust.PLACE, ErrorMap(trust.Signs._fields, least, np.zeros(3), slope, ratios), {})
+    shown = np.random.default_rng(0).normal(size=(8, small.latent + 6)).astype(np.float32)
+    support = support_model.initial(SupportModelConfig(hidden=(4,)), shown, jax.random.key(3))
+    support_model.save(folder / SUPPORT, support)
 
 
 def alarms_of(*, strangest: float) -> Alarms:

@@ -12,6 +12,8 @@ import pandas as pd
 from clothkit.estimation import alarms
 from clothkit.models import ensemble, store
 from clothkit.models.net import Net
+from clothkit.planning import trust
+from clothkit.planning.uncertainty_terms import EXPECTED_ERROR, SUPPORT
 from clothkit.prebuilt import manifest as manifests
 from clothkit.prebuilt import packing
 from clothkit.runtime.cache import writable
@@ -21,6 +23,9 @@ WEIGHTS = "net.npz"
 """A net's packed weights; `store.ATTRIBUTES`, beside them, is the net's own."""
 
 ALARMS, REFERENCE, VTM = "nets/alarms.npz", "normalisation/mesh.json", "nets/vtm"
+
+WHOLE = (REFERENCE, SUPPORT, EXPECTED_ERROR, trust.PLACE)
+"""Small files that are prebuilt as they are."""
 
 
 def nets(members: Sequence[int]) -> Iterator[tuple[str, store.Kind]]:
@@ -32,11 +37,11 @@ def nets(members: Sequence[int]) -> Iterator[tuple[str, store.Kind]]:
 
 def sources(members: Sequence[int]) -> list[str]:
     """What prebuilt nets are made from, under the folder of all data."""
-    return ["meshes.zarr", *(name for name, _ in nets(members)), ALARMS, REFERENCE]
+    return ["meshes.zarr", *(name for name, _ in nets(members)), ALARMS, *WHOLE]
 
 
 def pack(data: Path, target: Path, members: Sequence[int], *, half: Sequence[str] = ()) -> None:
-    """Pack the nets of system main, their alarms and reference values from `data` into a folder, without a manifest.
+    """Pack the nets of system main and what belongs to them from `data` into a folder, without a manifest.
 
     `half` as in `PrebuildConfig`. Raises InputError for nets that are missing or damaged.
     """
@@ -49,8 +54,7 @@ def pack(data: Path, target: Path, members: Sequence[int], *, half: Sequence[str
     known = alarms.load(data / ALARMS, units=store.configuration(data / VTM, "vtm").hidden)
     half_precise = known._replace(support=type(known.support)(*(_in_half(part) for part in known.support)))
     alarms.save(target / ALARMS, half_precise)
-    (target / REFERENCE).parent.mkdir(exist_ok=True)
-    shutil.copyfile(data / REFERENCE, target / REFERENCE)
+    _copy(data, target, WHOLE)
 
 
 def _known_as(name: str) -> str:
@@ -79,9 +83,13 @@ def unpack(folder: Path, target: Path, members: Sequence[int]) -> None:
         about = {key: value for key, value in about.items() if key not in ("kind", "net")}
         store.save(target / name, Net(config, params), pd.DataFrame(), about)
         store.load(target / name, kind)
-    for name in (ALARMS, REFERENCE):
+    _copy(folder, target, (ALARMS, *WHOLE))
+
+
+def _copy(source: Path, target: Path, names: Sequence[str]) -> None:
+    for name in names:
         (target / name).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(folder / name, target / name)
+        shutil.copyfile(source / name, target / name)
 
 
 def check_size(folder: Path, *, megabytes: float) -> None:
