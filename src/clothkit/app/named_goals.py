@@ -53,8 +53,8 @@ def goal_name(goal: str | None, turn: str | None, mirror: bool | None) -> str | 
         if os.path.lexists(goal):
             click.echo(f"notice: --goal {goal}: the named goal is meant, and not the file ./{goal}", err=True)
         return goal
-    # Files have an ending, and a dataset's state (data/meshes.zarr:0/1) has more than that.
-    if goal is not None and re.fullmatch(r"[\w-]+", goal):
+    # A file that is there is read, or refused for its own reason; a dataset's state is data/meshes.zarr:0/1.
+    if goal is not None and re.fullmatch(r"[\w-]+", goal) and not os.path.lexists(goal):
         raise InputError(f"--goal: expected a file or one of {', '.join(GOALS)}, found {goal!r}")
     for name, given in (("turn", turn), ("mirror", mirror)):
         if given is not None:
