@@ -83,7 +83,7 @@ def test_what_does_not_come_about_is_refused(monkeypatch: pytest.MonkeyPatch) ->
         make(GOALS["half"], COARSE_CLOTH, COARSE)
 
 
-def test_other_grasps_are_tried_where_the_first_ones_do_not_do(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_grasps_are_tried_where_the_first_ones_do_not_do() -> None:
     """Of a fold with grasps in the middle of the edge and at its ends, these: they leave no sagging corners."""
     poor = Fold(((-1.0, 0.0),), (-1.0, 0.0), (1.0, 0.0), others=(((-1.0, -1.0), (-1.0, 1.0)),))
     goal = Goal("half", "", "", lambda _: (poor,))

@@ -88,6 +88,6 @@ def command(
 def line(goal: Goal, error: InputError | None = None) -> str:
     """What is told of a goal."""
     # Without the numbers of its references, which stand in the module.
-    source = re.sub(r"(.+)", r" (\1)", re.sub(r" \[\d\]", "", goal.source))
-    told = f"{goal.name:<21} {goal.manipulations}  {goal.summary}{source}"
+    source = re.sub(r" \[\d\]", "", goal.source)
+    told = f"{goal.name:<21} {goal.manipulations}  {goal.summary}{f' ({source})' if source else ''}"
     return told if error is None else f"{told}; not of this cloth: {error}"

@@ -52,8 +52,8 @@ def goal_name(goal: object, turn: Turn | None, mirror: bool | None) -> str | Non
     """
     if isinstance(goal, str) and goal in GOALS:
         return goal
-    # Files have an ending, and a dataset's state (data/meshes.zarr:0/1) has more than that.
-    if isinstance(goal, str) and re.fullmatch(r"[\w-]+", goal):
+    # A file that is there is read, or refused for its own reason; a dataset's state is data/meshes.zarr:0/1.
+    if isinstance(goal, str) and re.fullmatch(r"[\w-]+", goal) and not os.path.lexists(goal):
         raise InputError(f"--goal: expected a file or one of {', '.join(GOALS)}, found {goal!r}")
     told = "not given" if goal is None else goal if isinstance(goal, str | Path) else "given as arrays"
     for name, given in (("turn", turn), ("mirror", mirror)):
