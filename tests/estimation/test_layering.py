@@ -76,6 +76,11 @@ def test_what_lies_above_itself_in_a_circle_rises_to_a_limit() -> None:
     assert rise == pytest.approx(HIGHEST_RISE * THICKNESS, rel=1e-3)
 
 
+def test_a_heap_stays_as_it_is() -> None:
+    heap = np.random.default_rng(4).normal(0, 0.01, (32, 32, 3)).astype(np.float32)
+    np.testing.assert_array_equal(lift(heap, thickness=THICKNESS, sides=SIDES), heap)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_pairs_and_their_neighbours_are_those_that_loops_find(seed: int) -> None:
     rng = np.random.default_rng(seed)
