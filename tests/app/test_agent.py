@@ -178,9 +178,9 @@ def test_what_is_wrong_is_one_sentence_and_changes_nothing(here: Path, files: Pa
     agent, flat = toy_agent(), metres(SQUARE.flat())
     with pytest.raises(InputError, match="no session has begun"):
         agent.observe(flat)
-    with pytest.raises(InputError, match="steps: expected 1, 2 or 3 manipulations, found 4"):
+    with pytest.raises(InputError, match="steps: expected 1, 2 or 3 manipulations or auto, found 4"):
         agent.begin(flat, steps=4)
-    with pytest.raises(InputError, match="steps: expected 1, 2 or 3 manipulations, found None"):
+    with pytest.raises(InputError, match="steps: expected 1, 2 or 3 manipulations or auto, found None"):
         agent.begin(flat)
     agent.begin(flat, steps=1)
     with pytest.raises(InputError, match="has observed nothing"):

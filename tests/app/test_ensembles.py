@@ -137,7 +137,7 @@ def test_a_plan_file_says_all_that_a_later_plan_needs(planner: Planner, folder: 
     assert tuple(prediction.net for prediction in plan.steps[0].predictions) == planner.members
     assert (plan.expected.epistemic_uncertainty is None) == (len(planner.members) == 1)
     check_nets(plan, planner, folder, path)
-    found = memory_of(plan, planner, before, traces_before(plan, planner, path))
+    found = memory_of(plan, planner, before, traces_before(plan, planner, path), int(later.left[0]))
     np.testing.assert_allclose(found.rest, later.rest)
     assert found.relative == later.relative
     if not plan.steps[0].null and not planned.useless:

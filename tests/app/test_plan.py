@@ -264,9 +264,9 @@ def test_after_takes_up_what_is_left(here: Path, files: Path) -> None:
     memories = []
     original = agent_state.decide
 
-    def spy(planner: Planner, observation: Observation, memory: Memory, *, seed: int) -> Any:
+    def spy(planner: Planner, observation: Observation, memory: Memory, **settings: Any) -> Any:
         memories.append(memory)
-        return original(planner, observation, memory, seed=seed)
+        return original(planner, observation, memory, **settings)
 
     with (
         mock.patch.object(plan_command, "load_planner", toy_planner),

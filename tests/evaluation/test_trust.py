@@ -34,7 +34,7 @@ def test_plans_are_executed_to_their_end_and_a_killed_run_goes_on(dataset: Datas
     assert set(zip(found.start, found.length, strict=True)) == {(0, 1), (1, 1), (2, 1), (0, 2), (1, 2), (0, 3)}
     # The toy's nets know their world to 3 %: plans end near their goals, and as near as they expect.
     done = found.error < 0.5 * found.error_no_action
-    assert done.mean() > 0.7
+    assert done.mean() > 0.5
     np.testing.assert_allclose(found.error[done], found.expected[done], atol=0.03)
     assert not found.sigma.any()
     assert np.isnan(found.model_error).all()
@@ -59,7 +59,7 @@ def planned(seed: int, sequences: int) -> Planned:
 
 
 def test_trust_of_others_holds() -> None:
-    table, found = rows(planned(0, 100))
+    table, found = rows(planned(0, 400))
     assert found.signs == trust.names_of("expected")
     inside = (table["trusted_low"] <= table["error"]) & (table["error"] <= table["trusted_high"])
     assert inside.mean() == pytest.approx(trust.INTERVAL, abs=0.04)

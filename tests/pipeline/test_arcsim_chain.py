@@ -19,6 +19,7 @@ from clothkit.evaluation import (
     calibration,
     camera,
     camera_planning,
+    doubt,
     estimation,
     planning,
     prediction,
@@ -54,6 +55,7 @@ from clothkit.training.emd_voxel import train_emd_voxel
 from clothkit.training.pemd import train_pemd
 from clothkit.training.settings import TrainEMDVoxelConfig, TrainingConfig, TrainPEMDConfig, TrainVtMConfig
 from clothkit.training.vtm import example_units, train_vtm
+from tests.evaluation.doubt_rows import probe_rows, trust_rows
 from tests.observation.scenes import SMALL
 from tests.planning import toy
 from tests.simulation import arcsim_runs as runs
@@ -180,6 +182,10 @@ def test_the_chain_runs_on_from_arcsims_runs(tmp_path: Path) -> None:
         camera_planning=before,
         camera_comparisons=camera_planning.comparisons(before),
         pictures=arrays.load(tmp_path / "pictures.zarr", arrays.PICTURES),
+        # These are made up: they come from our own simulator, whatever the dataset comes from.
+        probes=probe_rows(),
+        doubt=doubt.summary(probe_rows()),
+        trust=trust_rows(),
     )
     unoccluded = of_meshes[of_meshes["system"] != prediction.OCCLUDED]
     for tidy in (inputs.estimation, unoccluded, inputs.planning):

@@ -25,6 +25,9 @@ Values = Float[Array | np.ndarray, "*batch"]
 LEAST = 1e-3
 """Least error of which a logarithm is taken [cloth length]."""
 
+RIDGE = 1e-4
+"""Weight of squared slopes beside the mean square that is fitted, so that a sign that is always the same has none."""
+
 _NUMBERS = ("least", "offset", "slope", "ratios")
 
 
@@ -80,7 +83,9 @@ def fit(
     columns = np.concatenate([np.eye(steps)[step], logarithms], axis=-1)
     true = np.maximum(error, LEAST)
     bounds = (np.concatenate([np.full(steps, -np.inf), np.zeros(len(signs))]), np.inf)
-    found = lsq_linear(columns, np.log(true), bounds, method="bvls").x
+    ridge = (RIDGE * len(true)) ** 0.5 * np.eye(steps + len(signs))[steps:]
+    sides = np.concatenate([columns, ridge]), np.concatenate([np.log(true), np.zeros(len(signs))])
+    found = lsq_linear(*sides, bounds, method="bvls").x
     ratio = true / np.exp(columns @ found)
     mean = ratio.mean()
     spread = np.quantile(ratio / mean, np.linspace(0, 1, quantiles + 1))

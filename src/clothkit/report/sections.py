@@ -253,7 +253,6 @@ SECTIONS = (
                 "What tells the errors of predictions",
                 ("statistic", "measure", *PROBED),
                 (captions.DOUBT_TABLE,),
-                keys=("statistic",),
             ),
             Figure("trust", "Expected and real errors", captions.TRUST_PICTURED),
             Table("trust", "How far expectations came true", TRUST, (captions.TRUST,)),
