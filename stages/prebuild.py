@@ -7,25 +7,12 @@ from clothkit.planning.objective import Weights
 from clothkit.planning.planner import assemble
 from clothkit.planning.systems import SYSTEMS
 from clothkit.prebuilt.deviation import check, deviations
-from clothkit.prebuilt.files import check_size, pack, sources, unpack
+from clothkit.prebuilt.files import SECTIONS, check_size, pack, sources, unpack
 from clothkit.prebuilt.manifest import manifest_of, write
 from clothkit.runtime.stage import stage
 from clothkit.simulation.executor import end_workers, make_simulator
 
 DATA = Path("data")
-SECTIONS = (
-    "simulate",
-    "regularise",
-    "augment",
-    "train_pemd",
-    "train_vtm",
-    "set_alarms",
-    "train_support",
-    "normalise",
-    "probe",
-    "calibrate",
-)
-"""The params of what the sources come from."""
 
 
 def main() -> None:

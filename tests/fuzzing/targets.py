@@ -30,6 +30,7 @@ from clothkit.observation.states import PointCloud
 from clothkit.params import load_params
 from clothkit.planning import agent, normalisation
 from clothkit.planning.batches import take
+from clothkit.planning.lengths import LengthConfig
 from clothkit.planning.planner import Planner
 from clothkit.planning.types import Memory, Observation
 from clothkit.report import run_settings
@@ -122,7 +123,9 @@ def serving() -> Iterator[None]:
         yield
 
 
-def _decided(planner: Planner, observation: Observation, memory: Memory, *, seed: int) -> tuple[Planned, Memory]:
+def _decided(
+    planner: Planner, observation: Observation, memory: Memory, *, seed: int, length: LengthConfig | None = None
+) -> tuple[Planned, Memory]:
     """A plan that nobody searched for, from the state that the planner perceives."""
     state, plan = agent.perceive(planner, observation, memory)[0][0], np.stack([BOTH, ONE])[: int(memory.left[0])]
     found = predict_plan(planner, state, plan, common=0, traces=take(memory.traces, 0))

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from clothkit.cloth.mesh import ProbabilisticMesh, distance_aligned
+from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.models import support_model
 from clothkit.models.settings import SupportModelConfig
 from clothkit.models.support_model import SupportModel

@@ -13,7 +13,7 @@ from clothkit.training.support_model import contrasted, recorded_inputs, swapped
 from tests import toy_dataset
 from tests.planning import toy
 
-SETTINGS = SupportTrainingConfig(net=SupportModelConfig(hidden=(32,)), iterations=120, batch=32)
+SETTINGS = SupportTrainingConfig(net=SupportModelConfig(hidden=(32,)), iterations=600, batch=32)
 
 
 def test_recorded_manipulations_are_less_surprising_than_random_ones() -> None:

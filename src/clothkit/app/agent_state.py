@@ -108,12 +108,12 @@ def kept_within(limits: Limits, now: AgentState, *, seed: int) -> AgentState:
 
     Raises InputError when no such plan does anything.
     """
-    perceived, planned = now.perceived, now.planned
+    perceived = now.perceived
     assert perceived is not None, "a state with an observation"
-    assert planned is not None, "a state with a plan"
+    assert now.planned is not None, "a state with a plan"
     planned, turn = reached(
         now.planner,
-        planned,
+        now.planned,
         now.memory,
         perceived.candidates,
         perceived.source.pose,
@@ -121,7 +121,8 @@ def kept_within(limits: Limits, now: AgentState, *, seed: int) -> AgentState:
         limits,
         seed=seed,
     )
-    planned = planned._replace(sigma=perceived.sigma)
+    if planned is not now.planned:
+        planned = planned._replace(sigma=perceived.sigma)
     return dataclasses.replace(now if turn is None else turned(now, turn), planned=planned)
 
 

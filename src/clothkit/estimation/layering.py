@@ -36,7 +36,7 @@ another in a circle, and would rise without end."""
 
 MOST_OVERLAPS = 40
 """Overlapping vertices for each vertex, in the mean over a mesh, above which a mesh is left as it is. A cloth folded
-into eight layers has about 19. Above it an estimate is a heap without an order, in which pairs of pairs take gigabytes."""
+into eight layers has about 19. Above it an estimate is a heap without an order, whose pairs of pairs take gigabytes."""
 
 TOLERANCE = 1e-4
 """Lack of distance between two layers that is left [normalised]."""

@@ -27,6 +27,20 @@ ALARMS, REFERENCE, VTM = "nets/alarms.npz", "normalisation/mesh.json", "nets/vtm
 WHOLE = (REFERENCE, SUPPORT, EXPECTED_ERROR, trust.PLACE)
 """Small files that are prebuilt as they are."""
 
+SECTIONS = (
+    "simulate",
+    "regularise",
+    "augment",
+    "train_pemd",
+    "train_vtm",
+    "set_alarms",
+    "train_support",
+    "normalise",
+    "probe",
+    "calibrate",
+)
+"""The params of what prebuilt nets come from."""
+
 
 def nets(members: Sequence[int]) -> Iterator[tuple[str, store.Kind]]:
     """The folders, under that of all data, and the kinds of the nets that are prebuilt: those of system main."""

@@ -352,6 +352,7 @@ def reach(table: pd.DataFrame, path: Path) -> None:
         axis.set_ylabel(title, fontsize=8)
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, fontsize=8, frameon=False, loc="outside upper center", ncols=len(labels))
+    panels.save(figure, path)
 
 
 MEASURES = {
