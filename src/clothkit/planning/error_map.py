@@ -20,7 +20,7 @@ from scipy.optimize import lsq_linear
 from clothkit.runtime.errors import InputError
 from clothkit.runtime.json_file import read_json
 
-Values = Float[Array | np.ndarray, "*batch"]
+Values = Float[Array | np.ndarray, "*batch"] | float
 
 LEAST = 1e-3
 """Least error of which a logarithm is taken [cloth length]."""
