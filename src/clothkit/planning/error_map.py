@@ -54,11 +54,11 @@ class ErrorMap:
     def interval(self, expected: Values, share: float = 0.8) -> tuple[np.ndarray, np.ndarray]:
         """Return the bounds between which that share of the errors lies, for errors that are expected."""
         low, high = np.interp([(1 - share) / 2, (1 + share) / 2], self._shares, self.ratios)
-        return np.asarray(expected) * low, np.asarray(expected) * high
+        return np.asarray(expected * low), np.asarray(expected * high)
 
     def share_below(self, limit: float, expected: Values) -> np.ndarray:
         """Return the share of the errors that are at most `limit`, for errors that are expected."""
-        return np.interp(limit / np.asarray(expected), self.ratios, self._shares, left=0.0, right=1.0)
+        return np.asarray(np.interp(limit / np.asarray(expected), self.ratios, self._shares, left=0.0, right=1.0))
 
     @property
     def _shares(self) -> Float[np.ndarray, " quantiles"]:
