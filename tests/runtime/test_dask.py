@@ -72,7 +72,7 @@ def cluster(port: int) -> Iterator[Any]:
         protocol="tcp",
         host="127.0.0.1",
         scheduler_port=port,
-        dashboard_address=None,
+        dashboard_address="127.0.0.1:0",
         silence_logs=50,
     ) as made:
         yield made
@@ -136,7 +136,7 @@ def test_a_worker_with_other_code_is_refused(tmp_path: Path) -> None:
     told = fingerprint(other / "clothkit")
     assert told != remote.LOADED
     with distributed.LocalCluster(
-        n_workers=0, processes=False, protocol="tcp", dashboard_address=None, silence_logs=50
+        n_workers=0, processes=False, protocol="tcp", dashboard_address="127.0.0.1:0", silence_logs=50
     ) as made:
         address = made.scheduler_address
         compute = partial(pair, folder=str(tmp_path))

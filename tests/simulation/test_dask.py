@@ -58,7 +58,12 @@ def test_execution_does_not_depend_on_who_executes() -> None:
     moves, single = np.array([[1.3, 0.0], [0.7, 0.7], [-0.6, -0.7], [-1.0, 0.1]]), np.array([False, True, True, False])
     alone = make_simulator(SETTINGS)(meshes, grasps, moves, single)
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=2, processes=False, protocol="tcp", dashboard_address=None, silence_logs=50
+        n_workers=2,
+        threads_per_worker=2,
+        processes=False,
+        protocol="tcp",
+        dashboard_address="127.0.0.1:0",
+        silence_logs=50,
     ) as made:
         elsewhere = dataclasses.replace(SETTINGS, executor="dask", scheduler=made.scheduler_address)
         found = make_simulator(elsewhere)(meshes, grasps, moves, single)

@@ -97,7 +97,7 @@ def open_dask(address: str, *, workers: int) -> Iterator[DaskPool]:
             where: dict[str, Any] = {"scheduler_file": address} if os.path.isfile(address) else {"address": address}
         else:
             # Memory is left to the system: Dask would stop workers that compile kernels.
-            own = LocalCluster(n_workers=workers, threads_per_worker=1, memory_limit=0, dashboard_address=None)
+            own = LocalCluster(n_workers=workers, threads_per_worker=1, memory_limit=0, dashboard_address="127.0.0.1:0")
             where = {"address": stack.enter_context(own)}
         try:
             client = stack.enter_context(Client(**where, timeout=_SECONDS, set_as_default=False))
