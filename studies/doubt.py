@@ -36,7 +36,7 @@ from clothkit.planning.objective import Weights
 from clothkit.planning.planner import Planner, artifacts, assemble
 from clothkit.planning.systems import SYSTEMS, System
 from clothkit.planning.uncertainty_terms import Measure, UncertaintyConfig
-from clothkit.report.figures.studies import doubt as draw
+from clothkit.report.figures.doubt_study import doubt as draw
 from clothkit.runtime.cache import ensure_jax_cache
 from clothkit.simulation.executor import make_simulator
 

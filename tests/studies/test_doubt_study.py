@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from clothkit.dataset.tasks import TASKS
-from clothkit.report.figures.studies import doubt as draw
+from clothkit.report.figures.doubt_study import doubt as draw
 from tests.episodes.test_sessions import dataset
 from tests.planning import toy
 

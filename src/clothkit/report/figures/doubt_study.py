@@ -1,0 +1,56 @@
+"""The figure of the study of doubt: planning error by measure of uncertainty."""
+
+from itertools import product
+from pathlib import Path
+
+import pandas as pd
+
+from clothkit.report import panels
+from clothkit.report.figures.studies import QUIET
+
+MEASURES = {
+    "paper": ("eq. (15)", "#3b75af"),
+    "conditional": ("conditional", "#519e3e"),
+    "support": ("support", "#8e5bd0"),
+    "expected": ("expected error", "#d9822b"),
+}
+"""Labels and colours of measures of uncertainty, in order."""
+
+
+def doubt(table: pd.DataFrame, path: Path) -> None:
+    """Writes charts of the error by measure of uncertainty, a row for each rule and a column for each plan length.
+
+    Points are means with 95 % intervals; a star marks a paired difference with p < 0.01. Columns of `table`: measure,
+    alpha, fold, column (length/all), error [cloth length], low, high and difference_p.
+    """
+    columns = sorted(table["column"].unique())
+    figure, axes = panels.chart(2 * len(columns), width=3.0, height=2.7, columns=len(columns))
+    variants = [
+        (name, alpha) for name in MEASURES for alpha in sorted(table.loc[table["measure"] == name, "alpha"].unique())
+    ]
+    for axis, (fold, column) in zip(axes, product((True, False), columns), strict=True):
+        rows = table[(table["fold"].astype(bool) == fold) & (table["column"] == column)]
+        for place, (name, alpha) in enumerate(variants):
+            for row in rows[(rows["measure"] == name) & (rows["alpha"] == alpha)].to_dict("records"):
+                label, colour = MEASURES[name]
+                spread = ([row["error"] - row["low"]], [row["high"] - row["error"]])
+                filled = "white" if alpha == 0 else colour
+                axis.errorbar([place], [row["error"]], yerr=spread, fmt="o", color=colour, markersize=4.5,
+                              markerfacecolor=filled, linewidth=1.1, label=label)  # fmt: skip
+                if row["difference_p"] < 0.01:
+                    axis.text(place, row["high"], "*", ha="center", va="bottom", fontsize=10, color=panels.INK)
+                if (name, alpha) == variants[0]:
+                    axis.axhline(row["error"], color=QUIET, linewidth=0.8, linestyle=(0, (1, 2)))
+        axis.set_xticks(range(len(variants)), [f"{alpha:g}" for _, alpha in variants], fontsize=7)
+        axis.set_ylim(bottom=0)
+        axis.grid(visible=False, axis="x")
+        many = "1 manipulation" if column[0] == "1" else f"{column[0]} manipulations"
+        rule = "folds as recorded" if fold else "any first manipulation"
+        axis.set_title(f"{many}, {rule}", fontsize=8.5, color=panels.INK)
+    for axis in axes[:: len(columns)]:
+        axis.set_ylabel("error of the outcome\n[cloth length]", fontsize=8)
+    for axis in axes[len(columns) :]:
+        axis.set_xlabel("alpha", fontsize=8)
+    entries = {label: bars for axis in axes for bars, label in zip(*axis.get_legend_handles_labels(), strict=True)}
+    figure.legend(entries.values(), entries, fontsize=8, frameon=False, loc="outside upper center", ncols=4)
+    panels.save(figure, path)
