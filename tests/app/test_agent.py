@@ -96,6 +96,9 @@ def test_a_mesh_that_is_taken_as_it_is(here: Path) -> None:
     assert seen.agreement is None
     with finding(FOUND):
         plan = agent.plan()
+    # The mesh is known, and trust in the plan needs to know that: NaN would mean that nothing is told.
+    assert agent.state.planned is not None
+    assert agent.state.planned.sigma == 0
     uv = FOUND[0, :4].reshape(2, 2)
     grasps = [np.asarray(to_cartesian(mesh, point), float) for point in uv]
     for hand, point in zip(plan.steps[0].hands, grasps, strict=True):

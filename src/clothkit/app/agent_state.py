@@ -100,6 +100,7 @@ def plan(now: AgentState, *, seed: int, limits: Limits = Limits()) -> AgentState
     if not now.memory.left[0]:
         raise InputError("agent: the session is over, expected manipulations that are left to plan")
     planned, _ = decide(*_known(now.planner, perceived.state), now.memory, seed=seed, length=now.choosing)
+    planned = planned._replace(sigma=perceived.sigma)
     return kept_within(limits, dataclasses.replace(now, planned=planned), seed=seed)
 
 
