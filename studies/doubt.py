@@ -19,6 +19,7 @@ normalisation, the dataset and the probes (`dvc repro normalise probe`).
 
 import argparse
 import dataclasses
+from collections.abc import Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
@@ -70,8 +71,10 @@ class Variant(NamedTuple):
         return f"{self.measure} {self.alpha:g} {'fold' if self.fold else 'any'}"
 
 
-def planner_of(variant: Variant, system: System, params: Params) -> Planner:
-    """Return the planner of a variant."""
+def planner_of(
+    variant: Variant, system: System, params: Params, data: Path = DATA, members: Sequence[int] | None = None
+) -> Planner:
+    """Return the planner of a variant, with the artifacts under `data`, by default those of params.yaml's ensemble."""
     plan = params.stages.plan
     settings = dataclasses.replace(
         plan,
@@ -79,7 +82,8 @@ def planner_of(variant: Variant, system: System, params: Params) -> Planner:
         uncertainty=UncertaintyConfig(measure=variant.measure),
     )
     weights = Weights(variant.alpha, params.beta, params.gamma)
-    return assemble(system, DATA, weights, settings, params.stages.simulate.candidates, params.ensemble.members)
+    chosen = params.ensemble.members if members is None else members
+    return assemble(system, data, weights, settings, params.stages.simulate.candidates, chosen)
 
 
 def planned(planner: Planner, dataset: Dataset, sequences: list[int], simulator: Execute, name: str) -> pd.DataFrame:

@@ -31,20 +31,18 @@ Options: `--counts N ..` (1 2 3 5) are the numbers of nets. `--train-only` train
 
 import argparse
 import dataclasses
-import json
-import shutil
-import time
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from itertools import count, islice, product
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 import pandas as pd
+import trained
 from fingerprint import COLUMN, append, fingerprint, read, write
 from search import seconds_per_plan
+from trained import cost_beside, is_trained
 
 from clothkit.dataset import store
 from clothkit.dataset.store import Dataset
@@ -68,11 +66,7 @@ from clothkit.planning.planner import Planner, assemble
 from clothkit.planning.systems import SYSTEMS
 from clothkit.report.figures.studies import ensemble as draw
 from clothkit.runtime.json_file import read_json
-from clothkit.runtime.publish import alone, publish, unfinished
-from clothkit.runtime.stage import WORK
 from clothkit.simulation.executor import make_simulator
-from clothkit.training.loop import CHECKPOINT
-from clothkit.training.pemd import train_pemd
 
 DATA = Path("data")
 MESHES, AUGMENTED, OWN = DATA / "meshes.zarr", DATA / "augmented.zarr", DATA / "studies/ensemble"
@@ -103,46 +97,9 @@ def of_training(params: Params, member: int) -> str:
     return fingerprint([MESHES, AUGMENTED], params.stages.train_pemd, member)
 
 
-def is_trained(folder: Path, current: str) -> bool:
-    """Return whether there is a net of the study in the folder, trained with the current data and settings."""
-    return (folder / net_store.ATTRIBUTES).exists() and net_store.description(folder).get(COLUMN) == current
-
-
 def train(member: int, params: Params, validation: Dataset) -> None:
-    """Train a net of the study as the train_pemd stage does, unless it is there; its time is written beside it.
-
-    The time is null for a training that was resumed, since its earlier parts were not measured.
-    """
-    folder, settings = ensemble.folder(OWN, "pemd", member), params.stages.train_pemd
-    current = of_training(params, member)
-    work = WORK / "studies/ensemble" / f"{member}_{current}"
-    with alone(work.with_name(f"{work.name}.lock")):
-        if is_trained(folder, current):
-            return
-        work.mkdir(exist_ok=True)
-        whole = not (work / CHECKPOINT).exists()
-        print(f"member {member}: {'training' if whole else 'training goes on from its checkpoint'}", flush=True)
-        key = jax.random.fold_in(jax.random.key(settings.training.seed), member)
-        wall, cpu = time.perf_counter(), time.process_time()
-        trained = train_pemd(settings, store.load(AUGMENTED), validation, work=work, key=key)
-        cost = {"seconds": time.perf_counter() - wall, "cpu_seconds": time.process_time() - cpu}
-        attributes = {
-            "stage": "studies/ensemble",
-            "scale": params.scale,
-            "params": params.section("train_pemd"),
-            "validation_score": trained.score,
-            COLUMN: current,
-        }
-        net_store.save(work / "net", Net(settings.net, trained.params), trained.history, attributes)
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        with unfinished(_cost_beside(folder)) as part:
-            part.write_text(json.dumps({name: round(value, 1) if whole else None for name, value in cost.items()}))
-        publish(work / "net", folder)
-        shutil.rmtree(work)
-
-
-def _cost_beside(folder: Path) -> Path:
-    return folder.with_name(f"{folder.name}.json")
+    """Train a net of the study, unless it is there."""
+    trained.train(OWN, member, params, lambda: store.load(AUGMENTED), validation, of_training(params, member))
 
 
 def loaded(found: Mapping[int, Path]) -> Ensemble:
@@ -234,7 +191,7 @@ def training_minutes(numbers: Iterable[int], params: Params, folder: Path) -> di
     for measure, column in COSTS.items():
         seconds: dict[int, Any] = {}
         for member, net in {member: net for nets in ensembles.values() for member, net in nets.items()}.items():
-            cost, stage = _cost_beside(net), f"train_pemd@{member}"
+            cost, stage = cost_beside(net), f"train_pemd@{member}"
             if cost.exists():
                 seconds[member] = read_json(cost, expected="the seconds of a training")[column]
             elif stage in noted.index:

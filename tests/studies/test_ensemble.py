@@ -73,7 +73,7 @@ def test_training_is_the_stages_and_is_done_once(
             raise KeyboardInterrupt
         return Trained(WEIGHTS, 0.3, HISTORY)
 
-    monkeypatch.setattr(study, "train_pemd", train)
+    monkeypatch.setattr(study.trained, "train_pemd", train)
     monkeypatch.setattr(study.store, "load", lambda path: path)
     small = replace(params.stages.train_pemd, net=NET, training=replace(params.stages.train_pemd.training, seed=7))
     fake: Any = SimpleNamespace(

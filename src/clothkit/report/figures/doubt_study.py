@@ -1,4 +1,4 @@
-"""The figure of the study of doubt: planning error by measure of uncertainty."""
+"""The figures of the studies of doubt: planning error by measure of uncertainty, data and number of nets."""
 
 from itertools import product
 from pathlib import Path
@@ -53,4 +53,42 @@ def doubt(table: pd.DataFrame, path: Path) -> None:
         axis.set_xlabel("alpha", fontsize=8)
     entries = {label: bars for axis in axes for bars, label in zip(*axis.get_legend_handles_labels(), strict=True)}
     figure.legend(entries.values(), entries, fontsize=8, frameon=False, loc="outside upper center", ncols=4)
+    panels.save(figure, path)
+
+
+def amounts(table: pd.DataFrame, path: Path) -> None:
+    """Writes charts of the error by training sequences and nets, a row for each rule and a column for each plan length.
+
+    Points are means with 95 % intervals; a star marks a paired difference to no doubt with p < 0.01. Columns of
+    `table`: amount (training sequences), nets, and those of `doubt`.
+    """
+    columns = sorted(table["column"].unique())
+    figure, axes = panels.chart(2 * len(columns), width=3.0, height=2.7, columns=len(columns))
+    settings = sorted(set(zip(table["amount"], table["nets"], strict=True)))
+    variants = list(dict.fromkeys(zip(table["measure"], table["alpha"], strict=True)))
+    for axis, (fold, column) in zip(axes, product((True, False), columns), strict=True):
+        rows = table[(table["fold"].astype(bool) == fold) & (table["column"] == column)]
+        for shift, (name, alpha) in enumerate(variants, start=-1):
+            label, colour = MEASURES[name] if alpha else ("no doubt", "#777777")
+            own = rows[(rows["measure"] == name) & (rows["alpha"] == alpha)].set_index(["amount", "nets"])
+            found = [(place, own.loc[setting]) for place, setting in enumerate(settings) if setting in own.index]
+            places = [place + 0.16 * shift for place, _ in found]
+            spread = [[row[a] - row[b] for _, row in found] for a, b in (("error", "low"), ("high", "error"))]
+            axis.errorbar(places, [row["error"] for _, row in found], yerr=spread, fmt="o", color=colour,
+                          markersize=4, linewidth=1.1, label=label)  # fmt: skip
+            for place, (_, row) in zip(places, found, strict=True):
+                if row["difference_p"] < 0.01:
+                    axis.text(place, row["high"], "*", ha="center", va="bottom", fontsize=10, color=panels.INK)
+        axis.set_xticks(range(len(settings)), [f"{amount}\n{nets}" for amount, nets in settings], fontsize=7)
+        axis.set_ylim(bottom=0)
+        axis.grid(visible=False, axis="x")
+        many = "1 manipulation" if column[0] == "1" else f"{column[0]} manipulations"
+        rule = "folds as recorded" if fold else "any first manipulation"
+        axis.set_title(f"{many}, {rule}", fontsize=8.5, color=panels.INK)
+    for axis in axes[:: len(columns)]:
+        axis.set_ylabel("error of the outcome\n[cloth length]", fontsize=8)
+    for axis in axes[len(columns) :]:
+        axis.set_xlabel("training sequences, and nets below", fontsize=8)
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize=8, frameon=False, loc="outside upper center", ncols=4)
     panels.save(figure, path)
