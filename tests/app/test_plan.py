@@ -82,6 +82,10 @@ def test_hands_start_at_the_grasp_points_in_the_plans_frame(
     assert (plan.state.agreement is None) == (plan.system == "b1")
     assert ("the state's estimate" in said) == (plan.system != "b1")
     assert plan.goal.agreement is None
+    # How often such plans came true is known of system main alone; what it starts from is estimated here.
+    told = plan.expected.trust, plan.expected.outcome_error_m
+    assert (None not in told) == (plan.system == "main")
+    assert ("trust" in said) == (plan.system == "main")
     as_it_is = state == "bent.obj" and not options
     assert (plan.state.taken, plan.goal.taken) == ("as it is" if as_it_is else "estimated", "as it is")
     assert (
