@@ -1,7 +1,8 @@
 """Which weight alpha of the uncertainty term is best?  python studies/alpha.py [SEQUENCES] [options]
 
-Plans and executes all tasks of the first validation sequences (default: 10) with one system, for several values of
-alpha, and, with alpha from params.yaml, for other values of beta and gamma (eqs. 13 and 15). A row per setting and task
+Plans and executes all tasks of the first validation sequences (default: 10) with one system and the paper's measure of
+uncertainty (eq. 15), for several values of alpha, and, with the alpha that params.yaml makes of it (`alpha` times
+`plan.uncertainty.u_weight`), for other values of beta and gamma (eqs. 13 and 15). A row per setting and task
 goes to reports/<scale>/studies/alpha.csv. Existing rows are not computed again; rows made with other nets or other
 settings (`fingerprint`) are dropped. The figure alpha.png shows the error against alpha, beta and gamma for each start
 and plan length, as mean and 95 % bootstrap interval over sequences. Needs the nets, the normalisation and the dataset
@@ -13,6 +14,7 @@ Options with defaults: `--alphas A ..` (0 0.003 0.01 0.03 0.1 1 10), `--betas B 
 """
 
 import argparse
+import dataclasses
 from functools import partial
 from pathlib import Path
 
@@ -28,6 +30,7 @@ from clothkit.params import load_params
 from clothkit.planning.objective import Weights
 from clothkit.planning.planner import artifacts, assemble
 from clothkit.planning.systems import SYSTEMS
+from clothkit.planning.uncertainty_terms import UncertaintyConfig
 from clothkit.report.figures.studies import weights as draw
 from clothkit.simulation.executor import make_simulator
 
@@ -52,7 +55,8 @@ def main() -> None:
     parser.add_argument("--draw", action="store_true", help="only draw the rows that are there; needs no nets")
     asked = parser.parse_args()
     params = load_params(Path("params.yaml"))
-    usual = Weights(params.alpha, params.beta, params.gamma)
+    uncertainty = UncertaintyConfig(u_weight=1.0)
+    usual = Weights(params.alpha * params.stages.plan.uncertainty.u_weight, params.beta, params.gamma)
     folder = Path("reports") / params.scale / "studies"
     path = folder / ("alpha.csv" if asked.system == "main" else f"alpha_{asked.system}.csv")
     if asked.draw:
@@ -61,20 +65,20 @@ def main() -> None:
     settings = [usual._replace(alpha=value) for value in asked.alphas]
     settings += [usual, *(usual._replace(beta=value) for value in asked.betas)]
     settings += [usual._replace(gamma=value) for value in asked.gammas]
-    simulate = params.stages.simulate
+    simulate, plan = params.stages.simulate, dataclasses.replace(params.stages.plan, uncertainty=uncertainty)
     data, meshes, members = Path("data"), Path("data/meshes.zarr"), params.ensemble.members
     dataset = store.load(meshes)
     sequences = dataset.indices("validation")[: asked.sequences].tolist()
     folder.mkdir(parents=True, exist_ok=True)
     name = asked.system
-    inputs = [meshes, *artifacts(SYSTEMS[name], data, members, params.stages.plan.uncertainty.measure).values()]
-    current = fingerprint(inputs, params.stages.plan, simulate.candidates, simulate.simulation)
+    inputs = [meshes, *artifacts(SYSTEMS[name], data, members, uncertainty.measure).values()]
+    current = fingerprint(inputs, plan, simulate.candidates, simulate.simulation)
     table = read(path, [*NAMES, "sequence", "length", "error"], current)
     for weights in settings:
         done = set(known(table, weights)["sequence"])
         missing = [sequence for sequence in sequences if sequence not in done]
         if missing:
-            planner = assemble(SYSTEMS[name], data, weights, params.stages.plan, simulate.candidates, members)
+            planner = assemble(SYSTEMS[name], data, weights, plan, simulate.candidates, members)
             simulator = make_simulator(simulate)
             annotate = partial(diagnosed, planner=planner)
             sessions, _ = try_out(dataset, missing, "validation", planner, simulator, annotate=annotate)

@@ -79,7 +79,7 @@ def planner_of(
     settings = dataclasses.replace(
         plan,
         search=dataclasses.replace(plan.search, fold=variant.fold),
-        uncertainty=UncertaintyConfig(measure=variant.measure),
+        uncertainty=UncertaintyConfig(measure=variant.measure, u_weight=1.0),
     )
     weights = Weights(variant.alpha, params.beta, params.gamma)
     chosen = params.ensemble.members if members is None else members

@@ -64,6 +64,7 @@ from clothkit.planning.normalisation import normalise
 from clothkit.planning.objective import Weights
 from clothkit.planning.planner import Planner, assemble
 from clothkit.planning.systems import SYSTEMS
+from clothkit.planning.uncertainty_terms import UncertaintyConfig
 from clothkit.report.figures.studies import ensemble as draw
 from clothkit.runtime.json_file import read_json
 from clothkit.simulation.executor import make_simulator
@@ -227,7 +228,10 @@ def main() -> None:
     if asked.train_only:
         return
     folder.mkdir(parents=True, exist_ok=True)
-    weights, plan = Weights(params.alpha, params.beta, params.gamma), stages.plan
+    # Other measures need a support model and a map of errors of the very ensemble: see doubt_amount.py.
+    uncertainty = UncertaintyConfig(u_weight=stages.plan.uncertainty.u_weight)
+    weights = Weights(params.alpha, params.beta, params.gamma)
+    plan = dataclasses.replace(stages.plan, uncertainty=uncertainty)
     settings = [plan.search, plan.refine, plan.batch, plan.seed, weights, stages.normalise, stages.evaluate_estimation]
     settings += [stages.simulate.candidates, stages.simulate.simulation]
     stored = pd.read_csv(path)["nets"].tolist() if path.exists() else []

@@ -36,7 +36,7 @@ from clothkit.simulation.cloths import topology_of
 from clothkit.simulation.settings import SimulationConfig
 
 PARAMS = Path("params.yaml")
-_WEIGHTS = Weights(alpha=0.01, beta=5.0, gamma=1.25)
+_WEIGHTS = Weights(alpha=1.0, beta=5.0, gamma=1.25)
 
 LARGEST_RATIO = 4.0
 """Largest accepted ratio of a cloth's sides; nets know less (`simulate.variation.ratio`)."""

@@ -21,7 +21,7 @@ from clothkit.planning.search import search
 from clothkit.planning.settings import PlanConfig
 from clothkit.planning.systems import System
 from clothkit.planning.types import Found, Problem
-from clothkit.planning.uncertainty_terms import Measure, UncertaintyConfig, needed, terms_of
+from clothkit.planning.uncertainty_terms import Measure, needed, terms_of
 from clothkit.planning.voxel_representation import VOXEL
 from clothkit.runtime.errors import InputError
 
@@ -122,7 +122,9 @@ def assemble(
         ensemble = Ensemble((ensemble.members[ensemble.best],), (ensemble.best_net,))
     if system.alpha is not None:
         weights = weights._replace(alpha=system.alpha)
-    measures = UncertaintyConfig() if system.voxels else settings.uncertainty
+    measures = replace(settings.uncertainty, measure="paper") if system.voxels else settings.uncertainty
+    if measures.measure == "paper":
+        weights = weights._replace(alpha=weights.alpha * measures.u_weight)
     accuracy, terms = terms_of(measures, weights.alpha if system.doubts else 0, ensemble, data)
     return Planner(
         system,

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
-from annotated_types import Gt
+from annotated_types import Ge, Gt
 
 from clothkit.cloth.topology import SQUARE
 from clothkit.models import support_model
@@ -32,9 +32,11 @@ SUPPORT, EXPECTED_ERROR = "nets/support.npz", "normalisation/expected_error.json
 
 @config
 class UncertaintyConfig:
-    """Which measure of uncertainty plans are judged by. Systems that plan in voxels have that of the paper."""
+    """Which measure of uncertainty plans are judged by. Systems that plan in voxels always have that of the paper."""
 
     measure: Measure = "paper"
+    u_weight: Annotated[float, Ge(0)] = 0.01
+    """paper: alpha of eq. (13) where alpha in params.yaml is 1. The paper gives none, and u has no unit."""
     draws: Annotated[int, Gt(0)] = 64
     """conditional: plans on the support with which a problem is posed."""
     deviations: float = 2.0
