@@ -26,7 +26,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from tables import show
-from timed import least
+from timed import device, least
 
 from clothkit.cloth.silhouette import silhouette
 from clothkit.cloth.topology import SQUARE
@@ -141,7 +141,7 @@ def measure(system: System, stages: Any, settings: SearchConfig, batch: int, rou
         # Compiled ahead of time, without a first run: at table 1's sizes one search takes minutes on a CPU.
         program = search.lower(*kind, *inputs, length=length, settings=settings, keys=keys).compile()
         seconds = least(partial(program, *inputs, keys=keys), rounds, compiled=True)
-        row: dict[str, Any] = {"system": system.name, "strains": strains, "length": length}
+        row: dict[str, Any] = {"system": system.name, "device": device(), "strains": strains, "length": length}
         row |= {"s a plan": round(seconds / batch, 3), "paper's": published(system.name, length)}
         if not system.voxels:
             rows = strains * batch
@@ -178,7 +178,8 @@ def estimates(stages: Any, batch: int, rounds: int) -> list[dict]:
         }
         for what, call in calls.items():
             seconds = round(least(call, rounds) / count, 5)
-            found.append({"estimate": what, "at a time": count, "s each": seconds, "paper's": ESTIMATION[what]})
+            row = {"estimate": what, "device": device(), "at a time": count, "s each": seconds}
+            found.append(row | {"paper's": ESTIMATION[what]})
     return found
 
 

@@ -1,7 +1,7 @@
 """Runs attempts at sequences with the clothkit on PYTHONPATH, without rejecting states; used by simulation.py.
 
     PYTHONPATH=CHECKOUT/src python benchmarks/run_attempts.py OUT.npz [--count 16] [--first 0] [--workers 1] [--side 32]
-        [--device cpu] [--block 4]
+        [--block 4]
 
 The script runs attempts of seed 0 with the checkout's default settings, and writes their states, their settling times,
 whether they came to rest, CPU and wall seconds (without compilation) and peak memory. It uses only functions that
@@ -15,7 +15,6 @@ import os
 import resource
 import time
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -52,28 +51,26 @@ class Watch:
         return "" if quality.finite[index] else "not finite"
 
 
-def settings(side: int, device: str, changes: str) -> SimulateConfig:
-    """Return the default settings for a grid side and a device, with a JSON object of changes to the material."""
-    # The device is given only if it is not the default, since older versions have no such setting.
-    world: dict[str, Any] = {"side": side} | ({} if device == "cpu" else {"device": device})
-    simulation = SimulationConfig(**world)
+def settings(side: int, changes: str) -> SimulateConfig:
+    """Return the default settings for a grid side, with a JSON object of changes to the material."""
+    simulation = SimulationConfig(side=side)
     if changes:
         material = type(simulation.material)(**json.loads(changes))
-        simulation = SimulationConfig(**world, material=material)
+        simulation = SimulationConfig(side=side, material=material)
     return SimulateConfig(sequences=1, seed=0, simulation=simulation, limits=OPEN)
 
 
-def run_block(first: int, count: int, side: int, device: str, changes: str) -> dict[str, np.ndarray]:
+def run_block(first: int, count: int, side: int, changes: str) -> dict[str, np.ndarray]:
     """Run a block of attempts; return their arrays and measurements.
 
     The measurements are `rested` [attempts 3], `solver_seconds` [1 3], and the process's CPU seconds, id and peak
     memory.
     """
-    warm_up(side, device, changes)
+    warm_up(side, changes)
     watch = Watch()
     attempts.perform, attempts.reason = watch.timed, watch.lenient  # type: ignore[assignment]
     started = time.process_time()
-    found = attempts.attempt_sequences(range(first, first + count), settings(side, device, changes))
+    found = attempts.attempt_sequences(range(first, first + count), settings(side, changes))
     attempts.perform = watch.perform
     spent = time.process_time() - started
     rested = np.zeros((count, 3), bool)
@@ -87,10 +84,10 @@ def run_block(first: int, count: int, side: int, device: str, changes: str) -> d
 
 
 @functools.cache
-def warm_up(side: int, device: str, changes: str) -> None:
+def warm_up(side: int, changes: str) -> None:
     """Load or compile the kernels, once per process."""
     cv2.setNumThreads(1)
-    attempts.attempt_sequences(range(WARM_UP, WARM_UP + 1), settings(side, device, changes))
+    attempts.attempt_sequences(range(WARM_UP, WARM_UP + 1), settings(side, changes))
 
 
 def main() -> None:
@@ -99,11 +96,10 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     for name, default in (("first", 0), ("count", 16), ("workers", 1), ("side", 32), ("block", 4)):
         parser.add_argument(f"--{name}", type=int, default=default)
-    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
     parser.add_argument("--material", default="", help='JSON: {"shear_stiffness": 20.0}')
     options = parser.parse_args()
     last = options.first + options.count
-    same = (options.side, options.device, options.material)
+    same = (options.side, options.material)
     jobs = [(at, min(options.block, last - at), *same) for at in range(options.first, last, options.block)]
     if options.workers == 1:
         warm_up(*same)

@@ -6,8 +6,7 @@ WHAT is `vertices` (cost against vertices per side), `sequences` (cost against t
 `--against PATH` compares this checkout with another checkout of this repository on the same attempts.
 `--count N` is the number of attempts (default: 16) for `steps` and `--against`, `--sizes 16 64 1024` those for
 `sequences`. `--csv FOLDER` writes CSV files. `--material '{"shear_stiffness": 20.0}'` changes this checkout's material.
-`--device cuda` runs this checkout on a GPU, in one process with `--block` (default: 4) attempts at a time; a GPU needs
-hundreds to be busy.
+`--block N` is the number of attempts that a process runs at a time (default: 4).
 
 The same checks are applied to both checkouts, and no state is rejected, so step 3 starts from bad states, too. A
 sequence is `sound` if its states have no intersection, nothing below the table, a gap of at least half the thickness,
@@ -151,7 +150,7 @@ def sequences_rows(sizes: list[int], how: dict) -> list[dict]:
     """Return a row per number of sequences and workers."""
     rows = []
     for count in sizes:
-        for workers in (1, 2) if how["device"] == "cpu" else (1,):
+        for workers in (1, 2):
             got = run(count, workers=workers, how=how)
             done = manipulations(got)
             wall = float(got["wall_seconds"])
@@ -172,14 +171,13 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=16)
     parser.add_argument("--sizes", type=int, nargs="+", default=[16, 64])
     parser.add_argument("--material", default="")
-    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
     parser.add_argument("--block", type=int, default=4)
     parser.add_argument("--csv", type=Path)
     options = parser.parse_args()
     tables = ["vertices", "sequences", "steps"]
     if unknown := set(options.what) - set(tables):
         parser.error(f"{' '.join(sorted(unknown))}: expected some of {', '.join(tables)}")
-    how = {name: getattr(options, name) for name in ("material", "device", "block")}
+    how = {name: getattr(options, name) for name in ("material", "block")}
     what = options.what or ([] if options.against else tables)
     if "vertices" in what:
         show("simulation vertices: cost against vertices a side", vertices_rows(how), csv=options.csv)

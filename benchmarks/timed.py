@@ -7,6 +7,11 @@ from typing import Any
 import jax
 
 
+def device() -> str:
+    """Return the name of the device that JAX computes on."""
+    return str(jax.devices()[0].device_kind)
+
+
 def least(call: Callable[[], Any], rounds: int, *, compiled: bool = False) -> float:
     """Return the shortest time of `rounds` calls, in s; a first call, which compiles, is excluded unless `compiled`."""
     if not compiled:

@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from tables import show
-from timed import in_a_row, least
+from timed import device, in_a_row, least
 
 from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.store import STATES, STEPS, Dataset, papers_cloths
@@ -135,6 +135,7 @@ def measure(name: str, settings: Any, rounds: int, steps: int) -> dict:
     whole = least(step, rounds) / steps
     return {
         "net": name,
+        "device": device(),
         "batch": settings.training.batch,
         "GF a step": round(flops / 1e9, 1),
         "products ms": round(alone * 1e3, 1),

@@ -28,9 +28,9 @@ Fold = tuple[np.ndarray, np.ndarray, np.ndarray]
 def count(solver: Solver, state: State, found: wp.array(dtype=int)):  # type: ignore[valid-type]
     """Count each world's crossings, by lists made from its positions."""
     w = wp.tid()
-    list_contacts(solver, state, w, 0, 1)
+    list_contacts(solver, state, w)
     list_pairs(solver, state, w, False)
-    found[w] = count_crossings(solver, state, w, 0, 1)
+    found[w] = count_crossings(solver, state, w)
 
 
 def crossings(states: np.ndarray) -> np.ndarray:
@@ -38,8 +38,8 @@ def crossings(states: np.ndarray) -> np.ndarray:
     worlds = Worlds(len(states), SETTINGS)
     nothing = Motion(np.full((len(states), 2, 1), -1), np.zeros((len(states), 2, 2, 3)), np.ones(len(states)))
     worlds.begin(states, nothing)
-    found = wp.zeros(len(states), dtype=int, device="cpu")
-    wp.launch(count, dim=len(states), inputs=[worlds.solver, worlds.state, found], device="cpu")
+    found = wp.zeros(len(states), dtype=int)
+    wp.launch(count, dim=len(states), inputs=[worlds.solver, worlds.state, found])
     return found.numpy()
 
 

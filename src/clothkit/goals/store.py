@@ -69,7 +69,7 @@ def made_all(
     """
     missing = [one for one in wanted if not (folder / f"{key(named(one[0]), *one[1:])}{STORAGE.suffix}").exists()]
     count = min(workers or cores(), len(missing))
-    if count > 1 and all(simulation.device == "cpu" for _, _, simulation in missing):
+    if count > 1:
         with make_pool(count) as pool:
             jobs = [pool.submit(_tried, *one, folder) for one in missing]
             failed = {one: job.result() for one, job in zip(missing, _bar(jobs), strict=True)}

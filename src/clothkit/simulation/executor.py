@@ -137,7 +137,7 @@ def execute(
         parts = min(pool.width, most)
     else:
         parts = min(workers or cores(), most)
-        if parts > 1 and settings.device == "cpu":
+        if parts > 1:
             pool = _shared_pool(executor, parts, scheduler)
     if pool is None:
         final = _run(settings, topology, cloths, states, grasps, moves, single)

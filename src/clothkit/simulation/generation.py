@@ -80,8 +80,7 @@ def generate(
 
     with ExitStack() as stack:
         pool = None
-        # On CUDA blocks are made in this process, since one block fills the device, unless others have their own.
-        if settings.executor == "dask" or (workers > 1 and settings.simulation.device == "cpu"):
+        if settings.executor == "dask" or workers > 1:
             pool = stack.enter_context(open_pool(settings.executor, workers=workers, scheduler=settings.scheduler))
         bar = stack.enter_context(
             tqdm(total=settings.sequences, desc="simulate", unit="sequence", mininterval=1, smoothing=0.05)

@@ -11,7 +11,7 @@ from clothkit.runtime.cache import writable
 
 
 def start_warp() -> None:
-    """Start Warp, with its own kernel folder if that is writable, else with a temporary one and a notice.
+    """Start Warp on the CPU, with its own kernel folder if that is writable, else with a temporary one and a notice.
 
     Worker processes that are started afterwards use the same folder.
     """
@@ -28,6 +28,7 @@ def start_warp() -> None:
         wp.config.kernel_cache_dir = os.environ["WARP_CACHE_PATH"] = str(chosen)
         with _silent():
             wp.init()
+    wp.set_device("cpu")
 
 
 @contextlib.contextmanager

@@ -52,8 +52,8 @@ def measure(
         usable[..., 2].max((1, 2)) * np.float32(CLOTH_LENGTH / settings.cloth_side),
         np.percentile(strain, 99, axis=1).astype(np.float32),
         strain.max(1),
-        intersections(usable, device=settings.device),
-        gaps(usable, reach=GAP_REACH * min(spacing), device=settings.device),
+        intersections(usable),
+        gaps(usable, reach=GAP_REACH * min(spacing)),
     )
 
 
@@ -73,46 +73,42 @@ def reason(quality: Quality, outcome: Outcome, settings: SimulateConfig, index: 
     return next((name for name, broken in checks.items() if broken), "")
 
 
-def intersections(states: Float[np.ndarray, "states u v 3"], *, device: str = "cpu") -> Int[np.ndarray, " states"]:
+def intersections(states: Float[np.ndarray, "states u v 3"]) -> Int[np.ndarray, " states"]:
     """Return how many pairs of an edge and a triangle of the grid pierce each other, over all such pairs."""
     shape = states.shape[1:3]
-    return pierced(states.reshape(len(states), -1, 3), edges(shape), triangles(shape), device=device)
+    return pierced(states.reshape(len(states), -1, 3), edges(shape), triangles(shape))
 
 
 def pierced(
     states: Float[np.ndarray, "states vertices 3"],
     ends: Int[np.ndarray, "edges 2"],
     corners: Int[np.ndarray, "triangles 3"],
-    *,
-    device: str = "cpu",
 ) -> Int[np.ndarray, " states"]:
     """Return how many pairs of an edge and a triangle pierce each other, for any triangulation."""
-    counts = wp.zeros((len(states), len(ends)), dtype=int, device=device)
-    inputs = [_vertices(states, device), _numbers(ends, device), _numbers(corners, device), counts]
+    counts = wp.zeros((len(states), len(ends)), dtype=int)
+    inputs = [_vertices(states), _numbers(ends), _numbers(corners), counts]
     if len(states):
-        wp.launch(count_intersections, dim=counts.shape, inputs=inputs, device=device)
+        wp.launch(count_intersections, dim=counts.shape, inputs=inputs)
     return counts.numpy().sum(1)
 
 
-def gaps(
-    states: Float[np.ndarray, "states u v 3"], *, reach: float, device: str = "cpu"
-) -> Float[np.ndarray, " states"]:
+def gaps(states: Float[np.ndarray, "states u v 3"], *, reach: float) -> Float[np.ndarray, " states"]:
     """Return the smallest distance of a vertex to the surface outside its two-ring, at most `reach`, in its unit."""
     rows, columns = states.shape[1:3]
-    found = wp.zeros((len(states), rows * columns), dtype=float, device=device)
-    inputs = [_vertices(states, device), _numbers(triangles((rows, columns)), device), columns, reach, found]
+    found = wp.zeros((len(states), rows * columns), dtype=float)
+    inputs = [_vertices(states), _numbers(triangles((rows, columns))), columns, reach, found]
     if len(states):
-        wp.launch(measure_gaps, dim=found.shape, inputs=inputs, device=device)
+        wp.launch(measure_gaps, dim=found.shape, inputs=inputs)
     return found.numpy().min(1)
 
 
-def _vertices(states: np.ndarray, device: str) -> wp.array:
+def _vertices(states: np.ndarray) -> wp.array:
     flat = np.ascontiguousarray(states, np.float32).reshape(len(states), -1, 3)
-    return wp.array(flat, dtype=wp.vec3, device=device)
+    return wp.array(flat, dtype=wp.vec3)
 
 
-def _numbers(values: np.ndarray, device: str) -> wp.array:
-    return wp.array(values.astype(np.int32), dtype=int, device=device)
+def _numbers(values: np.ndarray) -> wp.array:
+    return wp.array(values.astype(np.int32), dtype=int)
 
 
 def _strain(states: np.ndarray, spacing: tuple[float, float]) -> Float[np.ndarray, "states edges"]:

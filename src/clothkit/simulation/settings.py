@@ -68,7 +68,6 @@ class SimulationConfig:
     material: Annotated[Material, BeforeValidator(of_fabric)] = Material()  # or the name of one of the FABRICS
     settling: Settling = Settling()
     guard: Guard = Guard()
-    device: Literal["cpu", "cuda"] = "cpu"
 
     @property
     def topology(self) -> Topology:

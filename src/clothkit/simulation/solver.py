@@ -1,4 +1,4 @@
-"""The solver's settings and state on the device, built from the configuration."""
+"""The solver's settings and state, built from the configuration."""
 
 import numpy as np
 import warp as wp
@@ -9,7 +9,6 @@ from clothkit.simulation.kernels.state import CELLS, CONTACTS, EDGE_PAIRS, HELD,
 from clothkit.simulation.settings import SimulationConfig
 
 GRAVITY = 9.81  # m/s^2
-LANES_ON_CUDA = 256
 LAUNCH_SECONDS = 0.1  # simulated time per launch
 STRETCH_PASSES = 2  # per substep
 SHORTEST_CHORD = 0.3  # of an edge's length: the least distance of its ends where the thread folds back within it
@@ -101,14 +100,12 @@ def make_solver(settings: SimulationConfig, topology: Topology) -> Solver:
     return solver
 
 
-def make_state(worlds: int, shape: Shape, device: str) -> State:
-    """Return the zero-initialised state of `worlds` worlds on the device, each with a grid of `shape` vertices."""
+def make_state(worlds: int, shape: Shape) -> State:
+    """Return the zero-initialised state of `worlds` worlds, each with a grid of `shape` vertices."""
     n, cells = shape[0] * shape[1], int(CELLS) ** 2 + 1
     one, each, edges, held = (worlds,), (worlds, n), (worlds, 3 * n), (worlds, int(HELD))
     vectors: dict[str, tuple[int, ...]] = {
-        **dict.fromkeys(
-            ("position", "velocity", "previous", "correction", "checked", "saved_position", "saved_velocity"), each
-        ),
+        **dict.fromkeys(("position", "velocity", "previous", "checked", "saved_position", "saved_velocity"), each),
         **dict.fromkeys(("list_position", "list_velocity", "quad_centre", "quad_normal", "quad_velocity"), each),
         **dict.fromkeys(
             ("feature_middle", "feature_half", "feature_velocity", "edge_middle", "edge_half", "edge_velocity"), edges
@@ -120,9 +117,7 @@ def make_state(worlds: int, shape: Shape, device: str) -> State:
     floats: dict[str, tuple[int, ...]] = {
         "free": each,
         "pressed": each,
-        **dict.fromkeys(
-            ("move_time", "time", "fastest", "checked_time", "calm", "residual", "saved_time", "careful_until"), one
-        ),
+        **dict.fromkeys(("move_time", "time", "checked_time", "calm", "residual", "saved_time", "careful_until"), one),
         **dict.fromkeys(("list_age", "deviation", "motion"), one),
         **dict.fromkeys(("quad_speed", "quad_twist"), each),
         "edge_speed": edges,
@@ -134,16 +129,14 @@ def make_state(worlds: int, shape: Shape, device: str) -> State:
         **dict.fromkeys(("quad_first", "edge_first"), (worlds, cells)),
         **dict.fromkeys(("contact", "contact_before"), (worlds, n, int(CONTACTS))),
         **dict.fromkeys(("held", "held_by"), held),
-        **dict.fromkeys(
-            ("done", "features", "pairs", "saved_crossings", "crossings", "searched", "tries", "returns", "lost"), one
-        ),
+        **dict.fromkeys(("done", "features", "pairs", "saved_crossings", "searched", "tries", "returns", "lost"), one),
         **dict.fromkeys(("pair", "pair_before", "found"), (worlds, int(EDGE_PAIRS), 3)),
         "memory": (worlds, int(MEMORY)),
     }
     state = State()
     for shapes, dtype in ((vectors, wp.vec3), (floats, wp.float32), (integers, wp.int32)):
         for name, lengths in shapes.items():
-            setattr(state, name, wp.zeros(lengths, dtype=dtype, device=device))
+            setattr(state, name, wp.zeros(lengths, dtype=dtype))
     return state
 
 

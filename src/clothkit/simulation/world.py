@@ -11,7 +11,7 @@ from clothkit.manipulation.geometry import arc
 from clothkit.simulation.kernels.advance import advance
 from clothkit.simulation.kernels.state import HELD, PATH
 from clothkit.simulation.settings import SimulationConfig
-from clothkit.simulation.solver import LANES_ON_CUDA, LAUNCH_SECONDS, make_solver, make_state
+from clothkit.simulation.solver import LAUNCH_SECONDS, make_solver, make_state
 
 RESTED = 1  # the kernels' `done` of a world that came to rest
 SPENT = 3  # the value of `done` for a world whose budget of steps is spent
@@ -20,7 +20,7 @@ MOST_STEPS = 10**6  # the most steps of a world, for any motion and settling tim
 FAR = 1e3  # m, an initial `list_position` so far away that the contact lists are stale at once
 UNSEARCHED = 2**20  # initial `saved_crossings`, so large that crossings of the initial state are not undone
 FRESH = (
-    *("velocity", "correction", "contacts", "features", "in_bend", "twisted", "pairs", "pressed"),
+    *("velocity", "contacts", "features", "in_bend", "twisted", "pairs", "pressed"),
     *("time", "done", "checked_time", "calm", "residual"),
     *("careful_until", "tries", "returns", "lost", "searched"),
 )
@@ -75,7 +75,7 @@ def arcs(
 
 
 class Worlds:
-    """Up to `count` worlds on one device. A world's outcome depends only on its own arguments.
+    """Up to `count` worlds. A world's outcome depends only on its own arguments.
 
     All cloths have the given topology; without one, they are the square of `settings`. Raises ValueError for a grid
     that the solver can't simulate.
@@ -84,10 +84,8 @@ class Worlds:
     def __init__(self, count: int, settings: SimulationConfig, topology: Topology | None = None) -> None:
         self.count, self.settings = count, settings
         self.topology = topology or settings.topology
-        self.device = settings.device
-        self.lanes = 1 if self.device == "cpu" else LANES_ON_CUDA
         self.solver = make_solver(settings, self.topology)
-        self.state = make_state(count, self.topology.shape, self.device)
+        self.state = make_state(count, self.topology.shape)
 
     def execute(self, states: Float[np.ndarray, "worlds u v 3"], motion: Motion) -> Outcome:
         """Simulate grasp, motion, release and settling in each world, and return the outcome.
@@ -163,13 +161,7 @@ class Worlds:
 
     def advance(self, worlds: int) -> None:
         """Advance those of the first `worlds` worlds that are not done by one launch."""
-        wp.launch(
-            advance,
-            dim=(worlds, self.lanes),
-            inputs=[self.solver, self.state, self.lanes],
-            block_dim=self.lanes,
-            device=self.device,
-        )
+        wp.launch(advance, dim=worlds, inputs=[self.solver, self.state])
 
     def read(self, name: str, worlds: int) -> np.ndarray:
         """Return a copy of the state's array `name` for the first `worlds` worlds."""

@@ -7,7 +7,7 @@ from clothkit.simulation.kernels.crossings import count_crossings
 from clothkit.simulation.kernels.edges import list_pairs, solve_pairs
 from clothkit.simulation.kernels.elasticity import solve_bending, solve_shear, solve_stretch
 from clothkit.simulation.kernels.faces import list_contacts, solve_contacts
-from clothkit.simulation.kernels.state import HELD, PATH, Solver, State, synchronise
+from clothkit.simulation.kernels.state import HELD, PATH, Solver, State
 
 
 @wp.func
@@ -33,7 +33,7 @@ def neighbours_difference(solver: Solver, state: State, w: int, i: int, v: wp.ve
 
 
 @wp.func
-def move(solver: Solver, state: State, w: int, lane: int, lanes: int):
+def move(solver: Solver, state: State, w: int):
     """Integrate the motion of the vertices over a substep, without constraints.
 
     Also stores two squared maxima over the vertices: the displacement since the contact lists were made (`motion`),
@@ -44,7 +44,7 @@ def move(solver: Solver, state: State, w: int, lane: int, lanes: int):
     age = state.list_age[w] + dt
     deviation = float(0.0)
     motion = float(0.0)
-    for i in range(lane, solver.rows * solver.columns, lanes):
+    for i in range(solver.rows * solver.columns):
         x = state.position[w, i]
         state.previous[w, i] = x
         v = state.velocity[w, i]
@@ -56,21 +56,17 @@ def move(solver: Solver, state: State, w: int, lane: int, lanes: int):
         motion = wp.max(motion, wp.dot(d, d))
         d = d - state.list_velocity[w, i] * age
         deviation = wp.max(deviation, wp.dot(d, d))
-    if lane == 0:
-        state.deviation[w] = 0.0
-        state.motion[w] = 0.0
-    synchronise()
-    wp.atomic_max(state.deviation, w, deviation)
-    wp.atomic_max(state.motion, w, motion)
+    state.deviation[w] = deviation
+    state.motion[w] = motion
 
 
 @wp.func
-def move_hands(state: State, w: int, lane: int, lanes: int, t: float):
+def move_hands(state: State, w: int, t: float):
     """Move the held vertices to the positions of the hands on their paths at time t, or release them at the end."""
     place = t / state.move_time[w] * float(PATH - 1)
     held = place <= float(PATH - 1)
     k0 = wp.min(int(place), PATH - 2)
-    for slot in range(lane, HELD, lanes):
+    for slot in range(HELD):
         i = state.held[w, slot]
         if i >= 0:
             if held:
@@ -83,40 +79,32 @@ def move_hands(state: State, w: int, lane: int, lanes: int, t: float):
 
 
 @wp.func
-def refresh_lists(solver: Solver, state: State, w: int, lane: int, lanes: int, careful: bool):
+def refresh_lists(solver: Solver, state: State, w: int, careful: bool):
     """Make new contact lists when a vertex has left its predicted path or the prediction time is over.
 
     The lists are kept in both cases while no vertex has moved further than the allowed deviation since they were made,
     as in a cloth that creeps to rest.
     """
-    synchronise()
     limit = solver.prediction_error * solver.prediction_error
     age = state.list_age[w] + solver.time_step
     unpredicted = state.deviation[w] > limit or age >= solver.prediction_time
     stale = unpredicted and state.motion[w] > limit
-    synchronise()
     if stale:
-        list_contacts(solver, state, w, lane, lanes)
-        if lane == 0:
-            list_pairs(solver, state, w, careful)
-            state.searched[w] = 0
+        list_contacts(solver, state, w)
+        list_pairs(solver, state, w, careful)
+        state.searched[w] = 0
         age = float(0.0)
-    if lane == 0:
-        state.list_age[w] = age
-    synchronise()
+    state.list_age[w] = age
 
 
 @wp.func
-def finish(solver: Solver, state: State, w: int, lane: int, lanes: int):
+def finish(solver: Solver, state: State, w: int):
     """Limit the speeds, keep the vertices above the table, and compute the velocities from the displacements."""
     dt = solver.time_step
     largest_step = solver.top_speed * dt
     floor = 0.5 * solver.thickness
-    for i in range(lane, solver.rows * solver.columns, lanes):
+    for i in range(solver.rows * solver.columns):
         x = state.position[w, i]
-        if lanes > 1:
-            x = x + state.correction[w, i]
-            state.correction[w, i] = wp.vec3(0.0, 0.0, 0.0)
         before = state.previous[w, i]
         if state.free[w, i] > 0.0:
             d = x - before
@@ -137,17 +125,16 @@ def finish(solver: Solver, state: State, w: int, lane: int, lanes: int):
                 x = before
         state.velocity[w, i] = (x - before) / dt
         state.position[w, i] = x
-    synchronise()
 
 
 @wp.func
-def hold(solver: Solver, state: State, w: int, lane: int, lanes: int):
+def hold(solver: Solver, state: State, w: int):
     """Apply the table's friction to the vertices that were pressed into it, before the contacts between layers.
 
     Otherwise the lower layer's slip drags the upper layer along before the table's friction undoes that slip, and the
     upper layer creeps.
     """
-    for i in range(lane, solver.rows * solver.columns, lanes):
+    for i in range(solver.rows * solver.columns):
         pressed = state.pressed[w, i]
         if pressed > 0.0 and state.free[w, i] > 0.0:
             x = state.position[w, i]
@@ -159,35 +146,33 @@ def hold(solver: Solver, state: State, w: int, lane: int, lanes: int):
             state.position[w, i] = wp.vec3(x[0] - friction * dx, x[1] - friction * dy, x[2])
             # `finish` subtracts this share, so that the table's friction is not applied twice in a substep.
             state.pressed[w, i] = friction * slip
-    synchronise()
 
 
 @wp.func
-def substep(solver: Solver, state: State, w: int, lane: int, lanes: int, t: float):
+def substep(solver: Solver, state: State, w: int, t: float):
     """Advance a world by one time step to the time t.
 
     While the world is in careful mode (after a crossing was undone), all edges are checked for contacts and the
     contacts are solved in several passes.
     """
-    move(solver, state, w, lane, lanes)
-    move_hands(state, w, lane, lanes, t)
+    move(solver, state, w)
+    move_hands(state, w, t)
     careful = t < state.careful_until[w]
-    refresh_lists(solver, state, w, lane, lanes, careful)
-    solve_bending(solver, state, w, lane, lanes)
-    solve_shear(solver, state, w, lane, lanes)
+    refresh_lists(solver, state, w, careful)
+    solve_bending(solver, state, w)
+    solve_shear(solver, state, w)
     for _ in range(solver.stretch_passes):
-        solve_stretch(solver, state, w, lane, lanes)
-    hold(solver, state, w, lane, lanes)
+        solve_stretch(solver, state, w)
+    hold(solver, state, w)
     passes = wp.where(careful, solver.careful_passes, 1)
     for _ in range(passes):
-        solve_contacts(solver, state, w, lane, lanes)
-        solve_pairs(solver, state, w, lane, lanes)
-        synchronise()
-    finish(solver, state, w, lane, lanes)
+        solve_contacts(solver, state, w)
+        solve_pairs(solver, state, w)
+    finish(solver, state, w)
 
 
 @wp.func
-def guard(solver: Solver, state: State, w: int, lane: int, lanes: int, t: float, last: bool):
+def guard(solver: Solver, state: State, w: int, t: float, last: bool):
     """Return the time to continue from: t, or the time of the saved state if there are new crossings since then.
 
     In the second case the saved state is restored and the world runs in careful mode for a while. If new crossings
@@ -197,19 +182,12 @@ def guard(solver: Solver, state: State, w: int, lane: int, lanes: int, t: float,
     if state.searched[w] == 1 and not last:
         # No new contact lists since the last search: the motion is too small to need another one now.
         return t
-    synchronise()
-    if lane == 0:
-        state.crossings[w] = 0
-        state.searched[w] = 1
-    synchronise()
-    wp.atomic_add(state.crossings, w, count_crossings(solver, state, w, lane, lanes))
-    synchronise()
-    crossings = state.crossings[w]
+    state.searched[w] = 1
+    crossings = count_crossings(solver, state, w)
     tries = wp.where(t > state.careful_until[w], 0, state.tries[w])
     back = crossings > state.saved_crossings[w] and tries < solver.care_tries
     speed = wp.where(tries > 0, 0.0, 1.0)
-    synchronise()
-    for i in range(lane, solver.rows * solver.columns, lanes):
+    for i in range(solver.rows * solver.columns):
         if back:
             state.position[w, i] = state.saved_position[w, i]
             state.velocity[w, i] = state.saved_velocity[w, i] * speed
@@ -219,32 +197,30 @@ def guard(solver: Solver, state: State, w: int, lane: int, lanes: int, t: float,
         else:
             state.saved_position[w, i] = state.position[w, i]
             state.saved_velocity[w, i] = state.velocity[w, i]
-    if lane == 0:
-        if back:
-            state.returns[w] += 1
-            state.tries[w] = tries + 1
-            state.careful_until[w] = t + solver.care_time
-            state.calm[w] = 0.0
-            state.pairs[w] = 0
-            state.checked_time[w] = state.saved_time[w]
-        else:
-            if crossings > state.saved_crossings[w]:
-                state.lost[w] += crossings - state.saved_crossings[w]
-            state.saved_crossings[w] = crossings
-            state.saved_time[w] = t
-    synchronise()
+    if back:
+        state.returns[w] += 1
+        state.tries[w] = tries + 1
+        state.careful_until[w] = t + solver.care_time
+        state.calm[w] = 0.0
+        state.pairs[w] = 0
+        state.checked_time[w] = state.saved_time[w]
+    else:
+        if crossings > state.saved_crossings[w]:
+            state.lost[w] += crossings - state.saved_crossings[w]
+        state.saved_crossings[w] = crossings
+        state.saved_time[w] = t
     return wp.where(back, state.saved_time[w], t)
 
 
 @wp.func
-def check_rest(solver: Solver, state: State, w: int, lane: int, lanes: int, t: float):
+def check_rest(solver: Solver, state: State, w: int, t: float):
     """Return 1 if the world was at rest for long enough, 2 if it is out of time or no longer finite, else 0.
 
     The speeds are means over the time since the last check.
     """
     seconds = t - state.checked_time[w]
     farthest = float(0.0)
-    for i in range(lane, solver.rows * solver.columns, lanes):
+    for i in range(solver.rows * solver.columns):
         x = state.position[w, i]
         d = x - state.checked[w, i]
         state.checked[w, i] = x
@@ -252,22 +228,13 @@ def check_rest(solver: Solver, state: State, w: int, lane: int, lanes: int, t: f
         if not wp.dot(d, d) < 1.0e4:
             farthest = 1.0e2
         farthest = wp.max(farthest, wp.length(d))
-    synchronise()
-    if lane == 0:
-        state.fastest[w] = 0.0
-    synchronise()
-    wp.atomic_max(state.fastest, w, farthest / seconds)
-    synchronise()
-    fastest = state.fastest[w]
+    fastest = farthest / seconds
     slow = fastest < solver.rest_speed
     calm = wp.where(slow, state.calm[w] + seconds, 0.0)
     residual = wp.where(slow and state.calm[w] > 0.0, wp.max(state.residual[w], fastest), fastest)
-    synchronise()
-    if lane == 0:
-        state.checked_time[w] = t
-        state.calm[w] = calm
-        state.residual[w] = residual
-    synchronise()
+    state.checked_time[w] = t
+    state.calm[w] = calm
+    state.residual[w] = residual
     # Half a time step of tolerance, because sums of time steps are not exact.
     if calm > solver.rest_time - 0.5 * solver.time_step:
         return 1
@@ -277,26 +244,24 @@ def check_rest(solver: Solver, state: State, w: int, lane: int, lanes: int, t: f
 
 
 @wp.kernel
-def advance(solver: Solver, state: State, lanes: int):
+def advance(solver: Solver, state: State):
     """Advance every world that is not done by `solver.substeps` substeps."""
-    w, lane = wp.tid()
+    w = wp.tid()
     if state.done[w] != 0:
         return
     t = state.time[w]
     for _ in range(solver.substeps):
         t = t + solver.time_step
-        substep(solver, state, w, lane, lanes, t)
+        substep(solver, state, w, t)
         done = int(0)
         if t > state.move_time[w] and t - state.checked_time[w] > solver.check_interval - 0.5 * solver.time_step:
-            done = check_rest(solver, state, w, lane, lanes, t)
+            done = check_rest(solver, state, w, t)
         if done > 0 or t - state.saved_time[w] >= solver.guard_interval:
-            now = guard(solver, state, w, lane, lanes, t, done > 0)
+            now = guard(solver, state, w, t, done > 0)
             if now < t:
                 done = 0
             t = now
         if done > 0:
-            if lane == 0:
-                state.done[w] = done
+            state.done[w] = done
             break
-    if lane == 0:
-        state.time[w] = t
+    state.time[w] = t

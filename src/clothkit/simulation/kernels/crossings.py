@@ -81,8 +81,8 @@ def crossings_of(solver: Solver, state: State, w: int, x: Vectors, i: int, j: in
 
 
 @wp.func
-def count_crossings(solver: Solver, state: State, w: int, lane: int, lanes: int):
-    """Return the number of pierced triangles over this lane's share of the edges.
+def count_crossings(solver: Solver, state: State, w: int):
+    """Return the number of pierced triangles over all edges.
 
     Only edges on the border, in a bend or with a contact at an end are searched, by the last contact lists.
     """
@@ -90,7 +90,7 @@ def count_crossings(solver: Solver, state: State, w: int, lane: int, lanes: int)
     n = solver.columns
     last = solver.rows - 1
     found = int(0)
-    for edge in range(lane, 3 * solver.rows * n, lanes):
+    for edge in range(3 * solver.rows * n):
         i = edge / 3
         kind = edge % 3
         row = i / n

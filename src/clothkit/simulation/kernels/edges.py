@@ -240,7 +240,7 @@ def sort_pairs(solver: Solver, state: State, w: int, count: int):
 def list_pairs(solver: Solver, state: State, w: int, everywhere: bool):
     """List the pairs of feature edges (of all edges with `everywhere`) that may touch within the prediction time.
 
-    Runs on one lane. If the edges of a new pair are already closer than the thickness, because they have only now
+    If the edges of a new pair are already closer than the thickness, because they have only now
     become feature edges, the pair's stored gap starts at their distance and grows slowly, to avoid an abrupt push.
     """
     remember_pairs(state, w)
@@ -276,7 +276,7 @@ def list_pairs(solver: Solver, state: State, w: int, everywhere: bool):
 
 
 @wp.func
-def solve_pair(solver: Solver, state: State, w: int, k: int, lanes: int):
+def solve_pair(solver: Solver, state: State, w: int, k: int):
     """Push the two edges of a pair apart, on the pair's stored side; update the side while the edges do not overlap.
 
     There is no friction here. The friction of nearby vertices holds the layers, and friction that is applied before
@@ -321,20 +321,14 @@ def solve_pair(solver: Solver, state: State, w: int, k: int, lanes: int):
     wb1 = state.free[w, b1] * t
     scale = 1.0 / ((1.0 - s) * wa0 + s * wa1 + (1.0 - t) * wb0 + t * wb1 + 1.0e-9)
     out = normal * (push * scale)
-    if lanes == 1:
-        x[a0] = p0 + out * wa0
-        x[a1] = p1 + out * wa1
-        x[b0] = q0 - out * wb0
-        x[b1] = q1 - out * wb1
-    else:
-        wp.atomic_add(state.correction, w, a0, out * wa0)
-        wp.atomic_add(state.correction, w, a1, out * wa1)
-        wp.atomic_sub(state.correction, w, b0, out * wb0)
-        wp.atomic_sub(state.correction, w, b1, out * wb1)
+    x[a0] = p0 + out * wa0
+    x[a1] = p1 + out * wa1
+    x[b0] = q0 - out * wb0
+    x[b1] = q1 - out * wb1
 
 
 @wp.func
-def solve_pairs(solver: Solver, state: State, w: int, lane: int, lanes: int):
+def solve_pairs(solver: Solver, state: State, w: int):
     """Solve all listed contacts of edges with edges."""
-    for k in range(lane, state.pairs[w], lanes):
-        solve_pair(solver, state, w, k, lanes)
+    for k in range(state.pairs[w]):
+        solve_pair(solver, state, w, k)

@@ -1,12 +1,8 @@
-"""Stretch, shear and bending by XPBD, one iteration per substep, with graph colouring.
-
-Constraints of one colour share no vertex. The lanes of a block form a grid: `width` lanes along a row, the others over
-the following rows.
-"""
+"""Stretch, shear and bending by XPBD, one iteration per substep, in colours: those of one colour share no vertex."""
 
 import warp as wp
 
-from clothkit.simulation.kernels.state import Bend, Floats, Solver, State, Vectors, synchronise
+from clothkit.simulation.kernels.state import Bend, Floats, Solver, State, Vectors
 
 
 @wp.func
@@ -101,28 +97,22 @@ def bend(settings: Bend, x: Vectors, previous: Vectors, free: Floats, i: int, j:
 
 
 @wp.func
-def solve_bending(solver: Solver, state: State, w: int, lane: int, lanes: int):
+def solve_bending(solver: Solver, state: State, w: int):
     """Solve the bending constraints along both directions of the grid, in three colours each."""
     x = state.position[w]
     previous = state.previous[w]
     free = state.free[w]
     rows = solver.rows
     n = solver.columns
-    width = wp.min(lanes, 32)
-    lines = lanes / width
-    row0 = lane / width
-    column0 = lane % width
     for colour in range(3):
-        for i in range(row0 * 3 + colour, rows - 2, lines * 3):
-            for j in range(column0, n, width):
+        for i in range(colour, rows - 2, 3):
+            for j in range(n):
                 a = i * n + j
                 bend(solver.bend_u, x, previous, free, a, a + n, a + 2 * n)
-        synchronise()
-        for i in range(row0, rows, lines):
-            for j in range(column0 * 3 + colour, n - 2, width * 3):
+        for i in range(rows):
+            for j in range(colour, n - 2, 3):
                 a = i * n + j
                 bend(solver.bend_v, x, previous, free, a, a + 1, a + 2)
-        synchronise()
 
 
 @wp.func
@@ -152,57 +142,45 @@ def shear(solver: Solver, x: Vectors, free: Floats, i: int, j: int):
 
 
 @wp.func
-def solve_shear(solver: Solver, state: State, w: int, lane: int, lanes: int):
+def solve_shear(solver: Solver, state: State, w: int):
     """Solve the shear constraints of all quads, both diagonals, in two colours each."""
     x = state.position[w]
     free = state.free[w]
     rows = solver.rows
     n = solver.columns
-    width = wp.min(lanes, 32)
-    lines = lanes / width
-    row0 = lane / width
-    column0 = lane % width
     for colour in range(2):
-        for i in range(row0 * 2 + colour, rows - 1, lines * 2):
-            for j in range(column0, n - 1, width):
+        for i in range(colour, rows - 1, 2):
+            for j in range(n - 1):
                 a = i * n + j
                 shear(solver, x, free, a, a + n + 1)
-        synchronise()
-        for i in range(row0 * 2 + colour, rows - 1, lines * 2):
-            for j in range(column0, n - 1, width):
+        for i in range(colour, rows - 1, 2):
+            for j in range(n - 1):
                 a = i * n + j
                 shear(solver, x, free, a + 1, a + n)
-        synchronise()
 
 
 @wp.func
-def solve_stretch(solver: Solver, state: State, w: int, lane: int, lanes: int):
+def solve_stretch(solver: Solver, state: State, w: int):
     """Solve the distance constraints of all grid edges, in two colours per direction."""
     x = state.position[w]
     previous = state.previous[w]
     free = state.free[w]
     rows = solver.rows
     n = solver.columns
-    width = wp.min(lanes, 32)
-    lines = lanes / width
-    row0 = lane / width
-    column0 = lane % width
     for colour in range(2):
         rest = solver.spacing_u
-        for i in range(row0 * 2 + colour, rows - 1, lines * 2):
-            for j in range(column0, n, width):
+        for i in range(colour, rows - 1, 2):
+            for j in range(n):
                 a = i * n + j
                 if i > 0 and i < rows - 2:
                     keep_edge(solver, x, previous, free, a - n, n, rest, solver.stretch_u, solver.chord_u)
                 else:
                     keep_distance(x, free, a, a + n, rest, solver.stretch_u)
-        synchronise()
         rest = solver.spacing_v
-        for i in range(row0, rows, lines):
-            for j in range(column0 * 2 + colour, n - 1, width * 2):
+        for i in range(rows):
+            for j in range(colour, n - 1, 2):
                 a = i * n + j
                 if j > 0 and j < n - 2:
                     keep_edge(solver, x, previous, free, a - 1, 1, rest, solver.stretch_v, solver.chord_v)
                 else:
                     keep_distance(x, free, a, a + 1, rest, solver.stretch_v)
-        synchronise()

@@ -4,7 +4,7 @@
 import warp as wp
 
 from clothkit.simulation.kernels.search import cell_column, cell_row, sort_heights, sort_quads
-from clothkit.simulation.kernels.state import CELLS, CONTACTS, Solver, State, Vectors, synchronise
+from clothkit.simulation.kernels.state import CELLS, CONTACTS, Solver, State, Vectors
 
 
 @wp.func
@@ -121,17 +121,15 @@ def side_of(x: Vectors, i: int, quad: int, n: int):
 
 
 @wp.func
-def list_contacts(solver: Solver, state: State, w: int, lane: int, lanes: int):
+def list_contacts(solver: Solver, state: State, w: int):
     """List, for every vertex, the quads that it may touch within the prediction time, without its own four quads."""
     n = solver.columns
-    if lane == 0:
-        sort_quads(solver, state, w)
-        sort_heights(solver, state, w)
-    synchronise()
+    sort_quads(solver, state, w)
+    sort_heights(solver, state, w)
     low = state.low[w]
     largest = solver.cell * solver.cell
     position = state.position[w]
-    for i in range(lane, solver.rows * n, lanes):
+    for i in range(solver.rows * n):
         x = position[i]
         v = state.velocity[w, i]
         speed = wp.length(v)
@@ -174,7 +172,6 @@ def list_contacts(solver: Solver, state: State, w: int, lane: int, lanes: int):
                             state.contact[w, i, slot] = side * (quad + 1)
                             count += 1
         state.contacts[w, i] = count
-    synchronise()
 
 
 @wp.func
@@ -188,7 +185,7 @@ def parting(solver: Solver, overlap: float, approach: float):
 
 @wp.func
 def part_from_triangle(
-    solver: Solver, state: State, w: int, i: int, a: int, b: int, c: int, weights: wp.vec3, side: float, lanes: int
+    solver: Solver, state: State, w: int, i: int, a: int, b: int, c: int, weights: wp.vec3, side: float
 ):
     """Push a vertex and the nearest point of a triangle apart to the cloth's thickness, with Coulomb friction.
 
@@ -231,20 +228,14 @@ def part_from_triangle(
     wc = free[c] * fc
     wi = free[i]
     d = (face * push - slip * friction) / (wi + fa * wa + fb * wb + fc * wc + 1.0e-9)
-    if lanes == 1:
-        position[a] = pa - d * wa
-        position[b] = pb - d * wb
-        position[c] = pc - d * wc
-        position[i] = x + d * wi
-    else:
-        wp.atomic_sub(state.correction, w, a, d * wa)
-        wp.atomic_sub(state.correction, w, b, d * wb)
-        wp.atomic_sub(state.correction, w, c, d * wc)
-        wp.atomic_add(state.correction, w, i, d * wi)
+    position[a] = pa - d * wa
+    position[b] = pb - d * wb
+    position[c] = pc - d * wc
+    position[i] = x + d * wi
 
 
 @wp.func
-def solve_contact(solver: Solver, state: State, w: int, i: int, k: int, lanes: int):
+def solve_contact(solver: Solver, state: State, w: int, i: int, k: int):
     """Push a vertex away from both triangles of a quad, if it is near the quad.
 
     While the vertex is close to a triangle and its nearest point is inside it, the stored side is kept; otherwise the
@@ -287,18 +278,17 @@ def solve_contact(solver: Solver, state: State, w: int, i: int, k: int, lanes: i
         for half in range(2):
             b = wp.where(half == 0, a + n, a + n + 1)
             c = wp.where(half == 0, a + n + 1, a + 1)
-            part_from_triangle(solver, state, w, i, a, b, c, wp.where(half == 0, lower, upper), side, lanes)
+            part_from_triangle(solver, state, w, i, a, b, c, wp.where(half == 0, lower, upper), side)
 
 
 @wp.func
-def solve_contacts(solver: Solver, state: State, w: int, lane: int, lanes: int):
+def solve_contacts(solver: Solver, state: State, w: int):
     """Solve all listed contacts of vertices with triangles, from the lowest vertex to the highest.
 
     In this order friction holds a lower layer before its slip acts on the layer above. Otherwise layers drag each other
     along.
     """
-    for place in range(lane, solver.rows * solver.columns, lanes):
+    for place in range(solver.rows * solver.columns):
         i = state.upwards[w, place]
         for k in range(state.contacts[w, i]):
-            solve_contact(solver, state, w, i, k, lanes)
-    synchronise()
+            solve_contact(solver, state, w, i, k)

@@ -41,7 +41,7 @@ def place_grid(solver: Solver, state: State, w: int):
 
 @wp.func
 def sort_quads(solver: Solver, state: State, w: int):
-    """Sort the quads by cell and store the geometry that the searches use (counting sort, one lane)."""
+    """Sort the quads by cell and store the geometry that the searches use (counting sort)."""
     n = solver.columns
     quads = solver.rows * n - n
     place_grid(solver, state, w)
@@ -78,7 +78,7 @@ def sort_quads(solver: Solver, state: State, w: int):
 
 @wp.func
 def sort_features(solver: Solver, state: State, w: int):
-    """Sort the feature edges by the cells of their middles (counting sort, one lane)."""
+    """Sort the feature edges by the cells of their middles (counting sort)."""
     low = state.low[w]
     for cell in range(CELLS * CELLS + 1):
         state.edge_first[w, cell] = 0
@@ -101,7 +101,7 @@ def sort_features(solver: Solver, state: State, w: int):
 
 @wp.func
 def sort_heights(solver: Solver, state: State, w: int):
-    """Sort the vertices by height (counting sort with bins of a quarter of the thickness, one lane)."""
+    """Sort the vertices by height (counting sort with bins of a quarter of the thickness)."""
     count = solver.rows * solver.columns
     per_bin = 4.0 / solver.thickness
     for k in range(HEIGHTS):

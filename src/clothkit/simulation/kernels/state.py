@@ -1,13 +1,11 @@
 """Data that all kernels share: the solver's settings and the state of the worlds.
 
-A launch has the dimensions (worlds, lanes). On the CPU a world has one lane and its loops run serially, so that
-constraints are solved by Gauss-Seidel. On CUDA a block of lanes advances a world: the lanes divide each loop by
-strides, with a barrier between colours.
+A launch has a thread for each world, on the CPU: constraints are solved one after the other (Gauss-Seidel).
 
-Rows of the grid follow one another along u, columns along v. Vertices are numbered row by row: vertex =
-row * columns + column. A quad has the number of its lowest vertex (so the
-last row and column have none). An edge is 3 * vertex + kind: kind 0 leads to the next row, 1 to the next column, 2 to
-the vertex diagonally across. This diagonal splits the quad into its two triangles.
+Rows of the grid follow one another along u, columns along v. Vertices are numbered row by row: vertex = row * columns +
+column. A quad has the number of its lowest vertex (so the last row and column have none). An edge is 3 * vertex + kind:
+kind 0 leads to the next row, 1 to the next column, 2 to the vertex diagonally across. This diagonal splits the quad
+into its two triangles.
 """
 
 import warp as wp
@@ -107,7 +105,6 @@ class State:
     position: wp.array2d(dtype=wp.vec3)  # m
     velocity: wp.array2d(dtype=wp.vec3)  # m/s
     previous: wp.array2d(dtype=wp.vec3)  # m, at the start of the substep
-    correction: wp.array2d(dtype=wp.vec3)  # m, sum over contacts (several lanes only)
     pressed: wp.array2d(dtype=float)  # m, penetration of the table in the last substep
     free: wp.array2d(dtype=float)  # inverse mass: 1, or 0 where grasped
 
@@ -120,7 +117,6 @@ class State:
     done: wp.array(dtype=int)  # 0 running, 1 at rest, 2 given up
     checked: wp.array2d(dtype=wp.vec3)  # m, at the last check for rest
     checked_time: wp.array(dtype=float)  # s
-    fastest: wp.array(dtype=float)  # m/s, speed of the fastest vertex between the last two checks
     calm: wp.array(dtype=float)  # s, since a vertex was last faster than `rest_speed`
     residual: wp.array(dtype=float)  # m/s, speed of the fastest vertex over that time
 
@@ -128,7 +124,6 @@ class State:
     saved_velocity: wp.array2d(dtype=wp.vec3)  # m/s
     saved_time: wp.array(dtype=float)  # s
     saved_crossings: wp.array(dtype=int)
-    crossings: wp.array(dtype=int)
     searched: wp.array(dtype=int)  # whether the contact lists are those of the last search
     careful_until: wp.array(dtype=float)  # s, end of the careful mode
     tries: wp.array(dtype=int)  # attempts so far to avoid the present crossing
@@ -175,15 +170,6 @@ class State:
     pair_gap_before: wp.array2d(dtype=float)
     memory: wp.array2d(dtype=int)  # [world, place], index of the previous pair + 1, 0 where empty
     twisted: wp.array2d(dtype=int)  # [world, quad]
-
-
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-__syncthreads();
-#endif
-""")
-def synchronise():
-    """Wait for the block's other lanes; does nothing on the CPU."""
 
 
 @wp.func
