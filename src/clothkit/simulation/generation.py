@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Bool
 from tqdm import tqdm
 
 from clothkit.cloth.topology import Topology
@@ -19,6 +20,7 @@ from clothkit.simulation.processes import cores, open_pool
 from clothkit.simulation.records import write_raw
 from clothkit.simulation.settings import SimulateConfig
 
+TOGETHER = 256  # blocks whose arrays are joined, since a small array takes more memory than what it holds
 AHEAD = 2  # blocks in flight per worker
 HOPELESS = 200  # fewest rejected attempts in a row after which the recording ends with an error
 UNUSUAL = 20  # the same, as a multiple of the mean attempts per accepted sequence so far; the larger number counts
@@ -67,6 +69,7 @@ def generate(
     # Without the states, which would fill the memory: they are read again, block by block, when they are written.
     blocks: list[Attempts] = []
     tried = accepted = 0
+    rejected: Counter[str] = Counter()  # by reason, since the last attempt that was accepted
 
     workers = settings.workers or cores()
 
@@ -99,13 +102,18 @@ def generate(
         for path, block in finished:
             paths.append(path)
             blocks.append(block._replace(states=block.states[:, :0].copy()))
+            if len(blocks) == TOGETHER:
+                blocks = [_joined(blocks)]
             tried += len(block.attempt)
             accepted += int(block.accepted.sum())
+            if block.accepted.any():
+                rejected.clear()
+            rejected.update(block.reason[_after_last(block.accepted) :].tolist())
             bar.set_postfix({"yield": f"{accepted / tried:.0%}"}, refresh=False)
             if accepted >= settings.sequences:
                 break
-            _check_hope(blocks)
-    attempts = Attempts(*(np.concatenate(arrays) for arrays in zip(*blocks, strict=True)))
+            _check_hope(rejected, tried, accepted)
+    attempts = _joined(blocks)
     last = np.flatnonzero(np.cumsum(attempts.accepted) == settings.sequences)[0] + 1
     attempts = Attempts(*(array[:last] for array in attempts))
     states = (block.states[block.accepted] for block in (load_piece(path, BLOCKS) for path in paths))
@@ -121,16 +129,22 @@ def summarise(attempts: Attempts) -> Summary:
     return Summary(len(attempts.attempt), int(attempts.accepted.sum()), dict(rejected.most_common()), single)
 
 
-def _check_hope(blocks: list[Attempts]) -> None:
-    """Raise InputError if too many attempts in a row were rejected (see HOPELESS)."""
-    accepted = np.concatenate([block.accepted for block in blocks])
-    last = int(np.flatnonzero(accepted)[-1]) + 1 if accepted.any() else 0
-    since = len(accepted) - last
-    if since < max(HOPELESS, UNUSUAL * last / max(1, accepted.sum())):
+def _joined(blocks: list[Attempts]) -> Attempts:
+    return Attempts(*(np.concatenate(arrays) for arrays in zip(*blocks, strict=True)))
+
+
+def _after_last(accepted: Bool[np.ndarray, " attempts"]) -> int:
+    """Return the number of attempts up to the last accepted one."""
+    return int(np.flatnonzero(accepted)[-1]) + 1 if accepted.any() else 0
+
+
+def _check_hope(rejected: Counter[str], tried: int, accepted: int) -> None:
+    """Raise InputError if too many attempts in a row were rejected (see HOPELESS), the last ones for these reasons."""
+    since = rejected.total()
+    if since < max(HOPELESS, UNUSUAL * (tried - since) / max(1, accepted)):
         return
-    reasons = Counter(np.concatenate([block.reason for block in blocks])[last:].tolist()).most_common()
-    why = ", ".join(f"{name} {count}" for name, count in reasons)
-    of = f"none of {since} attempted sequences" if last == 0 else f"none of the last {since} attempted sequences"
+    why = ", ".join(f"{name} {count}" for name, count in rejected.most_common())
+    of = f"none of {since} attempted sequences" if since == tried else f"none of the last {since} attempted sequences"
     raise InputError(
         f"params.yaml: simulate.limits accepted {of} ({why}); change simulate.limits, simulate.simulation or "
         "simulate.sampling"
