@@ -11,10 +11,12 @@ loss than the recorded manipulations. Means with 95 % bootstrap intervals over s
 paired differences (and the p of a sign-flip test) to the paper's objective without doubt (alpha 0) and the same rule;
 doubt.png shows them.
 
-`--system b1` plans from true meshes instead, into doubt_b1.csv. `--measures` and `--alphas` choose variants:
-`--measures expected --alphas 0.5 1 2`. `--draw` summarises and draws the rows that are there. Existing rows are not
-computed again; those made with other nets, maps or settings (`fingerprint`) are dropped. Needs the nets, the
-normalisation, the dataset and the probes (`dvc repro normalise probe`).
+`--split test` does the same with test sequences, into doubt_test.csv: for what was chosen before. `--system b1` plans
+from true meshes instead, `--system b2` with one net (which only surprise can doubt). `--measures` and `--alphas` choose
+variants: `--measures expected --alphas 0.5 1 2`; `--folds 0` leaves out the rule. `--draw` summarises and draws the rows
+that are there. Differences are to the variant that `--against SYSTEM MEASURE ALPHA` names (default: main paper 0).
+Existing rows are not computed again; those made with other nets, maps or settings (`fingerprint`) are dropped. Needs
+the nets, the normalisation, the dataset and the probes (`dvc repro normalise probe`).
 """
 
 import argparse
@@ -35,7 +37,7 @@ from clothkit.evaluation.comparisons import compare, interval, totals
 from clothkit.params import Params, load_params
 from clothkit.planning.objective import Weights
 from clothkit.planning.planner import Planner, artifacts, assemble
-from clothkit.planning.systems import SYSTEMS, System
+from clothkit.planning.systems import SYSTEMS
 from clothkit.planning.uncertainty_terms import Measure, UncertaintyConfig
 from clothkit.report.figures.doubt_study import doubt as draw
 from clothkit.runtime.cache import ensure_jax_cache
@@ -50,9 +52,9 @@ ALPHAS: dict[Measure, tuple[float, ...]] = {
 }
 """Weights that are tried. Those of conditional and support are in units of eq. (14)'s range, that of expected is 1."""
 
-VARIANT = ["measure", "alpha", "fold"]
-AGAINST: tuple[Measure, float] = ("paper", 0.0)
-"""What the others are compared with, each under its own rule."""
+VARIANT = ["system", "measure", "alpha", "fold"]
+AGAINST: tuple[str, Measure, float] = ("main", "paper", 0.0)
+"""System, measure and alpha that the others are compared with, each under its own rule."""
 
 TOGETHER = 10
 """Sequences after which rows are written."""
@@ -61,6 +63,7 @@ TOGETHER = 10
 class Variant(NamedTuple):
     """What is planned with."""
 
+    system: str
     measure: Measure
     alpha: float
     fold: bool
@@ -68,12 +71,10 @@ class Variant(NamedTuple):
     @property
     def name(self) -> str:
         """Its name in comparisons."""
-        return f"{self.measure} {self.alpha:g} {'fold' if self.fold else 'any'}"
+        return f"{self.system} {self.measure} {self.alpha:g} {'fold' if self.fold else 'any'}"
 
 
-def planner_of(
-    variant: Variant, system: System, params: Params, data: Path = DATA, members: Sequence[int] | None = None
-) -> Planner:
+def planner_of(variant: Variant, params: Params, data: Path = DATA, members: Sequence[int] | None = None) -> Planner:
     """Return the planner of a variant, with the artifacts under `data`, by default those of params.yaml's ensemble."""
     plan = params.stages.plan
     settings = dataclasses.replace(
@@ -83,28 +84,31 @@ def planner_of(
     )
     weights = Weights(variant.alpha, params.beta, params.gamma)
     chosen = params.ensemble.members if members is None else members
-    return assemble(system, data, weights, settings, params.stages.simulate.candidates, chosen)
+    return assemble(SYSTEMS[variant.system], data, weights, settings, params.stages.simulate.candidates, chosen)
 
 
-def planned(planner: Planner, dataset: Dataset, sequences: list[int], simulator: Execute, name: str) -> pd.DataFrame:
+def planned(
+    planner: Planner, dataset: Dataset, sequences: list[int], simulator: Execute, name: str, split: str = "validation"
+) -> pd.DataFrame:
     """Return a row per task of these sequences."""
-    posed = pose(planner, dataset, sequences)
+    posed = pose(planner, dataset, sequences, split)
     optimisers: dict[int, Any] = {each.length: planner.settings.search.optimiser for each in posed}
     return rows_of(plans_of(planner, optimisers, posed, name), posed, simulator)
 
 
-def summary(table: pd.DataFrame) -> pd.DataFrame:
-    """Return means per variant and column of the tables, with intervals and differences to AGAINST."""
+def summary(table: pd.DataFrame, against: tuple[str, Any, float] = AGAINST) -> pd.DataFrame:
+    """Return means per variant and column of the tables, with intervals and differences to `against`."""
     names: Any = table[VARIANT].itertuples(index=False)
-    table, found = table.assign(system=[Variant(*row).name for row in names]), []
+    # The comparisons call what they compare systems.
+    named, found = table.assign(system=[Variant(*row).name for row in names]), []
     keys: Any
     for keys, own in table.groupby(VARIANT, sort=False):
         variant = Variant(*keys)
-        reference = Variant(*AGAINST, variant.fold)
+        reference = Variant(*against, variant.fold)
         failures = own.groupby("length")["search_failure"].mean()
         apart = pd.DataFrame()
-        if variant != reference and (table["system"] == reference.name).any():
-            apart = compare(table, "error", variant.name, reference.name).set_index("column")
+        if variant != reference and (named["system"] == reference.name).any():
+            apart = compare(named, "error", variant.name, reference.name).set_index("column")
         for part in totals(own, "error"):
             low, high = interval(part.total, part.tasks)
             row: dict[str, Any] = {
@@ -127,52 +131,60 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
 ENDS = {"": "difference", "_low": "low", "_high": "high", "_p": "p"}
 
 
-def conclude(table: pd.DataFrame, folder: Path, ending: str) -> None:
-    """Write and print the summary, and draw it."""
-    found = summary(table)
-    write(found, folder / f"doubt{ending}_summary.csv")
+def conclude(table: pd.DataFrame, path: Path, against: tuple[str, Any, float]) -> None:
+    """Write and print the summary, and draw it, beside the rows at `path`."""
+    found = summary(table, against)
+    write(found, path.with_name(f"{path.stem}_summary.csv"))
     shown = found[found["column"].isin([f"{length}/all" for length in range(1, STEPS + 1)])]
     print(shown.drop(columns=["low", "high"]).round(4).to_string(index=False))
-    draw(shown, folder / f"doubt{ending}.png")
+    draw(shown, path.with_suffix(".png"))
 
 
 def main() -> None:
     """Run the study and print the summary."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sequences", type=int, nargs="?", default=40)
-    parser.add_argument("--system", choices=("main", "b1"), default="main")
+    parser.add_argument("--split", choices=("validation", "test"), default="validation")
+    parser.add_argument("--system", choices=("main", "b1", "b2"), default="main")
     parser.add_argument("--measures", nargs="+", choices=get_args(Measure), default=get_args(Measure))
     parser.add_argument("--alphas", type=float, nargs="+", help="instead of the usual ones")
+    parser.add_argument(
+        "--folds", type=int, nargs="+", choices=(0, 1), default=(1, 0), help="with the rule (1), without"
+    )
+    parser.add_argument("--against", nargs=3, default=AGAINST, metavar=("SYSTEM", "MEASURE", "ALPHA"))
     parser.add_argument("--draw", action="store_true", help="only summarise and draw the rows that are there")
     asked = parser.parse_args()
     params = load_params(Path("params.yaml"))
-    folder, ending = Path("reports") / params.scale / "studies", "" if asked.system == "main" else f"_{asked.system}"
-    path = folder / f"doubt{ending}.csv"
+    folder, ending = Path("reports") / params.scale / "studies", "_test" if asked.split == "test" else ""
+    path, against = folder / f"doubt{ending}.csv", (*asked.against[:2], float(asked.against[2]))
     if asked.draw:
-        conclude(pd.read_csv(path), folder, ending)
+        conclude(pd.read_csv(path), path, against)
         return
-    simulate, plan, system = params.stages.simulate, params.stages.plan, SYSTEMS[asked.system]
+    simulate, plan = params.stages.simulate, params.stages.plan
     ensure_jax_cache(Path(".work/compiled"))
     dataset = store.load(DATA / "meshes.zarr")
-    sequences = dataset.indices("validation")[: asked.sequences].tolist()
+    sequences = dataset.indices(asked.split)[: asked.sequences].tolist()
     folder.mkdir(parents=True, exist_ok=True)
-    inputs = [DATA / "meshes.zarr", *artifacts(system, DATA, params.ensemble.members, "expected").values()]
+    # The same for all systems: main needs all that any of them needs.
+    inputs = [DATA / "meshes.zarr", *artifacts(SYSTEMS["main"], DATA, params.ensemble.members, "expected").values()]
     settings = (plan.search, plan.refine, plan.batch, plan.seed, params.beta, params.gamma)
     current = fingerprint(inputs, settings, simulate.candidates, simulate.simulation)
     table, simulator = read(path, [*VARIANT, *KEYS, "error"], current), make_simulator(simulate)
     chosen = chain.from_iterable([(m, alpha) for alpha in asked.alphas or ALPHAS[m]] for m in asked.measures)
-    for variant in (Variant(measure, alpha, fold) for measure, alpha in list(chosen) for fold in (True, False)):
+    variants = [Variant(asked.system, *each, bool(fold)) for each in chosen for fold in asked.folds]
+    for variant in variants:
         own = table[(table[VARIANT] == list(variant)).all(axis=1)] if len(table) else table
         missing = [sequence for sequence in sequences if sequence not in set(own["sequence"])]
         if not missing:
             continue
         free_programs()
-        planner = planner_of(variant, system, params)
+        planner = planner_of(variant, params)
         for first in range(0, len(missing), TOGETHER):
-            found = planned(planner, dataset, missing[first : first + TOGETHER], simulator, variant.name)
+            some = missing[first : first + TOGETHER]
+            found = planned(planner, dataset, some, simulator, variant.name, asked.split)
             table = append(table, found.assign(**variant._asdict(), **{COLUMN: current}))
             write(table, path)
-    conclude(table, folder, ending)
+    conclude(table, path, against)
 
 
 if __name__ == "__main__":

@@ -188,12 +188,12 @@ def main() -> None:
         current = fingerprint([place.resolve() for place in inputs], how, simulate.candidates)
         rows = read(path, [*SETTING, *VARIANT, *KEYS, "error"], current)
         rows = rows[(rows[SETTING] == list(setting)).all(axis=1)] if len(rows) else rows
-        for variant in (Variant(measure, alpha, fold) for measure, alpha in VARIANTS for fold in (True, False)):
+        for variant in (Variant(MAIN.name, *each, fold) for each in VARIANTS for fold in (True, False)):
             own = rows[(rows[VARIANT] == list(variant)).all(axis=1)] if len(rows) else rows
             missing = np.setdiff1d(sequences, own["sequence"]).tolist()
             free_programs()
             for first in range(0, len(missing), TOGETHER):
-                planner = planner_of(variant, MAIN, params, setting.data, setting.members)
+                planner = planner_of(variant, params, setting.data, setting.members)
                 name = f"{setting.amount} sequences, {setting.nets} nets, {variant.name}"
                 found = planned(planner, dataset, missing[first : first + TOGETHER], simulator, name)
                 columns = {**setting._asdict(), **variant._asdict(), **told, COLUMN: current}

@@ -221,14 +221,14 @@ class Posed(NamedTuple):
     loss_recorded: Float[np.ndarray, " task"]
 
 
-def pose(planner: Planner, dataset: Dataset, sequences: list[int]) -> list[Posed]:
+def pose(planner: Planner, dataset: Dataset, sequences: list[int], split: str = "validation") -> list[Posed]:
     """Return the first problems of the sessions of all tasks, by length."""
     representation, found = planner.representation, []
     for length in LENGTHS:
         chosen = [task for s in sequences for task in tasks_of(s, int(dataset.length[s])) if task.length == length]
         if not chosen:
             continue
-        tasks = tasks_of_dataset(dataset, chosen, "validation")
+        tasks = tasks_of_dataset(dataset, chosen, split)
         goals = representation.of_meshes(np.asarray(tasks.goal, np.float32))
         memory = agent.begin(planner, goals, np.full(len(chosen), length), tasks.cloths.cloth)
         observation, _ = exact_sensor(planner.perception)(np.asarray(tasks.start, np.float32), None)
@@ -327,7 +327,7 @@ def rows_of(plans: Plans, posed: list[Posed], simulator: Execute | None) -> pd.D
     recorded = np.concatenate([each.loss_recorded for each in posed])
     return pd.DataFrame(
         {
-            "split": "validation",
+            "split": [split for each in posed for split in each.tasks.split],
             **{name: getattr(plans, name) for name in KEYS},
             "loss": plans.loss,
             "loss_recorded": recorded,

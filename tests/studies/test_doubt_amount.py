@@ -71,15 +71,21 @@ def test_the_summary_compares_with_no_doubt_of_the_same_nets(study: ModuleType, 
                         error = 0.1 + 0.001 * sequence - gain + 0.001 * rng.normal()
                         rows.append(
                             {"amount": amount, "nets": nets, "measure": measure, "alpha": alpha, "fold": fold}
-                            | {"split": "validation", "sequence": sequence, "start": start, "length": length}
+                            | {
+                                "system": "main",
+                                "split": "validation",
+                                "sequence": sequence,
+                                "start": start,
+                                "length": length,
+                            }
                             | {"error": error, "search_failure": 0, "rank": 0.8, "auroc": 0.9 + 0.01 * nets}
                         )
     found = study.summary(pd.DataFrame(rows))
     indexed = found.set_index([*study.SETTING, *study.VARIANT, "column"])
-    little = indexed.loc[(100, 2, "expected", 1.0, False, "2/all")]
+    little = indexed.loc[(100, 2, "main", "expected", 1.0, False, "2/all")]
     assert little["difference"] == pytest.approx(-0.02, abs=0.002)
     assert little["difference_p"] < 0.01
-    much = indexed.loc[(400, 3, "expected", 1.0, True, "2/all")]
+    much = indexed.loc[(400, 3, "main", "expected", 1.0, True, "2/all")]
     assert abs(much["difference"]) < 0.002
     assert much["auroc"] == pytest.approx(0.93)
     draw(found[found["column"].str.endswith("/all")], tmp_path / "doubt_amount.png")

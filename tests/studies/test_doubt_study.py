@@ -37,7 +37,7 @@ def made_up(study: ModuleType, sequences: int = 20) -> pd.DataFrame:
                         "length": length,
                         "error": error - gain + 0.002 * rng.normal(),
                         "search_failure": int(length == 3 and sequence % 4 == 0),
-                        **dict(zip(study.VARIANT, (measure, alpha, fold), strict=True)),
+                        **dict(zip(study.VARIANT, ("main", measure, alpha, fold), strict=True)),
                     }
                 )
     return pd.DataFrame(rows)
@@ -48,14 +48,14 @@ def test_the_summary_says_what_the_rows_say(study: ModuleType, tmp_path: Path) -
     found = study.summary(table)
     rows = found.set_index([*study.VARIANT, "column"])
     own = table[(table["measure"] == "expected") & table["fold"] & (table["length"] == 2)]
-    row = rows.loc[("expected", 1.0, True, "2/all")]
+    row = rows.loc[("main", "expected", 1.0, True, "2/all")]
     assert row["error"] == pytest.approx(own["error"].mean())
     assert row["low"] < row["error"] < row["high"]
     assert row["difference"] == pytest.approx(-0.01, abs=0.002)
     assert row["difference_p"] < 0.01
-    assert rows.loc[("paper", 1.0, False, "1/all"), "difference_p"] > 0.01
-    assert np.isnan(rows.loc[("paper", 0.0, True, "1/all"), "difference"])
-    assert rows.loc[("paper", 0.0, True, "3/all"), "search_failures"] == 0.25
+    assert rows.loc[("main", "paper", 1.0, False, "1/all"), "difference_p"] > 0.01
+    assert np.isnan(rows.loc[("main", "paper", 0.0, True, "1/all"), "difference"])
+    assert rows.loc[("main", "paper", 0.0, True, "3/all"), "search_failures"] == 0.25
     draw(found[found["column"].str.endswith("/all")], tmp_path / "doubt.png")
     assert (tmp_path / "doubt.png").stat().st_size > 10_000
 

@@ -13,6 +13,7 @@ MEASURES = {
     "conditional": ("conditional", "#519e3e"),
     "support": ("support", "#8e5bd0"),
     "expected": ("expected error", "#d9822b"),
+    "b2": ("one net", "#777777"),
 }
 """Labels and colours of measures of uncertainty, in order."""
 
@@ -20,9 +21,11 @@ MEASURES = {
 def doubt(table: pd.DataFrame, path: Path) -> None:
     """Writes charts of the error by measure of uncertainty, a row for each rule and a column for each plan length.
 
-    Points are means with 95 % intervals; a star marks a paired difference with p < 0.01. Columns of `table`: measure,
-    alpha, fold, column (length/all), error [cloth length], low, high and difference_p.
+    Points are means with 95 % intervals; a star marks a paired difference with p < 0.01. Columns of `table`: system,
+    measure, alpha, fold, column (length/all), error [cloth length], low, high and difference_p.
     """
+    # With one net, only surprise is doubt.
+    table = table.assign(measure=table["measure"].mask(table["system"] == "b2", "b2"))
     columns = sorted(table["column"].unique())
     figure, axes = panels.chart(2 * len(columns), width=3.0, height=2.7, columns=len(columns))
     variants = [
