@@ -13,10 +13,10 @@ doubt.png shows them.
 
 `--split test` does the same with test sequences, into doubt_test.csv: for what was chosen before. `--system b1` plans
 from true meshes instead, `--system b2` with one net (which only surprise can doubt). `--measures` and `--alphas` choose
-variants: `--measures expected --alphas 0.5 1 2`; `--folds 0` leaves out the rule. `--draw` summarises and draws the rows
-that are there. Differences are to the variant that `--against SYSTEM MEASURE ALPHA` names (default: main paper 0).
-Existing rows are not computed again; those made with other nets, maps or settings (`fingerprint`) are dropped. Needs
-the nets, the normalisation, the dataset and the probes (`dvc repro normalise probe`).
+variants: `--measures expected --alphas 0.5 1 2`; `--folds 0` leaves out the rule. `--draw` summarises and draws the
+rows that are there. Differences are to the variant that `--against SYSTEM MEASURE ALPHA` names (default: main paper
+0). Existing rows are not computed again; those made with other nets, maps or settings (`fingerprint`) are dropped.
+Needs the nets, the normalisation, the dataset and the probes (`dvc repro normalise probe`).
 """
 
 import argparse
