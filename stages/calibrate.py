@@ -28,7 +28,7 @@ def main() -> None:
         pieces = work / hashlib.sha256(repr((weights, plan, simulate)).encode()).hexdigest()[:16]
         planner = assemble(system, DATA, weights, plan, simulate.candidates, members)
         simulator = make_simulator(simulate)
-        planned = execute_planned(store.load(MESHES), s.params.sequences, planner, simulator, work=pieces)
+        planned = execute_planned(store.load(MESHES), s.params, planner, simulator, work=pieces)
         end_workers()
         table, found = rows(planned)
         write_rows(work / "trust.parquet", table, s.attributes)

@@ -65,7 +65,10 @@ def main() -> None:
     settings = [usual._replace(alpha=value) for value in asked.alphas]
     settings += [usual, *(usual._replace(beta=value) for value in asked.betas)]
     settings += [usual._replace(gamma=value) for value in asked.gammas]
-    simulate, plan = params.stages.simulate, dataclasses.replace(params.stages.plan, uncertainty=uncertainty)
+    simulate, plan = params.stages.simulate, params.stages.plan
+    # Eq. (15) does not tell first displacements that the data do not have; the rule does.
+    search = dataclasses.replace(plan.search, fold=True)
+    plan = dataclasses.replace(plan, search=search, uncertainty=uncertainty)
     data, meshes, members = Path("data"), Path("data/meshes.zarr"), params.ensemble.members
     dataset = store.load(meshes)
     sequences = dataset.indices("validation")[: asked.sequences].tolist()

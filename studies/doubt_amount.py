@@ -19,6 +19,7 @@ dataset and the probes' settings (`dvc repro probe`).
 """
 
 import argparse
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -34,6 +35,7 @@ from optimisers import KEYS, free_programs
 from clothkit.dataset import store
 from clothkit.dataset.augment import augment
 from clothkit.dataset.store import STEPS, Dataset
+from clothkit.evaluation import probes
 from clothkit.evaluation.doubt import WRONG, auroc, rank_correlation
 from clothkit.evaluation.probes import Probes, execute_probes, fitted_to, predicted, table
 from clothkit.models import ensemble, support_model
@@ -177,14 +179,24 @@ def main() -> None:
     folder.mkdir(parents=True, exist_ok=True)
     simulate, plan = stages.simulate, stages.plan
     simulator = make_simulator(simulate)
-    pieces = Path(".work/studies/doubt_amount") / fingerprint([MESHES], simulate, stages.probe)
-    probes = execute_probes(dataset, stages.probe, simulate.candidates, simulator, work=pieces)
+    pieces = Path(".work/studies/doubt_amount") / fingerprint(
+        [MESHES, Path(str(probes.__file__))], simulate, stages.probe
+    )
+    executed = execute_probes(dataset, stages.probe, simulate.candidates, simulator, work=pieces)
     sequences = dataset.indices("validation")[: asked.sequences].tolist()
     parts: list[pd.DataFrame] = []
     for setting in settings:
-        told = learn(setting, params, dataset, probes)
+        told = learn(setting, params, dataset, executed)
         inputs = [MESHES, *artifacts(MAIN, setting.data, setting.members, "expected").values()]
-        how = (plan.search, plan.refine, plan.batch, plan.seed, params.beta, params.gamma, simulate.simulation)
+        how = (
+            dataclasses.replace(plan.search, fold=False),
+            plan.refine,
+            plan.batch,
+            plan.seed,
+            params.beta,
+            params.gamma,
+            simulate.simulation,
+        )
         current = fingerprint([place.resolve() for place in inputs], how, simulate.candidates)
         rows = read(path, [*SETTING, *VARIANT, *KEYS, "error"], current)
         rows = rows[(rows[SETTING] == list(setting)).all(axis=1)] if len(rows) else rows

@@ -231,8 +231,19 @@ def main() -> None:
     # Other measures need a support model and a map of errors of the very ensemble: see doubt_amount.py.
     uncertainty = UncertaintyConfig(u_weight=stages.plan.uncertainty.u_weight)
     weights = Weights(params.alpha, params.beta, params.gamma)
-    plan = dataclasses.replace(stages.plan, uncertainty=uncertainty)
-    settings = [plan.search, plan.refine, plan.batch, plan.seed, weights, stages.normalise, stages.evaluate_estimation]
+    # Eq. (15) does not tell first displacements that the data do not have; the rule does.
+    search = dataclasses.replace(stages.plan.search, fold=True)
+    plan = dataclasses.replace(stages.plan, search=search, uncertainty=uncertainty)
+    settings = [
+        plan.search,
+        plan.uncertainty,
+        plan.refine,
+        plan.batch,
+        plan.seed,
+        weights,
+        stages.normalise,
+        stages.evaluate_estimation,
+    ]
     settings += [stages.simulate.candidates, stages.simulate.simulation]
     stored = pd.read_csv(path)["nets"].tolist() if path.exists() else []
     current = {}

@@ -237,7 +237,7 @@ def pose(planner: Planner, dataset: Dataset, sequences: list[int], split: str = 
         keys = search_keys(tasks, np.arange(len(chosen)), 0, planner.settings.seed)
         labels = labels_of_estimates(representation, state, tasks.start, tasks.cloths.cloth)
         recorded = recorded_plans(representation, tasks.recorded or [], labels)
-        loss = planning_losses(planner, state, goals, recorded, tasks.cloths.cloth)
+        loss = planning_losses(planner, state, goals, recorded, tasks.cloths.cloth, candidates)
         found.append(Posed(length, tasks, candidates, problems, keys, loss))
     return found
 
@@ -334,7 +334,7 @@ def rows_of(plans: Plans, posed: list[Posed], simulator: Execute | None) -> pd.D
             "search_failure": (recorded < plans.loss).astype(int),
             "expected": plans.expected,
             "error": error,
-            "error_no_action": np.asarray(errors(start, goal, aligned=True)),
+            "error_no_action": np.asarray(errors(start, goal, aligned=True, cloth=cloths.cloth)),
         }
     )
 

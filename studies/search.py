@@ -122,7 +122,16 @@ def main() -> None:
     others = {**dataclasses.asdict(plan.search), **dataclasses.asdict(optimiser)}
     others = {name: value for name, value in others.items() if name not in [*KEYS, "optimiser"]}
     inputs = [meshes, *artifacts(SYSTEMS["main"], data, members, plan.uncertainty.measure).values()]
-    settings = [others, plan.refine, plan.batch, plan.seed, weights, simulate.candidates, simulate.simulation]
+    settings = [
+        others,
+        plan.uncertainty,
+        plan.refine,
+        plan.batch,
+        plan.seed,
+        weights,
+        simulate.candidates,
+        simulate.simulation,
+    ]
     current = fingerprint(inputs, *settings)
     table = read(path, [*KEYS, "sequence"], current)
     for size in searches(plan.search, asked):

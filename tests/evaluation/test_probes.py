@@ -100,3 +100,14 @@ def test_rows_tell_errors_and_measures(dataset: toy_dataset.Dataset, done: probe
     assert np.isfinite(rows["expected"]).all()
     map_of_all = probes.fitted_to(rows)
     assert map_of_all.offset.shape == (3,)
+
+
+def test_steps_that_no_validation_sequence_has_are_in_no_deviations(
+    dataset: toy_dataset.Dataset, done: probes.Probes
+) -> None:
+    """Random plans have three manipulations, whatever was recorded."""
+    support = support_model.initial(SupportModelConfig(hidden=(4,)), np.zeros((4, 3078), np.float32), jax.random.key(0))
+    found = probes.predicted(toy.Nets(), support, done, dataset.cloth[done.sequence])
+    rows = probes.table(done, found, Spread(np.full(2, 0.1), np.full(2, 0.2)))
+    np.testing.assert_array_equal(rows["deviations"].isna(), rows["step"] == 3)
+    assert np.isfinite(rows["difference"]).all()

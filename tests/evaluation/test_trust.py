@@ -7,6 +7,7 @@ import pytest
 
 from clothkit.cloth.mesh import distance_aligned
 from clothkit.dataset.store import SPLITS, Dataset
+from clothkit.evaluation.settings import CalibrateConfig
 from clothkit.evaluation.trust import Planned, execute_planned, rows
 from clothkit.planning import trust
 from tests import toy_dataset
@@ -29,7 +30,7 @@ def test_plans_are_executed_to_their_end_and_a_killed_run_goes_on(dataset: Datas
         calls.append(len(arguments[0]))
         return toy.execute(*arguments)
 
-    found = execute_planned(dataset, SEQUENCES, planner, execute, work=tmp_path)
+    found = execute_planned(dataset, CalibrateConfig(sequences=SEQUENCES), planner, execute, work=tmp_path)
     assert len(found.sequence) == 6 * SEQUENCES
     assert set(zip(found.start, found.length, strict=True)) == {(0, 1), (1, 1), (2, 1), (0, 2), (1, 2), (0, 3)}
     # The toy's nets know their world to 3 %: plans end near their goals, and as near as they expect.
@@ -42,7 +43,7 @@ def test_plans_are_executed_to_their_end_and_a_killed_run_goes_on(dataset: Datas
         apart = distance_aligned(dataset.vertices[s, i], dataset.vertices[s, i + n])
         assert found.error_no_action[row] <= float(apart) + 1e-6
     before = len(calls)
-    again = execute_planned(dataset, SEQUENCES, planner, execute, work=tmp_path)
+    again = execute_planned(dataset, CalibrateConfig(sequences=SEQUENCES), planner, execute, work=tmp_path)
     assert len(calls) == before
     for one, other in zip(found, again, strict=True):
         np.testing.assert_array_equal(one, other)

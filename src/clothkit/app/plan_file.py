@@ -227,7 +227,7 @@ class Expectation(Part):
     epistemic_uncertainty: NotNegative | None
     """u of eq. (15): how much the nets disagree, against what is usual; null for one net."""
     loss: float
-    """The planning loss, eq. (13)."""
+    """The planning loss: eq. (13), or another objective that the scale's settings have."""
     improves: bool
     """Whether the plan does anything, and its outcome is not expected to be farther from the goal than the state is; of
     a turned plan, whether that was so before."""

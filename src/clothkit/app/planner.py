@@ -334,7 +334,9 @@ def trusted_of(planned: Planned, settings: Settings, system: System) -> Trusted 
     """What plans with such an expectation came to; None if that is not known, or the system is another than main."""
     if settings.trust is None or system.name != "main":
         return None
-    signs = Signs(*(np.array([value]) for value in (planned.expected, planned.model_error, planned.sigma)))
+    # As in the plans that were executed: one that is not expected to improve is left undone.
+    expected = planned.expected_no_action if planned.useless else planned.expected
+    signs = Signs(*(np.array([value]) for value in (expected, planned.model_error, planned.sigma)))
     return trusted(settings.trust, signs, np.array([len(planned.plan)])) if tells(settings.trust, signs) else None
 
 

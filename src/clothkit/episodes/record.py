@@ -111,7 +111,8 @@ class Sessions:
     plan: np.ndarray = _array("f4", "task", "step", "planned", "component", units=MANIPULATION_UNITS)
     loss: np.ndarray = _array("f4", "task", "step")
     terms: np.ndarray = _array("f4", "task", "step", "term")
-    """The accuracy term of each net, then u of eq. (15), 0 if it is no term of the objective."""
+    """The accuracy term of each net, then that of uncertainty: u of eq. (15), or what is chosen in its place; 0 if the
+    objective has none."""
     common: np.ndarray = _array("i1", "task", "step")
     """Index of the common equivalent in which the plan was found."""
     relative: np.ndarray = _array("i1", "task", "step")

@@ -23,6 +23,7 @@ from clothkit.planning.objective import Objective, evaluate, fix
 from clothkit.planning.planner import Planner
 from clothkit.planning.predict import padded
 from clothkit.planning.representation import Representation
+from clothkit.planning.search import posed_objective
 from clothkit.planning.types import UNKNOWN, Candidates, Meshes, Problem, States
 
 NEAR = 0.05 * CLOTH_LENGTH
@@ -46,7 +47,8 @@ def diagnosed(sessions: Sessions, tasks: Tasks, planner: Planner) -> Sessions:
         chosen = np.flatnonzero(sessions.length == length)
         plan = recorded_plans(representation, [tasks.recorded[task] for task in chosen], labels[chosen])
         estimate = sessions.estimate[chosen, 0]
-        loss[chosen] = planning_losses(planner, estimate, goals[chosen], plan, sessions.cloth[chosen])
+        offers, cloth = sessions.candidates[chosen, 0], sessions.cloth[chosen]
+        loss[chosen] = planning_losses(planner, estimate, goals[chosen], plan, cloth, offers)
         wanted = representation.positions(estimate, plan[:, 0, :4].reshape(-1, 2, 2))
         offered[chosen] = [
             is_offered(wanted[i], _places(representation, estimate[i], sessions.candidates[task, 0]))
@@ -78,19 +80,26 @@ def planning_losses(
     goals: States,
     plans: Float[np.ndarray, "task n 6"],
     cloth: Float[np.ndarray, "task 3"],
+    candidates: Float[np.ndarray, "task candidate 2"],
 ) -> Float[np.ndarray, " task"]:
-    """A planner's objective for one plan per task, in the labelling that fits it best (`losses`)."""
+    """A planner's objective for one plan per task, in the labelling that fits it best (`losses`).
+
+    `candidates` are those on the states; rows that are left over are NaN.
+    """
     longest, relative = planner.normalisation.longest, np.int32(0 if planner.labelled else UNKNOWN)
+    objective = planner.objective(longest)
+    covered = np.stack([planner.representation.covered(one) for one in states]) if objective.draws else None
+    offers = Candidates(np.nan_to_num(candidates), np.isfinite(candidates[:, :, 0]).sum(1))
     value = partial(
         losses,
         planner.model,
         planner.representation,
         planner.nets,
-        planner.objective(longest),
+        objective,
         relative,
         np.int32(plans.shape[1]),
     )
-    return in_batches(value, planner.settings.batch, states, goals, padded(plans, longest), cloth)
+    return in_batches(value, planner.settings.batch, states, goals, padded(plans, longest), cloth, offers, covered)
 
 
 def _places(
@@ -120,21 +129,25 @@ def losses(
     goals: Shaped[Array, "task *state"],
     plans: Float[Array, "task n 6"],
     cloths: Float[Array, "task 3"],
+    offers: Candidates,
+    covered: Bool[Array, "task x y"] | None,
 ) -> Float[Array, " task"]:
     """The objective's value for the first `steps` manipulations of one plan per task, `[task]`.
 
-    It is the minimum over the common equivalents and, where `relative` is UNKNOWN, over the goal's relabellings.
+    It is the minimum over the common equivalents and, where `relative` is UNKNOWN, over the goal's relabellings. What
+    the cloths cover is needed by terms that are posed with plans (`Objective.draws`).
     """
     count = representation.labels
 
-    def one(state: Array, goal: Array, plan: Array, cloth: Array) -> Array:
+    def one(state: Array, goal: Array, plan: Array, cloth: Array, offers: Candidates, covered: Array | None) -> Array:
         blank = [jax.eval_shape(model.encode, net, state) for net in nets]
         traces = tuple(jnp.zeros((count, *latent.shape)) for latent in blank)
-        none = Candidates(jnp.zeros((1, 2)), jnp.int32(0))
-        problem = Problem(state, goal, none, traces, jnp.asarray(relative), jnp.asarray(False), plan, cloth)
+        goal_label, first = jnp.asarray(relative), jnp.asarray(False)
+        problem = Problem(state, goal, offers, traces, goal_label, first, plan, cloth, covered)
+        posed = posed_objective(objective, model, representation, nets, problem, len(plan), jax.random.key(0))
         relabelled = jax.vmap(equivalents_of_manipulation, out_axes=1)(plan)[:count]
         found = evaluate(
-            objective,
+            posed,
             model,
             representation,
             nets,
@@ -146,7 +159,7 @@ def losses(
         )
         return jnp.min(found.loss)
 
-    return jax.vmap(one)(states, goals, plans, cloths)
+    return jax.vmap(one)(states, goals, plans, cloths, offers, covered)
 
 
 _relabelled = jax.jit(relabel_manipulation_batch)

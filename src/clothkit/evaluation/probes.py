@@ -218,8 +218,10 @@ def table(probes: Probes, found: Predicted, spread: Spread) -> pd.DataFrame:
     # A single net differs from no other.
     deviations = np.full(len(row), np.nan)
     if len(spread.mean):
-        mean, std = (np.asarray(values)[step] for values in spread)
-        deviations = (np.asarray(measures.difference) - mean) / std
+        # Where no validation sequence is so long, there is nothing to compare with.
+        known = step < len(spread.mean)
+        mean, std = (np.asarray(values)[step[known]] for values in spread)
+        deviations[known] = (np.asarray(measures.difference)[known] - mean) / std
     told = (measures.distance, measures.sigma, found.surprise[row, step])
     signs = {name: np.asarray(values) for name, values in zip(SIGNS, told, strict=True)}
     error, sequence = found.error[row, step], probes.sequence[row]

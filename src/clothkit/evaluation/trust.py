@@ -15,6 +15,7 @@ from clothkit.episodes.record import tasks_of_dataset
 from clothkit.episodes.sensors import exact_sensor
 from clothkit.episodes.sessions import Execute, search_keys
 from clothkit.evaluation.errors import errors
+from clothkit.evaluation.settings import CalibrateConfig
 from clothkit.planning import trust
 from clothkit.planning.agent import begin, decide
 from clothkit.planning.error_map import ErrorMap, expected_by_others, fit
@@ -38,12 +39,14 @@ class Planned(NamedTuple):
     error_no_action: Float[np.ndarray, " task"]
 
 
-def execute_planned(dataset: Dataset, sequences: int, planner: Planner, execute: Execute, *, work: Path) -> Planned:
+def execute_planned(
+    dataset: Dataset, settings: CalibrateConfig, planner: Planner, execute: Execute, *, work: Path
+) -> Planned:
     """Plan for all tasks of the first validation sequences, and execute the plans without a look in between.
 
     `work` stores finished parts, from which an interrupted run resumes.
     """
-    chosen = dataset.indices("validation")[:sequences].tolist()
+    chosen = dataset.indices("validation")[: settings.sequences].tolist()
     together = planner.settings.together
     parts = [
         [task for sequence in chosen[i : i + together] for task in tasks_of(sequence, int(dataset.length[sequence]))]
@@ -77,8 +80,9 @@ def _planned(dataset: Dataset, chosen: list[Task], planner: Planner, execute: Ex
     manipulations = np.where(plan.useless[:, None, None], np.nan, plan.manipulations)
     position = grasp_positions(planner, plan, tasks.centre)
     outcome = execute_plans(tasks.start, tasks.centre, manipulations, position, execute, tasks.cloths)
-    expected = np.where(plan.useless, np.asarray(errors(plan.state, tasks.goal, aligned=True)), signs.expected)
     cloth = tasks.cloths.cloth
+    nothing = np.asarray(errors(plan.state, tasks.goal, aligned=True, cloth=cloth))
+    expected = np.where(plan.useless, nothing, signs.expected)
     return Planned(
         sequence,
         start,

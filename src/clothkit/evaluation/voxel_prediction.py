@@ -58,7 +58,9 @@ def rows(
                     "start": start,
                     "length": length,
                     "error": np.float32(np.nan),
-                    "error_no_action": np.asarray(errors(states[:, 0], states[:, -1], aligned=True)),
+                    "error_no_action": np.asarray(
+                        errors(states[:, 0], states[:, -1], aligned=True, cloth=dataset.cloth[chosen])
+                    ),
                     "position_error": np.linalg.norm(shift.sum(0) - moved, axis=-1) / CLOTH_LENGTH,
                     "position_no_action": np.linalg.norm(moved, axis=-1) / CLOTH_LENGTH,
                     "sigma_ratio": np.float32(np.nan),

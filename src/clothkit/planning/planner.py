@@ -136,7 +136,7 @@ def assemble(
         perception=perception,
         normalisation=reference,
         weights=weights,
-        settings=settings,
+        settings=replace(settings, uncertainty=measures),
         grasping=grasping,
         labelled=system.voxels or system.true_meshes,
         accuracy=accuracy,

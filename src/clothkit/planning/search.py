@@ -65,7 +65,7 @@ def search(
     def one(problem: Problem, key: PRNGKeyArray) -> Found:
         problem = jax.tree.map(jnp.asarray, problem)
         fixed = fix(model, representation, nets, problem)
-        posed = _posed(objective, model, representation, nets, problem, length, key)
+        posed = posed_objective(objective, model, representation, nets, problem, length, key)
 
         def evaluate(plans: Plans, *, steps: Array | None = None, exact: bool = False) -> Evaluation:
             common, relative = plans.labels
@@ -92,7 +92,7 @@ def search(
     return jax.vmap(one)(problems, keys)
 
 
-def _posed(
+def posed_objective(
     objective: Objective,
     model: ForwardModel,
     representation: Representation,
@@ -133,7 +133,7 @@ def evaluated(
     def one(problem: Problem, plan: Array, relative: Array) -> Found:
         problem = jax.tree.map(jnp.asarray, problem)
         fixed, common = fix(model, representation, nets, problem), jnp.zeros((), jnp.int32)
-        posed = _posed(objective, model, representation, nets, problem, plan.shape[0], jax.random.key(0))
+        posed = posed_objective(objective, model, representation, nets, problem, plan.shape[0], jax.random.key(0))
         found = objectives.evaluate(posed, model, representation, nets, fixed, plan[None], common[None], relative[None])
         loss, terms = found.loss[0], {name: term[0] for name, term in found.terms.items()}
         return Found(plan, loss, terms, common, relative, found.loss[None])

@@ -19,7 +19,7 @@ class System:
     """Whether estimates are refined. In the paper leaving that out "was observed to significantly harm planning
     performance" (section 4.7); in the `laptop` report no difference was found in mean errors by plan length."""
     single: bool = False
-    """Whether only the net with the best validation score is used: the loss is its NLL then, otherwise eq. (13)."""
+    """Whether only the net with the best validation score is used: the loss is its accuracy term alone then."""
     alpha: float | None = None
     """Weight of the uncertainty term; None means the value of params.yaml."""
 
