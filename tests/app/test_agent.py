@@ -136,6 +136,11 @@ def test_an_agent_remembers_what_commands_take_from_a_plan_file(here: Path) -> N
     assert second.memory == other.memory
     assert second.steps[0].hands == other.steps[0].hands
     assert second.expected == other.expected
+    wide = observation_options(load_settings(Path("data")).app, side=0.8, table=None)
+    with pytest.raises(InputError, match=r"sides: expected 0\.4 x 0\.4, for which one\.json was planned, found 0\.8"):
+        Agent.of(planner, load_settings(Path("data")), wide).begin("goal.npy", after="one.json")
+    with pytest.raises(InputError, match=r"one\.json: was planned by system b1, expected b4, the agent's"):
+        Agent("data", system="b4").begin("goal.npy", after="one.json")
     again = toy_agent(planner=planner).begin("goal.npy", after=here / "one.json")
     assert again.left == 1
     np.testing.assert_allclose(again.state.memory.expected[0], mesh, atol=1e-4)
@@ -198,6 +203,13 @@ def test_what_is_wrong_is_one_sentence_and_changes_nothing(here: Path, files: Pa
         agent.observe(np.zeros((1600, 3)), mask=np.ones(5))
     with pytest.raises(InputError, match=r"cloth: has shape \[3\], expected"):
         agent.observe(np.zeros(3))
+    for options, says in (
+        ({"thickness": 5.0}, "--thickness: 5, expected metres above 0, at most 0.1"),
+        ({"side": 400.0}, "--side: 400, expected metres, from 0.01 to 10"),
+        ({"table_colour": (0, 60, 0)}, "--table-colour: expected six numbers"),
+    ):
+        with pytest.raises(InputError, match=says):
+            Agent("data", **options)  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"none\.obj: not found"):
         agent.observe("none.obj")
     assert agent.left == 1

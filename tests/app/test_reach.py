@@ -228,3 +228,40 @@ def test_a_turned_plan_is_remembered_as_it_is(here: Path) -> None:
     np.testing.assert_allclose(memory.rest[0, 0], plan.steps[1].manipulation, atol=1e-6)
     np.testing.assert_allclose(memory.goal[0], centred(goal)[0] * np.float32([-1, -1, 1]), atol=1e-5)
     assert agent.observe(metres(np.asarray(outcome))).error == pytest.approx(0, abs=1e-3)
+
+
+def test_a_later_plan_that_is_turned_aims_at_the_turned_goal(here: Path) -> None:
+    """From the second step on it is known under which labels the goal lies; turned, it lies under others."""
+    flat = SQUARE.flat()
+    goal = np.asarray(toy.dragged(jnp.asarray(flat), jnp.asarray(ONE[0])))
+    settings = load_settings(Path("data"))
+    options = observation_options(settings.app, side=None, table=None)
+    beyond = Box((AT[0] - 0.01, AT[1] - 0.01, -9), (9, 9, 9))
+    agent = Agent.of(toy_planner(), settings, options, limits=Limits((beyond,)))
+    agent.begin(metres(goal), steps=2)
+    agent.observe(metres(flat))
+    # A plan that helps nothing is within reach, and its step is used up.
+    with decided(np.float32([[1, 1, 1, 1, 0.2, 0.2], [1, 1, 1, 1, 0.1, 0.1]])):
+        assert agent.plan().turned is None
+    agent.observe(metres(flat))
+    assert agent.left == 1
+    with decided(ONE):
+        assert agent.plan().turned is not None
+    now = agent.state
+    assert now.planned is not None
+    wanted = now.planner.representation.relabel(now.memory.goal, now.memory.relative)
+    away = float(now.planner.representation.distance(flat[None], wanted)[0])
+    assert away == pytest.approx(now.planned.expected_no_action, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("limits", "says"),
+    [
+        (Limits(hands=EVERYWHERE), "limits: hands: expected a tuple of regions, found a single one"),
+        (Limits(keep_out=Ball((0, 0, 0), 0.1)), "limits: keep_out: expected a tuple of regions"),
+        (Limits((Box((0, 0), (1, 1)),)), "limits: hands: .* expected corners and centres of three numbers"),
+    ],
+)
+def test_limits_of_another_form_are_told(limits: Limits, says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        check_limits(limits)

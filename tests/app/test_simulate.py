@@ -5,7 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from clothkit.app.inputs import observation_options
+from clothkit.app.observables import input_of
 from clothkit.app.plan_file import read_plan
+from clothkit.app.settings import AppConfig
+from clothkit.app.simulate import score
 from clothkit.observation.files import read
 from tests.app.conftest import AT, run, succeed
 from tests.app.plans import content, write
@@ -29,3 +33,15 @@ def test_a_half_fold_in_metres_away_from_the_origin(here: Path, files: Path, fra
     too_many = run("simulate", "--plan", "plan.json", "--steps", 2)
     assert too_many.exit_code == 1
     assert too_many.stderr.strip() == "simulate: --steps: plan.json has 1, found 2"
+
+
+def test_a_rectangle_across_its_goal_is_far_from_it() -> None:
+    """Labels of a cloth whose sides differ can't be exchanged; those of a square can."""
+    for shorter, far in ((0.5, False), (0.4, True)):
+        options = observation_options(AppConfig(), side=None, sides=(0.5, shorter))
+        flat = options.topology.flat().astype(np.float32)
+        found = score(flat, input_of(flat.astype(float) * options.scale, options, name="goal"), None)
+        assert found.error == pytest.approx(0, abs=1e-4)
+        turned = flat[..., [1, 0, 2]] * np.float32([1, -1, 1])
+        found = score(turned, input_of(flat.astype(float) * options.scale, options, name="goal"), None)
+        assert (found.error is not None and found.error > 0.3) == far

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from clothkit.app import plan as plan_command
+from clothkit.app.agent import Agent
+from clothkit.app.inputs import load_settings, observation_options
 from clothkit.app.lengths import choice_in_words
 from clothkit.app.output import write_mesh
 from clothkit.app.plan_file import UNLIKELY, read_plan
@@ -91,3 +93,19 @@ def test_systems_in_voxels_do_not_choose(here: Path, files: Path) -> None:
 def test_numbers_without_a_plan_are_left_out() -> None:
     choice = Choice(np.array([2]), np.array([[0.2, np.inf, 0.05, np.inf]]))
     assert choice_in_words(choice, 0.5) == "expected error by number of manipulations: 0: 100 mm, 2: 25 mm (chosen)"
+
+
+def test_a_loop_ends_where_nothing_more_is_worth_doing(goals: Path) -> None:
+    """The loop of docs/robots.md, with a goal that is one fold away."""
+    settings = load_settings(Path("data"))
+    agent = Agent.of(toy_planner(), settings, observation_options(settings.app, side=None, table=None))
+    agent.begin("goal_1.obj", steps="auto")
+    files, improved = ["goal_0.obj", "goal_1.obj"], []
+    with finding({n: FOLDS[:n] for n in (1, 2, 3)}):
+        while agent.left:
+            agent.observe(files[len(improved)])
+            improved.append(agent.plan().expected.improves)
+    assert improved == [True, False]
+    # What is left undone stays over.
+    agent.observe("goal_1.obj")
+    assert agent.left == 0

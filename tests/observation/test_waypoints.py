@@ -75,3 +75,13 @@ def test_crumpled_cloth_is_not_turned() -> None:
     bent = SQUARE.flat().copy()
     bent[20:, 12:, :2] -= [0.4, 0.1]
     assert len(symmetries(centred(bent)[0])) == 1
+
+
+def test_a_rectangle_that_is_nearly_a_square_has_no_quarter_turns() -> None:
+    mesh = SQUARE.flat() * np.float32([1, 0.96, 1])
+    assert len(symmetries(mesh)) == 8
+    cloth = np.array([1.4, 1.4 * 0.96, 0.007], np.float32)
+    found = symmetries(mesh, cloth=cloth)
+    assert len(found) == 4
+    for matrix in found:
+        np.testing.assert_allclose(np.abs(matrix), np.eye(2), atol=1e-6)

@@ -17,15 +17,15 @@ from clothkit.app.inputs import (
     ObservationOptions,
     Settings,
     keep_compiled_programs,
-    load_settings,
     observation_options,
 )
 from clothkit.app.lengths import AUTO, check_can_choose
 from clothkit.app.named_goals import goal_like, goal_name, manipulations_of, named_goal, variant_before
 from clothkit.app.observables import Mask, Observable, input_of
 from clothkit.app.output import check_target
-from clothkit.app.plan_arrays import check_nets, memory_of, steps_left, traces_before
+from clothkit.app.plan_arrays import check_nets, cloth_of, memory_of, steps_left, traces_before
 from clothkit.app.plan_file import Plan, read_plan
+from clothkit.app.prebuilt import load_nets
 from clothkit.app.reach import check_limits, limits_of
 from clothkit.app.viewer.recording import ENDING, write_recording
 from clothkit.app.viewer.session import Session, StateEstimate, Step, shown_plan
@@ -109,9 +109,13 @@ class Agent:
 
         System main estimates a mesh from what a camera sees; b1 takes a mesh as it is. `settings` are by default those
         of params.yaml in the current directory, where there is one; and `limits`, what the robot's hands have to keep
-        to, those of the settings.
+        to, those of the settings. Where the folder `data` of the current directory has no nets, prebuilt ones are
+        taken, as by the commands.
         """
-        settings = load_settings(Path(data)) if settings is None else settings._replace(data=Path(data))
+        if settings is None:
+            _, settings = load_nets(Path(data))
+        else:
+            settings = settings._replace(data=Path(data))
         options = observation_options(
             settings.app,
             side=None if side is None else float(side),
@@ -203,6 +207,10 @@ class Agent:
         name = goal_name(goal, turn, mirror)
         variant, traces, choosing = None, None, None
         if previous is not None:
+            if previous.system != self._planner.system.name:
+                own = self._planner.system.name
+                raise InputError(f"{source}: was planned by system {previous.system}, expected {own}, the agent's")
+            cloth_of(previous, {"sides": self._options.sides, "thickness": (self._options.thickness,)}, source)
             check_nets(previous, self._planner, self._settings.data, source)
             traces = traces_before(previous, self._planner, source)
             variant = variant_before(name, previous, source, turn, mirror) if name else None
@@ -224,7 +232,8 @@ class Agent:
             now = dataclasses.replace(now, memory=memory_of(previous, self._planner, now.memory, traces, length))
         self._now, self._agreements = now, (None, agreement)
         self._unlaid = _NamedGoal(name, turn, mirror) if name and variant is None else None
-        self._session = Session(f"{self._planner.system.name}, {wanted.file}", length, now.target, (), ())
+        title, cloth = f"{self._planner.system.name}, {wanted.file}", self._options.cloth
+        self._session = Session(title, length, now.target, (), (), cloth=cloth)
         return self
 
     def observe(

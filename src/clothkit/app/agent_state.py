@@ -19,7 +19,7 @@ from clothkit.planning.lengths import LengthConfig
 from clothkit.planning.perception import KnownMeshes, sigma_of
 from clothkit.planning.planner import Planner
 from clothkit.planning.reach import Limits
-from clothkit.planning.types import Memory, Observation, Plan
+from clothkit.planning.types import UNKNOWN, Memory, Observation, Plan
 from clothkit.runtime.errors import InputError
 
 
@@ -62,8 +62,17 @@ class AgentState:
 
     @property
     def left(self) -> int:
-        """The number of manipulations that are left, without those of the plan that waits."""
-        return int(self.memory.left[0]) - (self.planned is not None)
+        """The number of manipulations that are left, without the first of the plan that waits.
+
+        None is, if the agent chose how many are worth it, and chose none.
+        """
+        return 0 if self.over else int(self.memory.left[0]) - (self.planned is not None)
+
+    @property
+    def over(self) -> bool:
+        """Whether the agent chose to do nothing more."""
+        choice = None if self.planned is None else self.planned.choice
+        return choice is not None and int(choice.length[0]) == 0
 
 
 def begin(
@@ -124,7 +133,13 @@ def kept_within(limits: Limits, now: AgentState, *, seed: int) -> AgentState:
     )
     if planned is not now.planned:
         planned = planned._replace(sigma=perceived.sigma)
-    return dataclasses.replace(now if turn is None else turned(now, turn), planned=planned)
+    if turn is not None:
+        now = turned(now, turn)
+        if now.memory.relative[0] != UNKNOWN:
+            # The relabelling that brings the goal under the state's labels is another one for the turned goal.
+            relative = np.full_like(now.memory.relative, planned.relative)
+            now = dataclasses.replace(now, memory=now.memory._replace(relative=relative))
+    return dataclasses.replace(now, planned=planned)
 
 
 def with_goal(now: AgentState, goal: Input) -> AgentState:
@@ -155,7 +170,6 @@ def advanced(now: AgentState, *, executed: bool) -> AgentState:
     planned = now.planned
     assert planned is not None, "a state with a plan"
     executed = executed and not bool(is_null(planned.plan[0]))
-    over = planned.choice is not None and planned.choice.length[0] == 0
     memory = memory_after(
         now.planner,
         now.memory,
@@ -165,7 +179,7 @@ def advanced(now: AgentState, *, executed: bool) -> AgentState:
         relative=planned.relative,
         traces=planned.traces,
         predicted=planned.means[now.planner.best, 0] if executed else None,
-        left=0 if over else int(now.memory.left[0]) - 1,
+        left=0 if now.over else int(now.memory.left[0]) - 1,
     )
     return dataclasses.replace(now, memory=memory, planned=None)
 

@@ -5,9 +5,10 @@ from pathlib import Path
 
 import click
 
-from clothkit.app.inputs import load_settings, observation_options, with_cloth_options
+from clothkit.app.inputs import observation_options, with_cloth_options
 from clothkit.app.named_goals import TURNS, with_variant_options, world_of
 from clothkit.app.output import check_target, part, write_mesh
+from clothkit.app.prebuilt import load_nets
 from clothkit.dataset.export import FORMATS
 from clothkit.goals.folds import GOALS, Goal
 from clothkit.goals.store import made_all, named, user_folder
@@ -61,7 +62,7 @@ def command(
         click.echo("\n".join(line(goal) for goal in chosen))
         return
     check_target(out, ("png",))
-    settings = load_settings(Path("data"))
+    _, settings = load_nets(Path("data"))
     options = observation_options(settings.app, side=side, sides=sides, thickness=thickness)
     simulation, topology = world_of(options, settings.simulation)
     variant = Variant(turn=TURNS[turn or "0"], mirror=bool(mirror))

@@ -38,6 +38,9 @@ from clothkit.simulation.settings import SimulationConfig
 PARAMS = Path("params.yaml")
 _WEIGHTS = Weights(alpha=1.0, beta=5.0, gamma=1.25)
 
+SIDES, THICKEST = (0.01, 10.0), 0.1
+"""Least and largest longer side, and largest thickness of a cloth [m]: beyond them, the number is in another unit."""
+
 LARGEST_RATIO = 4.0
 """Largest accepted ratio of a cloth's sides; nets know less (`simulate.variation.ratio`)."""
 
@@ -88,7 +91,9 @@ def _settings(scale: str | None) -> Settings:
     if not os.path.lexists(PARAMS):
         return Settings(AppConfig(), PlanConfig(), _WEIGHTS, CandidateConfig(), SimulationConfig(), (0, 1))
     params = load_params(PARAMS)
-    if scale in params.scales:
+    if scale is not None:
+        if scale not in params.scales:
+            raise InputError(f"{PARAMS}: scales: has no {scale}, with whose settings the prebuilt nets are used")
         params = params.model_copy(update={"scale": scale})
     simulate = params.stages.simulate
     weights = Weights(params.alpha, params.beta, params.gamma)
@@ -335,6 +340,8 @@ def observation_options(
     """How files are read and observed, by option values and else by settings. Raises InputError for invalid values."""
     cloud = app.cloud
     if table_colour:
+        if np.shape(table_colour) != (6,):
+            raise InputError("--table-colour: expected six numbers, the low corner of the colours and the high one")
         r, g, b, most_r, most_g, most_b = table_colour
         least, most = (r, g, b), (most_r, most_g, most_b)
         ordered("--table-colour", least, most)
@@ -371,6 +378,9 @@ def _sides(app: AppConfig, side: float | None, sides: tuple[float, float] | None
         given = f"--sides: {found[0]:g} x {found[1]:g}" if side is None else f"--side: {side:g}"
         raise InputError(f"{given}, expected metres above 0")
     longer, shorter = max(found), min(found)
+    if not SIDES[0] <= longer <= SIDES[1]:
+        given = f"--sides: {longer:g} x {shorter:g}" if side is None else f"--side: {side:g}"
+        raise InputError(f"{given}, expected metres, from {SIDES[0]:g} to {SIDES[1]:g}")
     if longer > LARGEST_RATIO * shorter:
         raise InputError(f"--sides: {longer:g} x {shorter:g}, expected at most {LARGEST_RATIO:g} times the shorter one")
     return longer, shorter
@@ -378,8 +388,8 @@ def _sides(app: AppConfig, side: float | None, sides: tuple[float, float] | None
 
 def _thickness(app: AppConfig, thickness: float | None) -> float:
     found = app.thickness if thickness is None else thickness
-    if not (np.isfinite(found) and found > 0):
-        raise InputError(f"--thickness: {found:g}, expected metres above 0")
+    if not (np.isfinite(found) and 0 < found <= THICKEST):
+        raise InputError(f"--thickness: {found:g}, expected metres above 0, at most {THICKEST:g}")
     return found
 
 

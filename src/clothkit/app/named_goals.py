@@ -51,6 +51,8 @@ def goal_name(goal: object, turn: Turn | None, mirror: bool | None) -> str | Non
     Raises InputError if it is neither, and for a turn or a mirroring of what has no name.
     """
     if isinstance(goal, str) and goal in GOALS:
+        if turn is not None and turn not in TURNS.values():
+            raise InputError(f"--turn: expected one of {', '.join(TURNS)}, found {turn!r}")
         return goal
     # A file that is there is read, or refused for its own reason; a dataset's state is data/meshes.zarr:0/1.
     if isinstance(goal, str) and re.fullmatch(r"[\w-]+", goal) and not os.path.lexists(goal):

@@ -31,6 +31,9 @@ def input_of(what: Observable, options: ObservationOptions, *, name: str, mask: 
         name, state = str(what), read_state(what, options)
     else:
         state = _state_of(what, options, name) if isinstance(what, np.ndarray) else what
+        if not isinstance(state, MeshState | VoxelState | PointCloud):
+            found = type(what).__name__
+            raise InputError(f"{name}: expected a file's name, a NumPy array, or what was read, found {found}")
     if mask is not None:
         state = _masked(state, mask, name)
     return observed(state, options, name=name)
@@ -52,6 +55,7 @@ def _masked(state: State, mask: Mask, name: str) -> State:
         return with_mask(state, mask, name)
     if not isinstance(state, PointCloud):
         raise InputError(f"mask: is for points, but {name} holds none")
+    mask = np.asarray(mask)
     if mask.size != len(state.points) or not np.isin(mask, (0, 1)).all():
         raise InputError(f"mask: expected {len(state.points)} of 0 and 1, one for each point of {name}")
     return dataclasses.replace(state, cloth=mask.reshape(-1).astype(bool))

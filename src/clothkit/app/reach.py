@@ -69,18 +69,22 @@ def limits_of(
 
 def check_limits(limits: Limits) -> Limits:
     """Return the limits. Raises InputError if they are none that hands can have."""
-    if len(limits.hands) > 2:
-        raise InputError(
-            f"limits: hands: expected one region for both hands or one for each, found {len(limits.hands)}"
-        )
     for name, regions in (("hands", limits.hands), ("keep_out", limits.keep_out)):
+        if isinstance(regions, Box | Ball):
+            raise InputError(f"limits: {name}: expected a tuple of regions, found a single one")
         for region in regions:
+            if any(np.shape(part) != (3,) for part in (region if isinstance(region, Box) else region[:1])):
+                raise InputError(f"limits: {name}: {region}, expected corners and centres of three numbers")
             if np.isnan(np.concatenate([np.ravel(part) for part in region])).any():
                 raise InputError(f"limits: {name}: {region} has numbers that are none, expected metres")
             if isinstance(region, Ball) and not region.radius > 0:
                 raise InputError(f"limits: {name}: {region}, expected a radius above 0")
             if isinstance(region, Box) and not np.less_equal(region.low, region.high).all():
                 raise InputError(f"limits: {name}: {region}, expected the low corner first")
+    if len(limits.hands) > 2:
+        raise InputError(
+            f"limits: hands: expected one region for both hands or one for each, found {len(limits.hands)}"
+        )
     if not (np.isfinite(limits.apart) and limits.apart >= 0):
         raise InputError(f"limits: apart: {float(limits.apart):g}, expected metres, at least 0")
     return limits
@@ -126,7 +130,7 @@ def within_by_symmetry(
     """
     if not (limits and breaches_of(planner, planned, place, motion, limits)):
         return planned, None
-    for matrix in [] if planner.system.voxels else symmetries(planned.state)[1:]:
+    for matrix in [] if planner.system.voxels else symmetries(planned.state, cloth=planned.cloth)[1:]:
         turned = turned_plan(planner, planned, goal, matrix)
         if not breaches_of(planner, turned, place, motion, limits):
             return turned, matrix

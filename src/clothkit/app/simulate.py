@@ -217,4 +217,5 @@ def score(state: Mesh, goal: Input, matrix: Float[np.ndarray, "2 2"] | None) -> 
         return Score(None, goal_iou(mesh, points))
     if matrix is not None:
         wanted = np.asarray(turn_mesh(jnp.asarray(wanted), jnp.asarray(matrix, jnp.float32)))
-    return Score(float(error(mesh, wanted, aligned=True)), iou(silhouette(mesh), silhouette(centred(wanted)[0])))
+    off = float(error(mesh, wanted, aligned=True, cloth=goal.cloth))
+    return Score(off, iou(silhouette(mesh), silhouette(centred(wanted)[0])))

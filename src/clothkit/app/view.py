@@ -18,9 +18,10 @@ import jax
 import viser
 
 from clothkit.app.extras import optional
-from clothkit.app.inputs import Settings, load_settings, observation_options, read_input, with_observation_options
+from clothkit.app.inputs import Settings, observation_options, read_input, with_observation_options
 from clothkit.app.named_goals import goal_name
 from clothkit.app.output import check_target
+from clothkit.app.prebuilt import load_nets
 from clothkit.app.viewer.page import build
 from clothkit.app.viewer.recorded import systems_in
 from clothkit.app.viewer.recording import ENDING
@@ -92,7 +93,7 @@ def command(
     clothkit view --state start.obj --goal goal.obj --steps 2
     clothkit view --state cloud.ply --goal half --table 0 0 -1 -0.8
     """
-    settings = load_settings(data)
+    data, settings = load_nets(data)
     if record is not None:
         optional("rerun", "rerun")
         check_target(record, (ENDING[1:],))

@@ -9,6 +9,7 @@ from annotated_types import Ge, Gt
 from jaxtyping import Float
 
 from clothkit.cloth.mesh import error
+from clothkit.cloth.topology import PAPERS_CLOTH
 from clothkit.manipulation.geometry import arc, release_points, to_cartesian
 from clothkit.manipulation.turns import planar, turn_mesh
 from clothkit.manipulation.vector import displacement, grasp_points, is_null, is_single
@@ -85,11 +86,14 @@ def paths_from(
     return HandPaths(share * seconds, pose.normalised_to_table(points))
 
 
-def symmetries(mesh: Float[np.ndarray, "u v 3"], *, within: float = 0.02) -> list[Float[np.ndarray, "2 2"]]:
+def symmetries(
+    mesh: Float[np.ndarray, "u v 3"], *, cloth: Float[np.ndarray, "3"] = PAPERS_CLOTH, within: float = 0.02
+) -> list[Float[np.ndarray, "2 2"]]:
     """The matrices of the turns by right angles and the mirrorings under which a cloth looks the same; identity first.
 
     They refer to the cloth's own axes, so a flat cloth has all eight in any direction. A turned cloth looks the same if
-    the error of one of its equivalents against the cloth is at most `within` [cloth lengths].
+    the error of one of its equivalents against the cloth is at most `within` [cloth lengths]; those with other sides
+    than `cloth` has do not count.
     """
     along = (mesh[-1] - mesh[0]).mean(0)
     lean = float(np.arctan2(along[1], along[0]))
@@ -99,6 +103,6 @@ def symmetries(mesh: Float[np.ndarray, "u v 3"], *, within: float = 0.02) -> lis
         for quarter in range(4):
             matrix = forth @ np.asarray(planar(jnp.float32(quarter * np.pi / 2), jnp.bool_(mirrored)), float) @ back
             turned = turn_mesh(jnp.asarray(mesh), jnp.asarray(matrix, jnp.float32))
-            if (mirrored or quarter) and float(error(turned, mesh)) <= within:
+            if (mirrored or quarter) and float(error(turned, mesh, cloth=cloth)) <= within:
                 found.append(matrix)
     return found

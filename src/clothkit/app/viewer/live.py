@@ -83,7 +83,8 @@ def begin(
         truth = estimate.state
     shown_goal = agent.target if mesh is None else mesh
     centre = np.asarray(start.pose.centre / start.pose.scale, np.float32)
-    shown = Session(title, length, shown_goal, (truth,), (matched(Step(estimate), truth),), (centre,))
+    first = matched(Step(estimate), truth, start.cloth)
+    shown = Session(title, length, shown_goal, (truth,), (first,), (centre,), start.cloth)
     return Live(shown, agent, estimate, centre)
 
 
@@ -145,7 +146,7 @@ def _with_plan(live: Live, agent: AgentState, progress: Progress) -> Live:
 
 def _with_step(session: Session, step: Step) -> Session:
     """Return the session with its last step replaced by `step`."""
-    return session._replace(steps=(*session.steps[:-1], matched(step, session.states[-1])))
+    return session._replace(steps=(*session.steps[:-1], matched(step, session.states[-1], session.cloth)))
 
 
 def perform(live: Live) -> Live:
@@ -169,14 +170,14 @@ def perform(live: Live) -> Live:
         if not null:
             agent = agent_state.observe(agent, _observe(truth, centre, live))
             estimate = estimate_of(agent)
-        session = session._replace(steps=(*session.steps, matched(Step(estimate), truth)))
+        session = session._replace(steps=(*session.steps, matched(Step(estimate), truth, session.cloth)))
     return Live(session, agent, estimate, centre)
 
 
 def _noted(live: Live, null: bool, outcome: Mesh) -> tuple[Step, ...]:
     *before, step = live.session.steps
     assert step.plan is not None
-    after = error_of(outcome, live.session.goal)
+    after = error_of(outcome, live.session.goal, live.session.cloth)
     note = "its first manipulation is too short to be executed: nothing was done" if null else "executed"
     note += "" if after is None else f", error after it **{after:.3f}**"
     return (*before, step._replace(plan=step.plan._replace(note=note)))
@@ -201,7 +202,8 @@ def _simulated(live: Live, manipulation: Float[np.ndarray, "6"]) -> tuple[Mesh, 
 
 def _observe(truth: Mesh, centre: Float[np.ndarray, "2"], live: Live) -> Input:
     """Observe the simulated cloth as a camera would."""
-    settings = live.agent.settings.app
-    state = MeshState(truth, centre, settings.side / CLOTH_LENGTH)
-    observation = observe(state, cloth_side=settings.side, settings=settings.cloud)
+    assert live.agent.perceived is not None, "a session that has begun"
+    scale = live.agent.perceived.source.pose.scale
+    state = MeshState(truth, centre, scale)
+    observation = observe(state, cloth_side=scale * CLOTH_LENGTH, settings=live.agent.settings.app.cloud)
     return Input("simulation", state, observation, live.memory.cloth[0])

@@ -42,7 +42,8 @@ class LivePanel:
             options,
             uploads,
         )
-        self._tasks, self._mask = dict(tasks), own.mask if own else None
+        self._tasks = dict(tasks)
+        self._masked = (own.state, own.mask) if own and own.mask else None
         self._live: Live | None = None
         self._running, self._stopped = threading.Lock(), threading.Event()
         gui = server.gui
@@ -87,7 +88,6 @@ class LivePanel:
             return
         assign(field, str(path))
         assign(self._task, OWN)
-        self._mask = None
         self._message.content = f"{path.name} is here; *load* when state and goal are."
 
     def _work(self, what: str, job: Callable[[], str]) -> None:
@@ -113,7 +113,9 @@ class LivePanel:
 
     def _begin(self) -> str:
         self._live = None
-        own = SessionFiles(self._state.value, self._goal.value, self._steps.value, self._mask)
+        # A mask is that of the cloud that it was given with.
+        mask = self._masked[1] if self._masked and self._masked[0] == self._state.value else None
+        own = SessionFiles(self._state.value, self._goal.value, self._steps.value, mask)
         name, files = self._task.value, self._tasks.get(self._task.value, own)
         if not files.state or not files.goal:
             raise InputError("own files: state or goal is missing, expected a file for each")
@@ -153,6 +155,10 @@ class LivePanel:
 
         try:
             self._live = plan(live, seed=int(self._seed.value), on_progress=show)
+        except InputError:
+            # What the search tried is not what *execute* would do.
+            self._player.show(live.session, at=live.at)
+            raise
         finally:
             self._stop.visible = self._bar.visible = False
         session = self._live.session

@@ -73,9 +73,9 @@ def session_of(data: Path, system: str, entry: Entry) -> Session:
     one = {name: np.asarray(values[0]) for name, values in vars(chosen).items()}
     n = entry.length
     states = tuple(one["state"][: n + 1])
-    steps = tuple(matched(_step(one, i, n, members), states[i]) for i in range(n))
+    steps = tuple(matched(_step(one, i, n, members), states[i], one["cloth"]) for i in range(n))
     title = f"{system}, {entry.split} {entry.title}"
-    return Session(title, n, one["goal"], states, steps, tuple(one["centre"][: n + 1]))
+    return Session(title, n, one["goal"], states, steps, tuple(one["centre"][: n + 1]), one["cloth"])
 
 
 def _step(one: dict[str, np.ndarray], i: int, length: int, members: tuple[int, ...]) -> Step:

@@ -77,7 +77,7 @@ class _Writer:
                 dots = rerun.Points3D(points, colors=_bytes(colours.CANDIDATE), radii=0.012 * self._scale)
                 stream.log(f"{entity}/candidates", dots)
         stream.log("facts", rerun.TextDocument(facts(session, at), media_type="text/markdown"))
-        off = error_of(session.states[at], session.goal)
+        off = error_of(session.states[at], session.goal, session.cloth)
         if off is not None:
             stream.log("error", rerun.Scalars(off))
         plan = session.steps[at].plan if at < len(session.steps) else None

@@ -176,7 +176,7 @@ def _exhibit(shown: Shown, at: tuple[float, float], scale: Scale, view: View, se
         points = on_top(shown.state, places(shown.state, shown.candidates)) + offset
         painted = _plain(colours.CANDIDATE, (len(points),))
         scene = scene._replace(dots=(*scene.dots, Dots(points, painted, 0.018)))
-    off = error_of(shown.state, session.goal)
+    off = error_of(shown.state, session.goal, session.cloth)
     text = shown.name if off is None else f"{shown.name} · error {off:.3f}"
     return scene._replace(captions=(Caption(text, offset + _BEFORE),))
 

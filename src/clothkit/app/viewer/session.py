@@ -14,7 +14,7 @@ from clothkit.app.plan_file import UNLIKELY
 from clothkit.app.planner import Planned, epistemic_uncertainty, trusted_of
 from clothkit.cloth.mesh import error
 from clothkit.cloth.symmetry import relabel, relabel_manipulation
-from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE
+from clothkit.cloth.topology import CLOTH_LENGTH, PAPERS_CLOTH, SQUARE
 from clothkit.evaluation.errors import labels_of_truth
 from clothkit.manipulation.geometry import to_cartesian
 from clothkit.models.ensemble import pairs
@@ -84,6 +84,8 @@ class Session(NamedTuple):
     """One for each state except the outcome."""
     centres: tuple[Float[np.ndarray, "2"], ...] = ()
     """Where the centre of each state lies on the table [normalised]; empty: not known."""
+    cloth: Float[np.ndarray, "3"] = PAPERS_CLOTH
+    """Sides and thickness of the cloth [normalised]."""
 
     @property
     def over(self) -> bool:
@@ -126,12 +128,15 @@ def is_mesh(state: np.ndarray) -> bool:
     return state.shape == (*SQUARE.shape, 3)
 
 
-def matched(step: Step, truth: Mesh) -> Step:
-    """Relabel a step so that its estimate is nearest to the true state. Voxels have no labels and stay as they are."""
+def matched(step: Step, truth: Mesh, cloth: Float[np.ndarray, "3"] = PAPERS_CLOTH) -> Step:
+    """Relabel a step so that its estimate is nearest to the true state. Voxels have no labels and stay as they are.
+
+    Only labels that a cloth of these sides can have are given to it.
+    """
     estimate, plan = step
     if not is_mesh(estimate.state):
         return step
-    k = int(labels_of_truth(estimate.state[None].astype(np.float32), truth[None])[0])
+    k = int(labels_of_truth(estimate.state[None].astype(np.float32), truth[None], cloth=cloth[None])[0])
     # Candidates are grasp points, and are relabelled as those of a manipulation.
     points = np.concatenate([np.tile(estimate.candidates, 2), np.zeros_like(estimate.candidates)], axis=1)
     candidates = np.asarray(relabel_manipulation(points, k))[:, :2]
@@ -157,16 +162,21 @@ def places(state: State, grasps: Float[np.ndarray, "points 2"]) -> Float[np.ndar
     return np.asarray(to_cartesian(np.broadcast_to(state, (len(grasps), *state.shape)), grasps))[:, :2]
 
 
-def error_of(state: State, goal: Shaped[np.ndarray, "*goal"]) -> float | None:
-    """Return a state's error against a goal [cloth length], aligned, any labels; None unless both are meshes."""
+def error_of(
+    state: State, goal: Shaped[np.ndarray, "*goal"], cloth: Float[np.ndarray, "3"] = PAPERS_CLOTH
+) -> float | None:
+    """Return a state's error against a goal [cloth length], aligned, in the labels that suit best.
+
+    None unless both are meshes. `cloth` has the sides of both.
+    """
     if not is_mesh(state) or not is_mesh(goal):
         return None
-    return float(error(state.astype(np.float32), goal.astype(np.float32), aligned=True))
+    return float(error(state.astype(np.float32), goal.astype(np.float32), aligned=True, cloth=cloth))
 
 
 def facts(session: Session, at: int) -> str:
     """Return the facts about a session at state `at`, as Markdown, with errors in cloth lengths."""
-    now, start = (error_of(session.states[i], session.goal) for i in (at, 0))
+    now, start = (error_of(session.states[i], session.goal, session.cloth) for i in (at, 0))
     lines = [f"**{session.title}**", ""]
     many = f"{session.length} manipulation{'' if session.length == 1 else 's'}"
     lines.append(
