@@ -94,7 +94,7 @@ def test_the_record_has_all_nets_and_comes_back_from_its_store(
     assert len(accuracies) == nets
     # Eq. (13) for K nets: accuracy terms times 2 / K; a single net's loss is its NLL (B2).
     factor = {1: 1, 3: 2 / 3}[nets]
-    by_hand = factor * sum(accuracies) + ALPHA * u
+    by_hand = factor * sum(accuracies) + planner.weights.alpha * u
     np.testing.assert_allclose(sessions.loss[0, 0], by_hand, rtol=1e-5)
     assert (u > 0) == (nets > 1)
     assert np.isfinite(sessions.loss_recorded).all()

@@ -38,12 +38,12 @@ class ErrorMap:
 
     signs: tuple[str, ...] = field(metadata={"static": True})
     """Names of the signs, in the order in which they are given."""
-    least: Float[np.ndarray, " signs"]
+    least: Float[Array | np.ndarray, " signs"]
     """Added to each sign before its logarithm is taken: beyond that, it tells nothing."""
-    offset: Float[np.ndarray, " steps"]
+    offset: Float[Array | np.ndarray, " steps"]
     """By the number of manipulations, less one."""
-    slope: Float[np.ndarray, " signs"]
-    ratios: Float[np.ndarray, " quantiles"]
+    slope: Float[Array | np.ndarray, " signs"]
+    ratios: Float[Array | np.ndarray, " quantiles"]
     """Quantiles 0, 1 / n .. 1 of true errors, relative to the expected ones."""
 
     def __call__(self, signs: Sequence[Values], step: int | Int[Array | np.ndarray, "..."]) -> Float[Array, "*batch"]:
