@@ -142,6 +142,9 @@ def _check_other(program: str, arguments: list[str], scratch: Path) -> None:
     if program == "mkdocs":
         mkdocs.__main__.cli.commands[arguments[0]].make_context(arguments[0], arguments[1:])
         return
+    if program.endswith(".sh"):
+        _check_script("", [program, *arguments], scratch)
+        return
     assert program == "pytest", f"{program}: unknown"
     for path in (word for word in arguments if not word.startswith("-")):
         assert (ROOT / path).exists(), f"no {path}"
