@@ -4,6 +4,7 @@ from itertools import product
 from pathlib import Path
 
 import pandas as pd
+from matplotlib.axes import Axes
 
 from clothkit.report import panels
 from clothkit.report.figures.studies import QUIET
@@ -45,15 +46,8 @@ def doubt(table: pd.DataFrame, path: Path) -> None:
                 if (name, alpha) == variants[0]:
                     axis.axhline(row["error"], color=QUIET, linewidth=0.8, linestyle=(0, (1, 2)))
         axis.set_xticks(range(len(variants)), [f"{alpha:g}" for _, alpha in variants], fontsize=7)
-        axis.set_ylim(bottom=0)
-        axis.grid(visible=False, axis="x")
-        many = "1 manipulation" if column[0] == "1" else f"{column[0]} manipulations"
-        rule = "folds as recorded" if fold else "any first manipulation"
-        axis.set_title(f"{many}, {rule}", fontsize=8.5, color=panels.INK)
-    for axis in axes[:: len(columns)]:
-        axis.set_ylabel("error of the outcome\n[cloth length]", fontsize=8)
-    for axis in axes[len(columns) :]:
-        axis.set_xlabel("alpha", fontsize=8)
+        _title(axis, fold, column)
+    _label(axes, len(columns), "alpha")
     entries = {label: bars for axis in axes for bars, label in zip(*axis.get_legend_handles_labels(), strict=True)}
     figure.legend(entries.values(), entries, fontsize=8, frameon=False, loc="outside upper center", ncols=4)
     panels.save(figure, path)
@@ -83,15 +77,25 @@ def amounts(table: pd.DataFrame, path: Path) -> None:
                 if row["difference_p"] < 0.01:
                     axis.text(place, row["high"], "*", ha="center", va="bottom", fontsize=10, color=panels.INK)
         axis.set_xticks(range(len(settings)), [f"{amount}\n{nets}" for amount, nets in settings], fontsize=7)
-        axis.set_ylim(bottom=0)
-        axis.grid(visible=False, axis="x")
-        many = "1 manipulation" if column[0] == "1" else f"{column[0]} manipulations"
-        rule = "folds as recorded" if fold else "any first manipulation"
-        axis.set_title(f"{many}, {rule}", fontsize=8.5, color=panels.INK)
-    for axis in axes[:: len(columns)]:
-        axis.set_ylabel("error of the outcome\n[cloth length]", fontsize=8)
-    for axis in axes[len(columns) :]:
-        axis.set_xlabel("training sequences, and nets below", fontsize=8)
+        _title(axis, fold, column)
+    _label(axes, len(columns), "training sequences, and nets below")
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, fontsize=8, frameon=False, loc="outside upper center", ncols=4)
     panels.save(figure, path)
+
+
+def _title(axis: Axes, fold: bool, column: str) -> None:
+    """Name the plan length and the rule of a chart of errors from 0."""
+    axis.set_ylim(bottom=0)
+    axis.grid(visible=False, axis="x")
+    many = "1 manipulation" if column[0] == "1" else f"{column[0]} manipulations"
+    rule = "folds as recorded" if fold else "any first manipulation"
+    axis.set_title(f"{many}, {rule}", fontsize=8.5, color=panels.INK)
+
+
+def _label(axes: list[Axes], columns: int, below: str) -> None:
+    """Label the axes of two rows of charts of errors."""
+    for axis in axes[::columns]:
+        axis.set_ylabel("error of the outcome\n[cloth length]", fontsize=8)
+    for axis in axes[columns:]:
+        axis.set_xlabel(below, fontsize=8)
