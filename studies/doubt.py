@@ -87,6 +87,13 @@ def planner_of(variant: Variant, params: Params, data: Path = DATA, members: Seq
     return assemble(SYSTEMS[variant.system], data, weights, settings, params.stages.simulate.candidates, chosen)
 
 
+def in_force(params: Params) -> tuple[Any, ...]:
+    """Return the settings that rows depend on, without those that variants change."""
+    plan = params.stages.plan
+    search = dataclasses.replace(plan.search, fold=False)
+    return search, plan.refine, plan.batch, plan.seed, params.beta, params.gamma
+
+
 def planned(
     planner: Planner, dataset: Dataset, sequences: list[int], simulator: Execute, name: str, split: str = "validation"
 ) -> pd.DataFrame:
@@ -160,22 +167,14 @@ def main() -> None:
     if asked.draw:
         conclude(pd.read_csv(path), path, against)
         return
-    simulate, plan = params.stages.simulate, params.stages.plan
+    simulate = params.stages.simulate
     ensure_jax_cache(Path(".work/compiled"))
     dataset = store.load(DATA / "meshes.zarr")
     sequences = dataset.indices(asked.split)[: asked.sequences].tolist()
     folder.mkdir(parents=True, exist_ok=True)
     # The same for all systems: main needs all that any of them needs.
     inputs = [DATA / "meshes.zarr", *artifacts(SYSTEMS["main"], DATA, params.ensemble.members, "expected").values()]
-    settings = (
-        dataclasses.replace(plan.search, fold=False),
-        plan.refine,
-        plan.batch,
-        plan.seed,
-        params.beta,
-        params.gamma,
-    )
-    current = fingerprint(inputs, settings, simulate.candidates, simulate.simulation)
+    current = fingerprint(inputs, in_force(params), simulate.candidates, simulate.simulation)
     table, simulator = read(path, [*VARIANT, *KEYS, "error"], current), make_simulator(simulate)
     chosen = chain.from_iterable([(m, alpha) for alpha in asked.alphas or ALPHAS[m]] for m in asked.measures)
     variants = [Variant(asked.system, *each, bool(fold)) for each in chosen for fold in asked.folds]

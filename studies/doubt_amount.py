@@ -19,7 +19,6 @@ dataset and the probes' settings (`dvc repro probe`).
 """
 
 import argparse
-import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,7 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 import trained
-from doubt import ENDS, TOGETHER, VARIANT, Variant, planned, planner_of
+from doubt import ENDS, TOGETHER, VARIANT, Variant, in_force, planned, planner_of
 from doubt import summary as summary_of
 from fingerprint import COLUMN, append, fingerprint, read, write
 from optimisers import KEYS, free_programs
@@ -112,7 +111,7 @@ def train(setting: Setting, params: Params, dataset: Dataset) -> None:
         link.symlink_to(place.resolve(), target_is_directory=True)
 
 
-def learn(setting: Setting, params: Params, dataset: Dataset, probes: Probes) -> dict[str, float]:
+def learn(setting: Setting, params: Params, dataset: Dataset, executed: Probes) -> dict[str, float]:
     """Write the reference values, the support model and the map of expected errors of an ensemble.
 
     Returns how well the map tells the true errors of probes: their rank correlation (`rank`) and AUROC (`auroc`).
@@ -123,7 +122,7 @@ def learn(setting: Setting, params: Params, dataset: Dataset, probes: Probes) ->
     part = first_sequences(dataset.of_split("train"), setting.amount)
     support = support_training.train(nets.model, nets.best_net.params, part, stages.train_support)
     spread = reference.reference(reference.longest).spread
-    rows = table(probes, predicted(nets, support, probes, dataset.cloth[probes.sequence]), spread)
+    rows = table(executed, predicted(nets, support, executed, dataset.cloth[executed.sequence]), spread)
     (data / "normalisation").mkdir(exist_ok=True)
     normalisation.save(data / "normalisation/mesh.json", reference, {})
     support_model.save(data / SUPPORT, support)
@@ -177,7 +176,7 @@ def main() -> None:
     if asked.train_only:
         return
     folder.mkdir(parents=True, exist_ok=True)
-    simulate, plan = stages.simulate, stages.plan
+    simulate = stages.simulate
     simulator = make_simulator(simulate)
     pieces = Path(".work/studies/doubt_amount") / fingerprint(
         [MESHES, Path(str(probes.__file__))], simulate, stages.probe
@@ -188,16 +187,7 @@ def main() -> None:
     for setting in settings:
         told = learn(setting, params, dataset, executed)
         inputs = [MESHES, *artifacts(MAIN, setting.data, setting.members, "expected").values()]
-        how = (
-            dataclasses.replace(plan.search, fold=False),
-            plan.refine,
-            plan.batch,
-            plan.seed,
-            params.beta,
-            params.gamma,
-            simulate.simulation,
-        )
-        current = fingerprint([place.resolve() for place in inputs], how, simulate.candidates)
+        current = fingerprint([each.resolve() for each in inputs], in_force(params), simulate)
         rows = read(path, [*SETTING, *VARIANT, *KEYS, "error"], current)
         rows = rows[(rows[SETTING] == list(setting)).all(axis=1)] if len(rows) else rows
         for variant in (Variant(MAIN.name, *each, fold) for each in VARIANTS for fold in (True, False)):

@@ -25,7 +25,7 @@ def doubt(table: pd.DataFrame, path: Path) -> None:
     Points are means with 95 % intervals; a star marks a paired difference with p < 0.01. Columns of `table`: system,
     measure, alpha, fold, column (length/all), error [cloth length], low, high and difference_p.
     """
-    # With one net, only surprise is doubt.
+    # System b2 has one net, and no doubt.
     table = table.assign(measure=table["measure"].mask(table["system"] == "b2", "b2"))
     columns = sorted(table["column"].unique())
     figure, axes = panels.chart(2 * len(columns), width=3.0, height=2.7, columns=len(columns))
