@@ -24,7 +24,8 @@ from clothkit.observation.plane import Plane, plane_of
 from clothkit.observation.pose import Pose
 from clothkit.observation.settings import CloudConfig, Triple
 from clothkit.observation.side import Stated
-from clothkit.observation.states import MeshState, PointCloud, VoxelState
+from clothkit.observation.silhouettes import points_of
+from clothkit.observation.states import MeshState, PointCloud, SilhouetteState, VoxelState
 from clothkit.params import load_params
 from clothkit.planning import trust
 from clothkit.planning.error_map import ErrorMap
@@ -185,7 +186,7 @@ def read_input(file: str, options: ObservationOptions, *, mask: str | None = Non
     if mask is not None:
         state = with_mask(state, mask, file)
     found = observed(state, options, name=file)
-    tell(found.observation.notices)
+    tell((*found.state.notices[len(state.notices) :], *found.observation.notices))
     return found
 
 
@@ -212,6 +213,11 @@ def with_mask(state: State, mask: str | Path, name: str) -> State:
 def observed(state: State, options: ObservationOptions, *, name: str) -> Input:
     """Observe the cloth of a state, which messages call `name`. Raises InputError."""
     cloud, table, stated = options.cloud, options.table, options.stated
+    if isinstance(state, SilhouetteState):
+        area, surface = options.sides[0] * options.sides[1], cloud.surface
+        state = points_of(
+            state, area=area, thickness=options.thickness, surface=surface, table=options.table, name=name
+        )
     if isinstance(state, PointCloud) and state.table is not None:
         # The options describe a camera's cloud; these points are of a surface whose table is known.
         cloud, table, stated = dataclasses.replace(cloud, box=None, table_colour=None), None, Stated()
