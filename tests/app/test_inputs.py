@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clothkit.app.inputs import Input, observation_options, read_input
+from clothkit.app.inputs import Input, read_input
+from clothkit.app.options import observation_options
 from clothkit.app.planner import usage_of
 from clothkit.app.settings import AppConfig
 from clothkit.app.viewer.live_panel import keep_upload

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from clothkit.app.inputs import observation_options, read_input
+from clothkit.app.inputs import read_input
+from clothkit.app.options import observation_options
 from clothkit.app.settings import AppConfig
 from clothkit.observation.arrays import read_numpy
 from clothkit.observation.camera import CameraConfig

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from clothkit.app.inputs import Input, ObservationOptions, observed, read_state, with_mask
+from clothkit.app.inputs import Input, observed, read_state, with_mask
+from clothkit.app.options import ObservationOptions
 from clothkit.cloth.silhouette import centred
 from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.observation.arrays import from_array
