@@ -9,7 +9,7 @@ import click
 import numpy as np
 from jaxtyping import Bool, Float
 
-from clothkit.app.options import ObservationOptions
+from clothkit.app.options import WITHIN, ObservationOptions
 from clothkit.app.settings import AppConfig
 from clothkit.estimation import alarms
 from clothkit.estimation.alarms import Alarms
@@ -175,6 +175,12 @@ def observed(state: State, options: ObservationOptions, *, name: str) -> Input:
         # The options describe a camera's cloud; these points are of a surface whose table is known.
         cloud, table, stated = dataclasses.replace(cloud, box=None, table_colour=None), None, Stated()
     observation = observe(state, cloth_side=options.side, settings=cloud, table=table, stated=stated, name=name)
+    farthest = float(np.abs(observation.pose.normalised_to_camera(np.zeros((1, 3)))).max())
+    if farthest > WITHIN - 2 * options.side:
+        raise InputError(
+            f"{name}: the cloth is {farthest:.0f} m away from its frame's origin, of which a plan stays within "
+            f"{WITHIN:.0f} m; expected metres in a frame near the cloth"
+        )
     return Input(name, state, observation, options.cloth)
 
 

@@ -19,6 +19,9 @@ from clothkit.simulation.cloths import topology_of
 SIDES, THICKEST = (0.01, 10.0), 0.1
 """Least and largest longer side, and largest thickness of a cloth [m]: beyond them, the number is in another unit."""
 
+WITHIN = 100.0
+"""Largest distance from a frame's origin, along each axis [m]: beyond it, a number is a mistake, as in millimetres."""
+
 LARGEST_RATIO = 4.0
 """Largest accepted ratio of a cloth's sides; nets know less (`simulate.variation.ratio`)."""
 
