@@ -11,9 +11,9 @@ NN.txt, the true mesh of 21 x 21 vertices. Every image is converted to points, o
 - iou: intersection over union of the silhouettes of points and estimate; columns and heights: of the voxels.
 
 The net is that in the folder `--data` (default: data), and is told sides and thickness. `--seeds 1 2` trains others,
-with these seeds and otherwise alike, on the dataset in `--data`, and has rows of each: how much is luck? With `--pictures
-FOLDER`, observation, estimate and both on one another are drawn; do not publish them if the images' licence does not
-allow it.
+with these seeds and otherwise alike, on the dataset in `--data`, and has rows of each: how much is luck? With
+`--pictures FOLDER`, observation, estimate and both on one another are drawn; do not publish them if the images'
+licence does not allow it.
 """
 
 import argparse
