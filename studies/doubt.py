@@ -11,7 +11,9 @@ loss than the recorded manipulations. Means with 95 % bootstrap intervals over s
 paired differences (and the p of a sign-flip test) to the paper's objective without doubt (alpha 0) and the same rule;
 doubt.png shows them.
 
-`--split test` does the same with test sequences, into doubt_test.csv: for what was chosen before. `--system b1` plans
+`--split test` does the same with test sequences, into doubt_test.csv: for what was chosen before. Of the planner in
+force (main), the same without doubt (b3), one net (b2) and eq. (15), doubt_test_comparisons.csv has the paired
+comparisons, which the report's first paragraphs tell. `--system b1` plans
 from true meshes instead, `--system b2` with one net and no doubt. `--measures` and `--alphas` choose
 variants: `--measures expected --alphas 0.5 1 2`; `--folds 0` leaves out the rule. `--draw` summarises and draws the
 rows that are there. Differences are to the variant that `--against SYSTEM MEASURE ALPHA` names (default: main paper
@@ -33,7 +35,7 @@ from optimisers import KEYS, free_programs, plans_of, pose, rows_of
 from clothkit.dataset import store
 from clothkit.dataset.store import STEPS, Dataset
 from clothkit.episodes.sessions import Execute
-from clothkit.evaluation.comparisons import compare, interval, totals
+from clothkit.evaluation.comparisons import COLUMNS, compare, interval, totals
 from clothkit.params import Params, load_params
 from clothkit.planning.objective import Weights
 from clothkit.planning.planner import Planner, artifacts, assemble
@@ -55,6 +57,9 @@ ALPHAS: dict[Measure, tuple[float, ...]] = {
 VARIANT = ["system", "measure", "alpha", "fold"]
 AGAINST: tuple[str, Measure, float] = ("main", "paper", 0.0)
 """System, measure and alpha that the others are compared with, each under its own rule."""
+
+EQ15 = 0.01
+"""Weight of eq. (15)'s term, the best of those that were tried (`plan.uncertainty.u_weight`)."""
 
 TOGETHER = 10
 """Sequences after which rows are written."""
@@ -138,13 +143,34 @@ def summary(table: pd.DataFrame, against: tuple[str, Any, float] = AGAINST) -> p
 ENDS = {"": "difference", "_low": "low", "_high": "high", "_p": "p"}
 
 
-def conclude(table: pd.DataFrame, path: Path, against: tuple[str, Any, float]) -> None:
+def compared(table: pd.DataFrame, params: Params) -> pd.DataFrame:
+    """Return the comparisons of the planner in force and of eq. (15) with those that the report calls b3 and b2."""
+    plan = params.stages.plan
+    measure, fold = plan.uncertainty.measure, plan.search.fold
+    weight = plan.uncertainty.u_weight if measure == "paper" else 1.0
+    variants = {
+        "eq15": Variant("main", "paper", EQ15, fold),
+        "main": Variant("main", measure, params.alpha * weight, fold),
+        "b3": Variant("main", "paper", 0.0, fold),
+        "b2": Variant("b2", "paper", 0.0, fold),
+    }
+    named = pd.concat(
+        [table[(table[VARIANT] == list(variant)).all(axis=1)].assign(system=name) for name, variant in variants.items()]
+    )
+    pairs = [("main", "b3"), ("main", "b2"), ("eq15", "b3")]
+    found = [compare(named, "error", *pair) for pair in pairs if set(pair) <= set(named["system"])]
+    return pd.concat(found) if found else pd.DataFrame(columns=list(COLUMNS))
+
+
+def conclude(table: pd.DataFrame, path: Path, against: tuple[str, Any, float], params: Params) -> None:
     """Write and print the summary, and draw it, beside the rows at `path`."""
     found = summary(table, against)
     write(found, path.with_name(f"{path.stem}_summary.csv"))
     shown = found[found["column"].isin([f"{length}/all" for length in range(1, STEPS + 1)])]
     print(shown.drop(columns=["low", "high"]).round(4).to_string(index=False))
     draw(shown, path.with_suffix(".png"))
+    if (table["split"] == "test").all():
+        write(compared(table, params), path.with_name(f"{path.stem}_comparisons.csv"))
 
 
 def main() -> None:
@@ -165,7 +191,7 @@ def main() -> None:
     folder, ending = Path("reports") / params.scale / "studies", "_test" if asked.split == "test" else ""
     path, against = folder / f"doubt{ending}.csv", (*asked.against[:2], float(asked.against[2]))
     if asked.draw:
-        conclude(pd.read_csv(path), path, against)
+        conclude(pd.read_csv(path), path, against, params)
         return
     simulate = params.stages.simulate
     ensure_jax_cache(Path(".work/compiled"))
@@ -192,7 +218,7 @@ def main() -> None:
             found = planned(planner, dataset, some, simulator, variant.name, asked.split)
             table = append(table, found.assign(**variant._asdict(), **{COLUMN: current}))
             write(table, path)
-    conclude(table, path, against)
+    conclude(table, path, against, params)
 
 
 if __name__ == "__main__":

@@ -37,8 +37,9 @@ from tqdm import tqdm
 from clothkit.app import agent_state
 from clothkit.app.agent_state import AgentState
 from clothkit.app.describe import paths_of
-from clothkit.app.inputs import ObservationOptions, Settings, load_settings, observation_options
+from clothkit.app.inputs import Settings, load_settings
 from clothkit.app.observables import input_of
+from clothkit.app.options import ObservationOptions, observation_options
 from clothkit.app.planner import load_planner
 from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.dataset import store

@@ -10,8 +10,10 @@ NN.txt, the true mesh of 21 x 21 vertices. Every image is converted to points, o
 - vertices_cm: mean distance of the estimate's vertices to the true mesh's, in the labelling that fits best.
 - iou: intersection over union of the silhouettes of points and estimate; columns and heights: of the voxels.
 
-The nets are those in the folder `--data` (default: data), and are told sides and thickness. With `--pictures FOLDER`,
-observation, estimate and both on one another are drawn; do not publish them if the images' licence does not allow it.
+The net is that in the folder `--data` (default: data), and is told sides and thickness. `--seeds 1 2` trains others,
+with these seeds and otherwise alike, on the dataset in `--data`, and has rows of each: how much is luck? With
+`--pictures FOLDER`, observation, estimate and both on one another are drawn; do not publish them if the images'
+licence does not allow it.
 """
 
 import argparse
@@ -24,12 +26,15 @@ from typing import NamedTuple
 import matplotlib
 import numpy as np
 import pandas as pd
+from fingerprint import fingerprint
 from jaxtyping import Float
 from scipy.ndimage import map_coordinates
 from scipy.optimize import linear_sum_assignment
+from trained import train_estimator
 
 from clothkit.cloth.symmetry import equivalents
 from clothkit.cloth.topology import CLOTH_LENGTH
+from clothkit.dataset.store import load
 from clothkit.estimation.agreement import agreement
 from clothkit.estimation.estimate import estimate
 from clothkit.models import store
@@ -39,7 +44,7 @@ from clothkit.observation.coverage import goal_iou
 from clothkit.observation.plane import LEVEL
 from clothkit.observation.settings import CloudConfig
 from clothkit.observation.states import PointCloud
-from clothkit.params import load_params
+from clothkit.params import Params, load_params
 from clothkit.runtime.errors import InputError
 
 matplotlib.use("Agg")
@@ -164,29 +169,41 @@ def draw(path: Path, picture: Picture, observation: Observation, mesh: Float[np.
     plt.close(figure)
 
 
+def nets(data: Path, seeds: list[int], params: Params) -> Iterator[tuple[int, Net]]:
+    """The net of the chain and those with other seeds, each with its seed."""
+    own = params.stages.train_vtm.training.seed
+    yield own, store.load(data / "nets/vtm")
+    meshes, others = data / "meshes.zarr", [seed for seed in seeds if seed != own]
+    current = fingerprint([meshes], params.stages.train_vtm) if others else ""
+    for seed in others:
+        yield seed, train_estimator(data / "nets/real_cloths" / str(seed), seed, params, load(meshes), current)
+
+
 def main() -> None:
     """Run the study and print the means."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--data", type=Path, default=Path("data"))
+    parser.add_argument("--seeds", type=int, nargs="*", default=[])
     parser.add_argument("--pictures", type=Path)
     asked = parser.parse_args()
     params = load_params(Path("params.yaml"))
-    net, refine = store.load(asked.data / "nets/vtm"), params.stages.plan.refine
-    settings = dataclasses.replace(params.app.cloud, viewport=net.config.viewport)
     if asked.pictures:
         asked.pictures.mkdir(parents=True, exist_ok=True)
     rows = []
-    for picture in pictures(asked.folder):
-        observation = observed(picture, settings)
-        mesh = estimated(picture, observation, net, refine)
-        rows.append(row_of(picture, observation, mesh, net))
-        if asked.pictures:
-            told = ", ".join(f"{name} {value:.2f}" for name, value in list(rows[-1].items())[1:] if value == value)
-            draw(asked.pictures / f"{picture.name}.png", picture, observation, mesh, f"{picture.name}: {told}")
+    for seed, net in nets(asked.data, asked.seeds, params):
+        settings = dataclasses.replace(params.app.cloud, viewport=net.config.viewport)
+        for picture in pictures(asked.folder):
+            observation = observed(picture, settings)
+            mesh = estimated(picture, observation, net, params.stages.plan.refine)
+            rows.append({"seed": seed, **row_of(picture, observation, mesh, net)})
+            if asked.pictures:
+                told = ", ".join(f"{name} {value:.2f}" for name, value in list(rows[-1].items())[2:] if value == value)
+                path = asked.pictures / f"{picture.name}_{seed}.png"
+                draw(path, picture, observation, mesh, f"{picture.name}: {told}")
     found = pd.DataFrame(rows)
     kind = found["image"].str.replace(r"_\d+$", "", regex=True).rename("kind")
-    print(found.drop(columns="image").groupby(kind).mean().round(3).to_string())
+    print(found.drop(columns="image").groupby([kind, "seed"]).mean().round(3).to_string())
     folder = Path("reports") / params.scale / "studies"
     folder.mkdir(parents=True, exist_ok=True)
     found.round(4).to_csv(folder / "real_cloths.csv", index=False)

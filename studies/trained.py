@@ -1,4 +1,4 @@
-"""Forward nets that a study trains by itself, beside those of the chain."""
+"""Nets that a study trains by itself, beside those of the chain."""
 
 import json
 import shutil
@@ -18,6 +18,8 @@ from clothkit.runtime.publish import alone, publish, unfinished
 from clothkit.runtime.stage import WORK
 from clothkit.training.loop import CHECKPOINT
 from clothkit.training.pemd import train_pemd
+from clothkit.training.recalibration import recalibrated
+from clothkit.training.vtm import train_vtm
 
 
 def is_trained(folder: Path, current: str) -> bool:
@@ -64,3 +66,24 @@ def train(
             part.write_text(json.dumps({name: round(value, 1) if whole else None for name, value in cost.items()}))
         publish(work / "net", folder)
         shutil.rmtree(work)
+
+
+def train_estimator(folder: Path, seed: int, params: Params, dataset: Dataset, current: str) -> Net:
+    """Return VtM trained as the train_vtm stage does, but with another seed; it is trained unless it is in `folder`."""
+    settings = params.stages.train_vtm
+    work = WORK / "studies" / folder.name / current
+    with alone(work.with_name(f"{work.name}.lock")):
+        if is_trained(folder, current):
+            return net_store.load(folder)
+        work.mkdir(exist_ok=True)
+        print(f"{folder}: training", flush=True)
+        training, validation = dataset.of_split("train"), dataset.of_split("validation")
+        trained = train_vtm(settings, training, validation, work=work, key=jax.random.key(seed))
+        net = Net(settings.net, trained.params)
+        net = recalibrated(net, validation) if settings.recalibrate else net
+        attributes = {"stage": f"studies/{folder.name}", "scale": params.scale, "seed": seed, COLUMN: current}
+        net_store.save(work / "net", net, trained.history, attributes)
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        publish(work / "net", folder)
+        shutil.rmtree(work)
+        return net

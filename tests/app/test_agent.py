@@ -13,7 +13,8 @@ import pytest
 import clothkit
 from clothkit.app import plan as plan_command
 from clothkit.app.agent import Agent
-from clothkit.app.inputs import load_settings, observation_options
+from clothkit.app.inputs import load_settings
+from clothkit.app.options import observation_options
 from clothkit.app.plan_file import read_plan
 from clothkit.app.planner import for_one_cloth
 from clothkit.cloth.mesh import error

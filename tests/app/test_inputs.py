@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clothkit.app.inputs import Input, observation_options, read_input
+from clothkit.app.inputs import Input, read_input
+from clothkit.app.options import observation_options
 from clothkit.app.planner import usage_of
 from clothkit.app.settings import AppConfig
 from clothkit.app.viewer.live_panel import keep_upload
@@ -97,3 +98,14 @@ def test_uploads_that_can_not_be_kept_get_one_sentence(tmp_path: Path, name: str
     with pytest.raises(InputError, match="can't be written") as raised:
         keep_upload(tmp_path, "state", name, b"one")
     assert "\n" not in str(raised.value)
+
+
+def test_a_cloud_in_map_coordinates_is_refused_before_anything_is_planned(tmp_path: Path) -> None:
+    cloud = back_project(render(cornered(), SQUARE.triangles(), CAMERA))
+    for shift, refused in ((90.0, False), (120.0, True)):
+        np.savez(tmp_path / "cloud.npz", points=cloud.points + np.array([shift, 0, 0]), cloth=cloud.cloth)
+        if not refused:
+            assert read_with(file=tmp_path / "cloud.npz", table=TABLE).kind == "points"
+            continue
+        with pytest.raises(InputError, match="the cloth is 120 m away from its frame's origin"):
+            read_with(file=tmp_path / "cloud.npz", table=TABLE)

@@ -12,7 +12,8 @@ import pytest
 from clothkit.app import estimate as estimate_command
 from clothkit.app.agreement import EstimateAgreement, compare_estimate
 from clothkit.app.describe import PlanRequest, notices
-from clothkit.app.inputs import load_settings, observation_options, read_input
+from clothkit.app.inputs import load_settings, read_input
+from clothkit.app.options import observation_options
 from clothkit.app.output import write_mesh
 from clothkit.app.settings import AppConfig
 from clothkit.cloth import voxels

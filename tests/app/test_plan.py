@@ -13,7 +13,7 @@ import pytest
 from clothkit.app import agent_state
 from clothkit.app import plan as plan_command
 from clothkit.app import simulate as simulate_command
-from clothkit.app.inputs import observation_options
+from clothkit.app.options import observation_options
 from clothkit.app.plan_arrays import placed_state
 from clothkit.app.plan_file import UNLIKELY, Plan, read_plan, schema
 from clothkit.app.planner import begin, decide, for_one_cloth, turned_plan

@@ -12,7 +12,8 @@ import pytest
 from clothkit.app import agent_state
 from clothkit.app import plan as plan_command
 from clothkit.app.agent import Agent
-from clothkit.app.inputs import load_settings, observation_options
+from clothkit.app.inputs import load_settings
+from clothkit.app.options import observation_options
 from clothkit.app.plan_file import Plan, read_plan
 from clothkit.app.planner import decide
 from clothkit.app.reach import check_limits, limits_of

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clothkit.app.inputs import observation_options
 from clothkit.app.observables import input_of
+from clothkit.app.options import observation_options
 from clothkit.app.plan_file import read_plan
 from clothkit.app.settings import AppConfig
 from clothkit.app.simulate import score

@@ -8,8 +8,9 @@ import pytest
 
 from clothkit.app import plan as plan_command
 from clothkit.app.agent import Agent
-from clothkit.app.inputs import load_settings, observation_options
+from clothkit.app.inputs import load_settings
 from clothkit.app.lengths import choice_in_words
+from clothkit.app.options import observation_options
 from clothkit.app.output import write_mesh
 from clothkit.app.plan_file import UNLIKELY, read_plan
 from clothkit.cloth.topology import SQUARE

@@ -15,7 +15,8 @@ import pytest
 import trimesh
 import zarr
 
-from clothkit.app.inputs import load_settings, observation_options, read_input
+from clothkit.app.inputs import load_settings, read_input
+from clothkit.app.options import observation_options
 from clothkit.app.plan_file import UNLIKELY
 from clothkit.app.planner import for_one_cloth
 from clothkit.app.settings import BallConfig

@@ -12,7 +12,8 @@ import viser
 from playwright.sync_api import ConsoleMessage, FileChooser, Page, expect, sync_playwright
 from playwright.sync_api import TimeoutError as PlaywrightTimeout
 
-from clothkit.app.inputs import load_settings, observation_options
+from clothkit.app.inputs import load_settings
+from clothkit.app.options import observation_options
 from clothkit.app.viewer.page import build
 from clothkit.cloth.topology import SQUARE
 from tests.app import played

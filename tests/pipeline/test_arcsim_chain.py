@@ -6,6 +6,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pandas as pd
+import pytest
 
 from clothkit.dataset import store
 from clothkit.dataset.augment import AugmentConfig, augment
@@ -59,6 +60,8 @@ from tests.evaluation.doubt_rows import probe_rows, trust_rows
 from tests.observation.scenes import SMALL
 from tests.planning import toy
 from tests.simulation import arcsim_runs as runs
+
+pytestmark = pytest.mark.slow
 
 SPLITS = RegulariseConfig(train=5, validation=2, test=3, evaluated=3)
 TRAINING = TrainingConfig(recipe="fast", iterations=4, batch=4, validate_every=2, steps_per_call=2)

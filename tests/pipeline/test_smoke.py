@@ -17,6 +17,8 @@ import pytest
 from ruamel.yaml import YAML
 
 ROOT = Path(__file__).parents[2]
+pytestmark = pytest.mark.slow
+
 LONG_STAGES = ("simulate", "train_pemd@0", "train_vtm", "plan@main")
 
 

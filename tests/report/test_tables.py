@@ -216,7 +216,7 @@ def test_the_page_shows_tables_and_figures(tmp_path: Path) -> None:
     assert "figures/sessions_2.png" in text
     assert "figures/scatter.png" not in text
     # The first thing that is read, below the title.
-    assert text.splitlines()[2].startswith("Plans were no better with the uncertainty term")
+    assert text.splitlines()[2].startswith("Between plans with the uncertainty term (alpha) and without it")
     assert "| planning | main | paper | **0.0291** |" in text
     assert "| planning | main, labelled | clothkit | 0.1" in text
     assert "| planning | no action | clothkit | 0.355 |" in text

@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 
 from clothkit.dataset.tasks import TASKS
+from clothkit.params import load_params
 from clothkit.report.figures.doubt_study import doubt as draw
 from tests.episodes.test_sessions import dataset
 from tests.planning import toy
@@ -65,3 +66,19 @@ def test_a_variant_plans_and_executes(study: ModuleType) -> None:
     assert len(found) == len(TASKS)
     single = found[found["length"] == 1]
     assert (single["error"] < 0.1 * single["error_no_action"]).all()
+
+
+def test_the_planner_in_force_is_compared_with_those_that_the_report_names(study: ModuleType) -> None:
+    table = made_up(study)
+    paper = table[(table["measure"] == "paper") & (table["alpha"] == 0)]
+    one_net = paper.assign(system="b2", error=paper["error"] + 0.03)
+    params = load_params(Path("params.yaml")).model_copy(update={"scale": "laptop", "alpha": 1.0})
+    assert params.stages.plan.uncertainty.measure == "expected"
+    assert not params.stages.plan.search.fold
+    found = study.compared(pd.concat([table, one_net]), params)
+    # Nothing was planned with eq. (15) at its own weight.
+    assert found[["system", "against"]].drop_duplicates().to_numpy().tolist() == [["main", "b3"], ["main", "b2"]]
+    differences = found[found["column"] == "1/all"].set_index("against")["difference"]
+    assert differences["b3"] == pytest.approx(-0.01, abs=0.002)
+    assert differences["b2"] == pytest.approx(-0.04, abs=0.002)
+    assert study.compared(table[:0], params).empty

@@ -10,7 +10,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from clothkit.app.inputs import load_settings, observation_options
+from clothkit.app.inputs import load_settings
+from clothkit.app.options import observation_options
 from clothkit.app.planner import for_one_cloth
 from clothkit.cloth.mesh import error
 from clothkit.cloth.topology import SQUARE

@@ -13,15 +13,11 @@ from clothkit.app import agent_state, planner
 from clothkit.app.agent_state import AgentState, Perceived
 from clothkit.app.agreement import EstimateAgreement, compare_goal, compare_state
 from clothkit.app.describe import Frame, PlanRequest, describe, frame_of, paths_of
-from clothkit.app.inputs import (
-    ObservationOptions,
-    Settings,
-    keep_compiled_programs,
-    observation_options,
-)
+from clothkit.app.inputs import Settings, keep_compiled_programs
 from clothkit.app.lengths import AUTO, check_can_choose
 from clothkit.app.named_goals import goal_like, goal_name, manipulations_of, named_goal, variant_before
 from clothkit.app.observables import Mask, Observable, input_of
+from clothkit.app.options import ObservationOptions, observation_options
 from clothkit.app.output import check_target
 from clothkit.app.plan_arrays import check_nets, cloth_of, memory_of, steps_left, traces_before
 from clothkit.app.plan_file import Plan, read_plan

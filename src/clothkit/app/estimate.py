@@ -8,13 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from clothkit.app.agreement import compare_estimate
-from clothkit.app.inputs import (
-    Input,
-    keep_compiled_programs,
-    observation_options,
-    read_input,
-    with_observation_options,
-)
+from clothkit.app.inputs import Input, keep_compiled_programs, read_input
+from clothkit.app.options import observation_options, with_observation_options
 from clothkit.app.output import check_target, part, write_arrays, write_mesh
 from clothkit.app.planner import alternatives_of, load_vtm
 from clothkit.app.prebuilt import load_nets

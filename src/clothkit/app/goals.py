@@ -5,8 +5,8 @@ from pathlib import Path
 
 import click
 
-from clothkit.app.inputs import observation_options, with_cloth_options
 from clothkit.app.named_goals import TURNS, with_variant_options, world_of
+from clothkit.app.options import observation_options, with_cloth_options
 from clothkit.app.output import check_target, part, write_mesh
 from clothkit.app.prebuilt import load_nets
 from clothkit.dataset.export import FORMATS

@@ -10,7 +10,8 @@ import click
 import numpy as np
 from jaxtyping import Float
 
-from clothkit.app.inputs import Input, ObservationOptions, Settings
+from clothkit.app.inputs import Input, Settings
+from clothkit.app.options import ObservationOptions
 from clothkit.app.plan_file import Plan
 from clothkit.app.planner import estimate_mesh, load_vtm, mesh_of
 from clothkit.cloth.topology import Topology

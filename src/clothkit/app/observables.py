@@ -5,16 +5,17 @@ from pathlib import Path
 
 import numpy as np
 
-from clothkit.app.inputs import Input, ObservationOptions, observed, read_state, with_mask
+from clothkit.app.inputs import Input, observed, read_state, with_mask
+from clothkit.app.options import ObservationOptions
 from clothkit.cloth.silhouette import centred
 from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.observation.arrays import from_array
 from clothkit.observation.files import State
-from clothkit.observation.states import MeshState, PointCloud, VoxelState
+from clothkit.observation.states import MeshState, PointCloud
 from clothkit.observation.surfaces import check_grid
 from clothkit.runtime.errors import InputError
 
-Observable = str | Path | np.ndarray | MeshState | VoxelState | PointCloud | Input
+Observable = str | Path | np.ndarray | State | Input
 """What shows a cloth: a file that `clothkit plan` reads; a mesh [32, 32, 3] in metres, z up, the table at 0; voxels
 [32, 32, 16]; points [n, 3] or [rows, columns, 3] in metres; or what one of these was read as."""
 
@@ -31,7 +32,7 @@ def input_of(what: Observable, options: ObservationOptions, *, name: str, mask: 
         name, state = str(what), read_state(what, options)
     else:
         state = _state_of(what, options, name) if isinstance(what, np.ndarray) else what
-        if not isinstance(state, MeshState | VoxelState | PointCloud):
+        if not isinstance(state, State):
             found = type(what).__name__
             raise InputError(f"{name}: expected a file's name, a NumPy array, or what was read, found {found}")
     if mask is not None:

@@ -11,16 +11,10 @@ from clothkit.app.agent import Agent
 from clothkit.app.agreement import warn
 from clothkit.app.confirm import confirm_goal
 from clothkit.app.describe import Frame
-from clothkit.app.inputs import (
-    Input,
-    keep_compiled_programs,
-    observation_options,
-    read_input,
-    tell,
-    with_observation_options,
-)
+from clothkit.app.inputs import Input, keep_compiled_programs, read_input, tell
 from clothkit.app.lengths import AUTO, Steps, choice_in_words
 from clothkit.app.named_goals import goal_option, manipulations_of, variant_before, with_variant_options
+from clothkit.app.options import observation_options, with_observation_options
 from clothkit.app.output import check_target, part
 from clothkit.app.plan_arrays import cloth_of, steps_left
 from clothkit.app.plan_file import Plan, Source, read_plan, write_plan

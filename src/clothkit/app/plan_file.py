@@ -14,6 +14,7 @@ import pydantic
 from annotated_types import Ge, Gt, Le, Len
 
 from clothkit.app.inputs import Kind, Usage
+from clothkit.app.options import WITHIN
 from clothkit.app.output import unfinished
 from clothkit.app.plan_checks import check_axes, check_hand, check_plan, check_step
 from clothkit.cloth.topology import SQUARE
@@ -26,9 +27,6 @@ from clothkit.runtime.json_file import parse_json
 UNLIKELY = "this plan is not expected to improve the state"
 
 _SHORT = 100
-
-WITHIN = 100.0
-"""Limit of each coordinate in `frame` [m]: a larger value is a mistake, for example millimetres."""
 
 MOST_NETS = 64
 """Limit of the number of nets."""

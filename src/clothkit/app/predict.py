@@ -8,12 +8,8 @@ import numpy as np
 
 from clothkit.app.agreement import compare_state, warn
 from clothkit.app.describe import poses_of
-from clothkit.app.inputs import (
-    keep_compiled_programs,
-    observation_options,
-    read_input,
-    with_observation_options,
-)
+from clothkit.app.inputs import keep_compiled_programs, read_input
+from clothkit.app.options import observation_options, with_observation_options
 from clothkit.app.output import check_target, part, write_arrays, write_mesh
 from clothkit.app.plan_arrays import check_nets, cloth_of, manipulations, placed_state, traces_before
 from clothkit.app.plan_file import read_plan

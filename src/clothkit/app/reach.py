@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from clothkit.app.describe import paths_of
-from clothkit.app.inputs import corners, ordered
+from clothkit.app.options import corners, ordered
 from clothkit.app.planner import Planned, State, planned_of, turned_plan
 from clothkit.app.settings import AppConfig, BallConfig
 from clothkit.cloth.topology import CLOTH_LENGTH

@@ -9,15 +9,9 @@ import numpy as np
 from jaxtyping import Float
 
 from clothkit.app.agreement import compare_estimate, warn
-from clothkit.app.inputs import (
-    Input,
-    keep_compiled_programs,
-    observation_options,
-    read_input,
-    tell,
-    with_observation_options,
-)
+from clothkit.app.inputs import Input, keep_compiled_programs, read_input, tell
 from clothkit.app.named_goals import goal_option, named_goal, variant_before, variant_of, with_variant_options
+from clothkit.app.options import observation_options, with_observation_options
 from clothkit.app.output import check_target, part, write_mesh
 from clothkit.app.plan_arrays import cloth_of, placed_state
 from clothkit.app.plan_file import Plan, Step, read_plan

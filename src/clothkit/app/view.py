@@ -18,8 +18,9 @@ import jax
 import viser
 
 from clothkit.app.extras import optional
-from clothkit.app.inputs import Settings, observation_options, read_input, with_observation_options
+from clothkit.app.inputs import Settings, read_input
 from clothkit.app.named_goals import goal_name
+from clothkit.app.options import observation_options, with_observation_options
 from clothkit.app.output import check_target
 from clothkit.app.prebuilt import load_nets
 from clothkit.app.viewer.page import build

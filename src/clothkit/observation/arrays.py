@@ -16,7 +16,7 @@ from clothkit.cloth.silhouette import centred
 from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE, Topology
 from clothkit.cloth.voxels import RESOLUTION
 from clothkit.observation.colours import as_bytes, colours_of
-from clothkit.observation.states import MeshState, PointCloud, VoxelState, named
+from clothkit.observation.states import MeshState, PointCloud, SilhouetteState, VoxelState, named
 from clothkit.observation.surfaces import check_grid
 from clothkit.runtime.errors import InputError, system_error
 
@@ -25,13 +25,17 @@ _STATES = {
     "voxels": ("voxels", "occupancy"),
     "points": ("points", "point_cloud", "pointcloud", "cloud", "pcd", "xyz", "pts", "positions"),
     "depth": ("depth", "depth_image", "depth_map"),
+    "silhouette": ("silhouette",),
 }
 _EXTRAS = {
     "cloth": ("cloth", "mask", "cloth_mask", "segmentation", "seg"),
     "colours": ("colours", "colors", "rgb", "colour", "color"),
     "viewpoint": ("viewpoint", "view_point", "camera_position"),
     "intrinsics": ("k", "intrinsics", "camera_matrix"),
+    "pixel": ("pixel", "metres_per_pixel", "meters_per_pixel"),
 }
+_PICTURES = {"depth": ("intrinsics",), "silhouette": ("intrinsics", "pixel")}
+"""States that are a camera's picture, the one that tells more first, and what is known of the camera."""
 _LEAST_IMAGE = 60
 """Least rows and columns of an array [rows, columns, 3] that is read as a camera's image of points.
 
@@ -45,7 +49,9 @@ def shapes(topology: Topology) -> str:
     return f"[{rows}, {columns}, 3] (mesh), [32, 32, 16] (voxels) or [n, 3] (points)"
 
 
-def read_numpy(path: Path, *, cloth_side: float, topology: Topology = SQUARE) -> MeshState | VoxelState | PointCloud:
+def read_numpy(
+    path: Path, *, cloth_side: float, topology: Topology = SQUARE
+) -> MeshState | VoxelState | PointCloud | SilhouetteState:
     """The state in an NPY or NPZ file. Raises InputError that names what the file has and what was expected."""
     try:
         if path.suffix.lower() == ".npy":
@@ -65,6 +71,8 @@ def read_numpy(path: Path, *, cloth_side: float, topology: Topology = SQUARE) ->
     unread = tuple(name for name in members if name not in names.values())
     state = next(role for role in names if role not in _EXTRAS)
     extras = {role: array for role, array in arrays.items() if role in _EXTRAS}
+    if state == "silhouette":
+        return _silhouette(str(path), arrays["silhouette"], unread, **extras)
     if state == "depth":
         arrays["depth"] = back_projected(str(path), arrays["depth"], extras.pop("intrinsics", None))
         extras.setdefault("viewpoint", np.zeros(3))
@@ -85,11 +93,14 @@ def _chosen(path: Path, names: Iterable[str], topology: Topology) -> dict[str, s
             raise InputError(f"{path}: holds {' and '.join(several)}, of which only one can be the {role}")
         if several:
             found[role] = several[0]
-    # Beside points, an image of their depths and the matrix of its camera tell nothing more.
-    if any(role in found for role in _STATES if role != "depth"):
-        found.pop("depth", None)
-    if "depth" not in found:
-        found.pop("intrinsics", None)
+    # Beside points, a picture of them and its camera tell nothing more.
+    states = [role for role in _STATES if role in found]
+    for picture in _PICTURES:
+        if picture in states[1:]:
+            del found[picture]
+    known = _PICTURES.get(states[0], ()) if states else ()
+    for role in {role for roles in _PICTURES.values() for role in roles} - {*known}:
+        found.pop(role, None)
     states = [role for role in found if role in _STATES]
     others = [name for name in names if name not in found.values()]
     if not states and len(others) == 1:
@@ -137,16 +148,55 @@ def back_projected(name: str, depth: np.ndarray, intrinsics: np.ndarray | None) 
         raise InputError(f"{name}: depth is {depth.dtype} {list(depth.shape)}, expected numbers [rows, columns]")
     if intrinsics is None:
         raise InputError(f"{name}: has depth but no K, the camera's matrix [3, 3], expected both")
-    if intrinsics.shape != (3, 3) or intrinsics.dtype.kind not in "fiu":
-        raise InputError(f"{name}: K has shape {list(intrinsics.shape)}, expected the camera's matrix [3, 3]")
-    (fx, skew, cx), (zero, fy, cy), last = intrinsics.astype(float).tolist()
-    if not np.isfinite([fx, fy, cx, cy]).all() or min(fx, fy) <= 0 or skew or zero or last != [0, 0, 1]:
-        raise InputError(f"{name}: K is {intrinsics.tolist()}, expected fx 0 cx, 0 fy cy, 0 0 1 with fx and fy above 0")
+    (fx, _, cx), (_, fy, cy) = _checked(name, intrinsics)[:2].tolist()
     metres = depth.astype(float) * (1 if depth.dtype.kind == "f" else 0.001)
     metres = np.where(np.isfinite(metres), metres, 0)
     rows, columns = depth.shape
     x, y = np.meshgrid((np.arange(columns) - cx) / fx, (np.arange(rows) - cy) / fy)
     return np.stack([x * metres, y * metres, metres], axis=-1)
+
+
+def _checked(name: str, intrinsics: np.ndarray) -> Float[np.ndarray, "3 3"]:
+    """A camera's matrix. Raises InputError unless it has that form."""
+    if intrinsics.shape != (3, 3) or intrinsics.dtype.kind not in "fiu":
+        raise InputError(f"{name}: K has shape {list(intrinsics.shape)}, expected the camera's matrix [3, 3]")
+    found = intrinsics.astype(float)
+    (fx, skew, cx), (zero, fy, cy), last = found.tolist()
+    if not np.isfinite([fx, fy, cx, cy]).all() or min(fx, fy) <= 0 or skew or zero or last != [0, 0, 1]:
+        raise InputError(f"{name}: K is {intrinsics.tolist()}, expected fx 0 cx, 0 fy cy, 0 0 1 with fx and fy above 0")
+    return found
+
+
+def _silhouette(
+    name: str,
+    silhouette: np.ndarray,
+    unread: tuple[str, ...],
+    *,
+    intrinsics: np.ndarray | None = None,
+    pixel: np.ndarray | None = None,
+    **extras: np.ndarray,
+) -> SilhouetteState:
+    """The silhouette in an array [rows, columns]. Raises InputError."""
+    pixels = _binary(silhouette) if silhouette.ndim == 2 else None
+    if pixels is None:
+        raise InputError(
+            f"{name}: silhouette is {silhouette.dtype} {list(silhouette.shape)}, expected [rows, columns] of 0 and 1 "
+            "(or 255)"
+        )
+    if not pixels.any():
+        raise InputError(f"{name}: silhouette has no pixel that is the cloth's")
+    told = _notices(name, (*unread, *extras))
+    if pixel is not None:
+        side = float(pixel) if pixel.size == 1 and pixel.dtype.kind in "fiu" else np.nan
+        if not (np.isfinite(side) and side > 0):
+            raise InputError(f"{name}: pixel is {pixel.tolist()}, expected the side of a pixel in metres")
+        return SilhouetteState(pixels, pixel=side, notices=told)
+    if intrinsics is None:
+        raise InputError(
+            f"{name}: has silhouette but neither pixel, the side of a pixel in metres, nor K, the camera's matrix "
+            "[3, 3]"
+        )
+    return SilhouetteState(pixels, intrinsics=_checked(name, intrinsics), notices=told)
 
 
 def from_array(

@@ -4,7 +4,7 @@ OBJ, PLY, GLB       a mesh in metres (`observation.surfaces`); a PLY without fac
 PCD                 a point cloud in metres (`observation.pcd`)
 NPY                 one array; its shape decides: mesh [32, 32, 3], normalised; voxels [32, 32, 16]; points [n, 3]
 NPZ                 such an array; with `points` also `cloth` [n], `colours` [n, 3] and `viewpoint` [3]
-                    (`observation.arrays`)
+                    (`observation.arrays`); or a picture, `depth` or `silhouette`, and its camera
 S.zarr:4/2          state 2 of sequence 4 of a store of meshes, data/meshes.zarr
 S.zarr[:GROUP]      one array, as in NPY
 """
@@ -23,7 +23,7 @@ from clothkit.dataset.store import STATES, open_meshes
 from clothkit.dataset.zarr_store import check_shards, open_node, read_array
 from clothkit.observation.arrays import from_array, read_numpy, shapes
 from clothkit.observation.pcd import read_pcd
-from clothkit.observation.states import MeshState, PointCloud, VoxelState
+from clothkit.observation.states import MeshState, PointCloud, SilhouetteState, VoxelState
 from clothkit.observation.surfaces import ENDINGS, read_surface
 from clothkit.runtime.errors import InputError, system_error
 from clothkit.simulation.settings import SimulationConfig
@@ -32,7 +32,7 @@ DEFAULT_SIDE = SimulationConfig().cloth_side
 """Side of the simulated cloth [m]."""
 _ZARR = re.compile(r"(?P<store>.*\.zarr)(?::(?P<inside>.*))?")
 
-State = MeshState | VoxelState | PointCloud
+State = MeshState | VoxelState | PointCloud | SilhouetteState
 
 
 def read(

@@ -1,4 +1,4 @@
-"""Representations of an observed cloth: a mesh, voxels, or a point cloud."""
+"""Representations of an observed cloth: a mesh, voxels, a point cloud, or a silhouette."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -63,5 +63,18 @@ class PointCloud:
     """Whether the points were sampled from a mesh as seen from above, and not measured by a camera."""
     unread: tuple[str, ...] = ()
     """Names of other arrays in the file, which were not read."""
+    notices: tuple[str, ...] = ()
+    """Notices for the user about how its file was read, a sentence each."""
+
+
+@dataclasses.dataclass(frozen=True)
+class SilhouetteState:
+    """Which pixels of a picture a cloth covers, and where these look: `pixel` or `intrinsics` is there."""
+
+    pixels: Bool[np.ndarray, "rows columns"]
+    pixel: float | None = None
+    """Side of a pixel on the table [m], in a picture from straight above."""
+    intrinsics: Float[np.ndarray, "3 3"] | None = None
+    """The camera's matrix, fx 0 cx, 0 fy cy, 0 0 1 in pixels; the first pixel's centre is at 0, 0."""
     notices: tuple[str, ...] = ()
     """Notices for the user about how its file was read, a sentence each."""

@@ -29,6 +29,9 @@ COUNTS = (
 MEMORY = ("system", "column", "sequences", "difference", "p")
 """Columns of the study of the memory trace."""
 
+COMPARED = ("system", "against", "column", "sequences", "difference", "p")
+"""Columns of the comparisons of the study of doubt."""
+
 
 @dataclass(frozen=True)
 class Contents:
@@ -43,6 +46,8 @@ class Contents:
     """Number of sequences that were planned for, by split."""
     memory: pd.DataFrame | None
     """The study of the memory trace's effect (studies/memory.py), if there is one."""
+    doubt: pd.DataFrame | None
+    """Planners with and without doubt compared on more test sequences (studies/doubt.py), if they are."""
 
 
 def read(folder: Path, columns: Mapping[str, tuple[str, ...]], captions: Mapping[str, str]) -> Contents:
@@ -61,8 +66,13 @@ def read(folder: Path, columns: Mapping[str, tuple[str, ...]], captions: Mapping
         tables={name: enough(table, planned) for name, table in tables.items()},
         figures=_figures(folder / "figures", captions),
         planned=planned,
-        memory=_table(study, MEMORY) if (study := folder / "studies/memory.csv").is_file() else None,
+        memory=_study(folder / "studies/memory.csv", MEMORY),
+        doubt=_study(folder / "studies/doubt_test_comparisons.csv", COMPARED),
     )
+
+
+def _study(path: Path, columns: tuple[str, ...]) -> pd.DataFrame | None:
+    return _table(path, columns) if path.is_file() else None
 
 
 def enough(table: pd.DataFrame, planned: Mapping[str, int]) -> pd.DataFrame:

@@ -30,13 +30,26 @@ RULE = (
 )
 
 
-def findings(comparisons: pd.DataFrame) -> list[str]:
-    """Paragraphs in Markdown from the table of planners' comparisons; an empty list if nothing was compared."""
+STUDIED = {
+    ("main", "b3"): "compared with plans without the term, those with it were",
+    ("main", "b2"): "compared with plans of one net without it, they were",
+    ("eq15", "b3"): "with eq. (15), the paper's term, instead, they were compared with plans without it",
+}
+"""The comparisons of the study of doubt (studies/doubt.py --split test), in words."""
+
+
+def findings(comparisons: pd.DataFrame, study: pd.DataFrame | None = None) -> list[str]:
+    """Paragraphs in Markdown from the table of planners' comparisons; an empty list if nothing was compared.
+
+    `study` are the comparisons of the study of doubt, which planned for more test sequences, if there are any.
+    """
     errors = comparisons[(comparisons["split"] == "test") & (comparisons["measure"] == "error")]
     pairs = dict(iter(errors[errors["system"] == "main"].groupby("against")))
     sentences = []
     if "b3" in pairs:
         sentences.append(_term(pairs["b3"]))
+    if study is not None and len(study) and sentences:
+        sentences.append(_studied(study))
     others = {name: pairs[name] for name in ("b2", "b3") if name in pairs}
     if others:
         sentences.append(_lead(others))
@@ -56,8 +69,24 @@ def _term(rows: pd.DataFrame) -> str:
     if better:
         return f"Plans were better with {TERM} than without it {which}: {better}.\n"
     if worse:
-        return f"Plans were no better with {TERM} than without it {which}, and worse in {worse}.\n"
-    return f"Plans were no better with {TERM} than without it {which}: no difference was found.\n"
+        return f"Plans were not found to be better with {TERM} than without it {which}, but worse in {worse}.\n"
+    return f"Between plans with {TERM} and without it {which} no difference was found.\n"
+
+
+def _studied(study: pd.DataFrame) -> str:
+    parts = []
+    for (system, against), words in STUDIED.items():
+        rows = study[(study["system"] == system) & (study["against"] == against)]
+        if _sequences(rows) < LEAST:
+            continue
+        found = {"better": _found(rows, better=True), "worse": _found(rows, better=False)}
+        told = [f"{how} in {plans}" for how, plans in found.items() if plans]
+        parts.append(f"{words} {' and '.join(told) or 'neither better nor worse'}")
+    count = _sequences(study)
+    return (
+        f"[A study](studies/doubt_test_comparisons.csv) of {count} test sequences, whose plans were executed to their "
+        f"end without a look in between: {'; '.join(parts)}.\n"
+    )
 
 
 def _lead(others: dict[str, pd.DataFrame]) -> str:

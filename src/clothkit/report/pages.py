@@ -10,8 +10,11 @@ from clothkit.report.layout import NO_ACTION
 from clothkit.report.markdown import page as markdown
 from clothkit.report.sections import CAPTIONS, TABLES, sections
 
-INPUTS = ("params.yaml", "tables", "figures", "timings.csv", "table_8.csv", "studies/memory.csv")
-"""Inputs of the pages in the report's folder; the last three may be missing."""
+STUDIES = ("studies/memory.csv", "studies/doubt_test_comparisons.csv")
+"""Studies that the pages quote, if there are any."""
+
+INPUTS = ("params.yaml", "tables", "figures", "timings.csv", "table_8.csv", *STUDIES)
+"""Inputs of the pages in the report's folder; those after the figures may be missing."""
 
 OUTS = ("README.md", "index.html", "budgets.csv")
 

@@ -14,7 +14,7 @@ from clothkit.report.layout import BY_LENGTH
 def findings_on_planners(report: Report) -> list[str]:
     """What the comparisons of planners say, a paragraph each."""
     compared = report.table("planning_comparisons")
-    return [] if compared.empty else findings.findings(compared)
+    return [] if compared.empty else findings.findings(compared, report.contents.doubt)
 
 
 def planned(report: Report) -> str:

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import viser
 
-from clothkit.app.inputs import ObservationOptions, Settings, keep_compiled_programs, read_input
+from clothkit.app.inputs import Settings, keep_compiled_programs, read_input
 from clothkit.app.named_goals import goal_like, goal_name
+from clothkit.app.options import ObservationOptions
 from clothkit.app.planner import load_planner
 from clothkit.app.viewer.live import Live, begin, perform, plan, with_progress
 from clothkit.app.viewer.player import Player, assign, by_hand

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import viser
 
-from clothkit.app.inputs import ObservationOptions, Settings
+from clothkit.app.inputs import Settings
+from clothkit.app.options import ObservationOptions
 from clothkit.app.viewer.live_panel import LivePanel
 from clothkit.app.viewer.player import Player
 from clothkit.app.viewer.recorded import systems_in
