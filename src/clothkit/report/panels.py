@@ -151,7 +151,7 @@ def manipulate(axis: Axes, mesh: Float[np.ndarray, "u v 3"], manipulation: Float
     the panel ends in an arrow at the panel's border.
     """
     if bool(is_null(manipulation)):
-        axis.text(0.5, 0.04, "no action", transform=axis.transAxes, fontsize=7, color=INK, ha="center", va="bottom")
+        axis.text(0.5, 0.11, "no action", transform=axis.transAxes, fontsize=7, color=INK, ha="center", va="bottom")
         return
     grasps = np.stack([np.asarray(to_cartesian(mesh, uv))[:2] for uv in grasp_points(manipulation)])
     releases = np.asarray(release_points(grasps, np.asarray(displacement(manipulation))).points)

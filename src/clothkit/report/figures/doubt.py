@@ -45,7 +45,14 @@ def measures(summary: pd.DataFrame, path: Path) -> None:
         axis.set_xticks(range(len(PROBED)), PROBED)
         axis.set_title(title, fontsize=9, color=panels.INK)
         axis.set_ylim(min(nothing, float(own["low"].min())) - 0.05, 1.02)
-    axes[0].legend(fontsize=7.5, ncols=len(shown), loc="lower right", frameon=False, columnspacing=1.0)
+    figure.legend(
+        *axes[0].get_legend_handles_labels(),
+        fontsize=7.5,
+        ncols=len(shown),
+        loc="outside upper center",
+        frameon=False,
+        columnspacing=1.0,
+    )
     panels.save(figure, path)
 
 
