@@ -60,10 +60,11 @@ def amounts(table: pd.DataFrame, path: Path) -> None:
     `table`: amount (training sequences), nets, and those of `doubt`.
     """
     columns = sorted(table["column"].unique())
-    figure, axes = panels.chart(2 * len(columns), width=3.0, height=2.7, columns=len(columns))
+    rules = sorted({bool(fold) for fold in table["fold"]}, reverse=True)
+    figure, axes = panels.chart(len(rules) * len(columns), width=3.0, height=2.7, columns=len(columns))
     settings = sorted(set(zip(table["amount"], table["nets"], strict=True)))
     variants = list(dict.fromkeys(zip(table["measure"], table["alpha"], strict=True)))
-    for axis, (fold, column) in zip(axes, product((True, False), columns), strict=True):
+    for axis, (fold, column) in zip(axes, product(rules, columns), strict=True):
         rows = table[(table["fold"].astype(bool) == fold) & (table["column"] == column)]
         for shift, (name, alpha) in enumerate(variants, start=-1):
             label, colour = MEASURES[name] if alpha else ("no doubt", "#777777")
@@ -94,8 +95,8 @@ def _title(axis: Axes, fold: bool, column: str) -> None:
 
 
 def _label(axes: list[Axes], columns: int, below: str) -> None:
-    """Label the axes of two rows of charts of errors."""
+    """Label the axes of rows of charts of errors."""
     for axis in axes[::columns]:
         axis.set_ylabel("error of the outcome\n[cloth length]", fontsize=8)
-    for axis in axes[columns:]:
+    for axis in axes[-columns:]:
         axis.set_xlabel(below, fontsize=8)
