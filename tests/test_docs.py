@@ -105,7 +105,7 @@ def test_readme_names_what_there_is(tmp_path: Path) -> None:
 def test_readme_is_short_and_its_figures_are_the_report_s() -> None:
     text = (ROOT / "README.md").read_text()
     assert len(text.splitlines()) <= 130
-    table_6, table_3 = (pd.read_csv(ROOT / f"reports/overnight/tables/table_{n}.csv") for n in (6, 3))
+    table_6, table_3 = (pd.read_csv(ROOT / f"reports/laptop/tables/table_{n}.csv") for n in (6, 3))
     columns = ["1/all", "2/all", "3/all"]
 
     def of(table: pd.DataFrame, system: str, source: str = "clothkit", statistic: str = "mean") -> str:
@@ -124,11 +124,16 @@ def test_readme_is_short_and_its_figures_are_the_report_s() -> None:
     }
     for system in ("b1", "b2", "b3"):
         assert of(table_6, system) in " ".join(text.split())
-    pairs = pd.read_csv(ROOT / "reports/overnight/tables/planning_comparisons.csv")
-    pairs = pairs[(pairs["split"] == "test") & (pairs["measure"] == "error") & (pairs["against"] == "b3")]
-    for column in ("1/2", "2/1"):
-        row = pairs[(pairs["system"] == "main") & (pairs["column"] == column)].iloc[0]
-        assert f"by {row['difference']:.3f} (p {row['p']:.3f})" in " ".join(text.split())
+    study = pd.read_csv(ROOT / "reports/laptop/studies/doubt_test_comparisons.csv").set_index(["system", "against"])
+    rows = study.loc[("main", "b3")].set_index("column").loc[columns]
+    said = ", ".join(f"{-value:.3f}" for value in rows["difference"])
+    assert f"by {said}" in " ".join(text.split())
+    assert (rows["p"] < 0.001).all()
+    pairs = pd.read_csv(ROOT / "reports/laptop/tables/planning_comparisons.csv")
+    pairs = pairs[(pairs["split"] == "test") & (pairs["measure"] == "error") & (pairs["system"] == "main")]
+    with_one_net = pairs[(pairs["against"] == "b2") & (pairs["column"] == "3/all")].iloc[0]
+    assert with_one_net["difference"] < 0
+    assert f"p {with_one_net['p']:.3f})" in text
 
 
 def test_the_reference_tells_what_every_module_is_for() -> None:

@@ -24,6 +24,12 @@ KEYS = ["sequence", "start", "length"]
 COLUMNS = ("split", "measure", "system", "against", "column", "sequences", "difference", "low", "high", "p")
 """Columns of the rows of `compare`."""
 
+_TYPES = {
+    **dict.fromkeys(("split", "measure", "system", "against", "column"), "str"),
+    "sequences": "int64",
+    **dict.fromkeys(("difference", "low", "high", "p"), "float64"),
+}
+
 
 def interval(
     total: Float[np.ndarray, " n"], count: np.ndarray, *, seed: int = 0, draws: int = DRAWS
@@ -106,7 +112,8 @@ def compare(tidy: pd.DataFrame, measure: str, system: str, against: str, *, seed
         p = sign_flip(part.total, seed=seed)
         row = (part.split, measure, system, against, part.column, len(part.total), part.mean, low, high, p)
         found.append(row)
-    return pd.DataFrame(found, columns=list(COLUMNS))
+    # Types are told, since those of a table without rows can't be seen from it.
+    return pd.DataFrame(found, columns=list(COLUMNS)).astype(_TYPES)
 
 
 def of_predictions(tidy: pd.DataFrame) -> pd.DataFrame:

@@ -81,8 +81,9 @@ def build(folder: Path, inputs: Inputs, settings: ReportConfig) -> dict[str, pd.
             name: table[table["source"] != "paper"].reset_index(drop=True) if "source" in table else table
             for name, table in built.items()
         }
-    if built["by_cloth"].empty:
-        del built["by_cloth"]
+    for name in ("by_cloth", "comparisons"):
+        if built[name].empty:
+            del built[name]
     drawn = draw_figures(folder / "figures", inputs, built["largest"], settings)
     # The pages of an old report can be written again, but not its pictures, so their captions are stored beside them.
     captions = {name: CAPTIONS[name] for name in sorted(drawn)}

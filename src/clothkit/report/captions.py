@@ -179,7 +179,8 @@ TRUST = (
     "Validation plans by their *trust*: the share of plans with such an expectation that end at most 0.05 lengths of "
     "the cloth's side from their goals, as the other sequences' plans tell it. *expected*, *error*: mean expected and "
     "real distance from the goal. *trusted*, *came_true*: mean trust, and the share that did end so near. *inside*: "
-    "share of errors inside the interval that is told with a plan, which shall hold 80 %.\n"
+    "share of errors (below 0.001 they count as 0.001) inside the interval that is told with a plan, which shall hold "
+    "80 %.\n"
 )
 GOALS = (
     "The field's standard folds, made in the simulator without a planner (`clothkit goals`), as goals. Each is planned "

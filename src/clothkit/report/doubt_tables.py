@@ -5,6 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 
+from clothkit.planning.error_map import LEAST
 from clothkit.planning.trust import NEAR
 from clothkit.report.layout import PROBED
 
@@ -16,6 +17,11 @@ def doubt(summary: pd.DataFrame) -> pd.DataFrame:
     """The statistics of `doubt.summary` with a column per group of probes; columns statistic, measure and PROBED."""
     wide = summary.pivot_table(index=["statistic", "measure"], columns="group", values="value", sort=False)
     return wide.reset_index().reindex(columns=["statistic", "measure", *PROBED])
+
+
+def inside(rows: pd.DataFrame) -> pd.Series:
+    """Whether each error is inside the interval that is told with its plan; errors below LEAST count as LEAST."""
+    return rows["error"].clip(lower=LEAST).between(rows["trusted_low"], rows["trusted_high"])
 
 
 def trust(rows: pd.DataFrame) -> pd.DataFrame:
@@ -32,7 +38,7 @@ def trust(rows: pd.DataFrame) -> pd.DataFrame:
     judged = pd.concat([rows.assign(**{"class": np.array(names)[place]}), whole])
     judged = judged.assign(
         came_true=judged["error"] <= NEAR,
-        inside=judged["error"].between(judged["trusted_low"], judged["trusted_high"]),
+        inside=inside(judged),
     )
     means = judged.groupby("class", as_index=False).agg(
         plans=("error", "size"),

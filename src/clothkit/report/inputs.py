@@ -98,7 +98,7 @@ def read(data: Path, members: Sequence[int], settings: ReportConfig) -> Inputs:
         estimation=tables.read(evaluation / "estimation.parquet", tidy.ESTIMATION),
         prediction=tables.read(evaluation / "prediction.parquet", tidy.PREDICTION),
         calibration=tables.read(evaluation / "calibration.parquet", tidy.CALIBRATION),
-        comparisons=tables.read(evaluation / "comparisons.parquet", tidy.COMPARISONS),
+        comparisons=tables.read(evaluation / "comparisons.parquet", tidy.ANY_COMPARISONS),
         planning=rows.read_planning(evaluation / "planning", settings.planners),
         planning_comparisons=tables.read(evaluation / "planning/comparisons.parquet", tidy.ANY_COMPARISONS),
         intervals=tables.read(evaluation / "planning/intervals.parquet", tidy.INTERVALS),

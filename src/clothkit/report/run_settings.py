@@ -36,6 +36,10 @@ class RunSettings:
     scale: str
     simulated: bool
     """Whether sequences come from our own simulator, which also executes plans."""
+    varied: bool
+    """Whether each sequence has a cloth and a start of its own."""
+    beside_paper: bool
+    """Whether the report has the paper's figures, too."""
     sequences: Mapping[str, int]
     """Largest number of sequences that are planned for, by split."""
     search: SearchConfig
@@ -80,6 +84,9 @@ def read(path: Path) -> RunSettings:
         text=text,
         scale=scale,
         simulated=_at(path, stages, "simulate.source") == "own",
+        # Older reports say neither: they are of the paper's cloth, beside its figures.
+        varied=stages["simulate"].get("variation") is not None,
+        beside_paper=(stages.get("report") or {}).get("paper", True),
         sequences={split: _at(path, stages, f"plan.{split}") for split in ("test", "train")},
         search=_search(path, stages, "plan.search"),
         voxel_search=_search(path, stages, "plan.voxel_search"),

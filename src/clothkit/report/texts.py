@@ -20,13 +20,15 @@ def findings_on_planners(report: Report) -> list[str]:
 def planned(report: Report) -> str:
     """The sentence on the number of sequences in our planning tables and in the paper's."""
     counts = " and ".join(f"{count} {split}" for split, count in report.contents.planned.items())
-    return f"This report planned and executed every task of {counts} sequences. {captions.PAPER}"
+    told = f"This report planned and executed every task of {counts} sequences."
+    return f"{told} {captions.PAPER}" if report.contents.settings.beside_paper else f"{told}\n"
 
 
 def replay(report: Report) -> str:
-    """Why one-step plans from the flat cloth have a small error; "" for sequences from another simulator."""
+    """Why one-step plans from the flat cloth have a small error; "" where each start is another, or not simulated."""
     error = mean(report.table("table_6"), "clothkit", "main", "1/0")
-    if not report.contents.settings.simulated or math.isnan(error):
+    settings = report.contents.settings
+    if not settings.simulated or settings.varied or math.isnan(error):
         return ""
     return (
         f"A one-step plan from the flat cloth (state 0; *main*: {number(error)}) can be a replay: the simulator is "
@@ -42,7 +44,8 @@ def descriptions(report: Report) -> str:
     if not settings.canonical:
         return ""
     voxels = captions.VOXELS_CANONICAL if settings.voxels_canonical else captions.VOXELS_AS_THEY_ARE
-    return f"{captions.CANONICAL}; {voxels}. {captions.MEMORY}{_memory(report.contents)}"
+    nets = captions.CANONICAL if settings.emd_voxel is None else f"{captions.CANONICAL}; {voxels}"
+    return f"{nets}. {captions.MEMORY}{_memory(report.contents)}"
 
 
 def _memory(contents: Contents) -> str:

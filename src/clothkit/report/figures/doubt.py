@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 
 from clothkit.planning.trust import INTERVAL
 from clothkit.report import panels
+from clothkit.report.doubt_tables import inside
 from clothkit.report.figures.curves import NETS
 from clothkit.report.layout import PROBED
 
@@ -68,8 +69,8 @@ def trust(probes: pd.DataFrame, plans: pd.DataFrame, path: Path) -> None:
     if np.isfinite([low, high]).all():
         ends = np.array(axes[1].get_xlim())
         axes[1].fill_between(ends, ends * low, ends * high, color="#bbbbbb", alpha=0.25, linewidth=0, zorder=0)
-        inside = plans["error"].between(plans["trusted_low"], plans["trusted_high"])[plans["trusted_error"].notna()]
-        text = f"{inside.mean():.0%} in the band of {INTERVAL:.0%}"
+        share = inside(plans[plans["trusted_error"].notna()]).mean()
+        text = f"{share:.0%} in the band of {INTERVAL:.0%}"
         axes[1].text(0.97, 0.04, text, transform=axes[1].transAxes, ha="right", fontsize=8, color=panels.INK)
     for axis, title in zip(axes, ("predictions of probes", "outcomes of plans"), strict=True):
         axis.set_title(title, fontsize=9, color=panels.INK)

@@ -38,7 +38,8 @@ def _(block: Picture) -> str:
 def _(block: DataTable) -> str:
     csv = f"[CSV]({block.csv})\n"
     if block.keys:
-        csv = f"In bold: the better of our figure and the paper's. {csv}"
+        if (block.data["source"] == "paper").any():
+            csv = f"In bold: the better of our figure and the paper's. {csv}"
         table = tables.paired(block.data, block.keys, judged=block.judged, ideal=block.ideal)
     else:
         table = tables.plain(block.data)
