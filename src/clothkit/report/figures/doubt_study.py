@@ -27,16 +27,17 @@ def doubt(table: pd.DataFrame, path: Path) -> None:
     """
     # System b2 has one net, and no doubt.
     table = table.assign(measure=table["measure"].mask(table["system"] == "b2", "b2"))
-    columns = sorted(table["column"].unique())
-    figure, axes = panels.chart(2 * len(columns), width=3.0, height=2.7, columns=len(columns))
+    columns, rules = sorted(table["column"].unique()), _rules(table)
+    figure, axes = panels.chart(len(rules) * len(columns), width=3.0, height=2.7, columns=len(columns))
     variants = [
         (name, alpha) for name in MEASURES for alpha in sorted(table.loc[table["measure"] == name, "alpha"].unique())
     ]
-    for axis, (fold, column) in zip(axes, product((True, False), columns), strict=True):
+    for axis, (fold, column) in zip(axes, product(rules, columns), strict=True):
         rows = table[(table["fold"].astype(bool) == fold) & (table["column"] == column)]
         for place, (name, alpha) in enumerate(variants):
             for row in rows[(rows["measure"] == name) & (rows["alpha"] == alpha)].to_dict("records"):
                 label, colour = MEASURES[name]
+                label = "no doubt" if (name, alpha) == ("paper", 0) else label
                 spread = ([row["error"] - row["low"]], [row["high"] - row["error"]])
                 filled = "white" if alpha == 0 else colour
                 axis.errorbar([place], [row["error"]], yerr=spread, fmt="o", color=colour, markersize=4.5,
@@ -59,8 +60,7 @@ def amounts(table: pd.DataFrame, path: Path) -> None:
     Points are means with 95 % intervals; a star marks a paired difference to no doubt with p < 0.01. Columns of
     `table`: amount (training sequences), nets, and those of `doubt`.
     """
-    columns = sorted(table["column"].unique())
-    rules = sorted({bool(fold) for fold in table["fold"]}, reverse=True)
+    columns, rules = sorted(table["column"].unique()), _rules(table)
     figure, axes = panels.chart(len(rules) * len(columns), width=3.0, height=2.7, columns=len(columns))
     settings = sorted(set(zip(table["amount"], table["nets"], strict=True)))
     variants = list(dict.fromkeys(zip(table["measure"], table["alpha"], strict=True)))
@@ -83,6 +83,10 @@ def amounts(table: pd.DataFrame, path: Path) -> None:
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, fontsize=8, frameon=False, loc="outside upper center", ncols=4)
     panels.save(figure, path)
+
+
+def _rules(table: pd.DataFrame) -> list[bool]:
+    return sorted({bool(fold) for fold in table["fold"]}, reverse=True)
 
 
 def _title(axis: Axes, fold: bool, column: str) -> None:
