@@ -1,12 +1,17 @@
 """Paired comparisons against SciPy, and that they tell differences from noise."""
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
 from scipy import stats
 
+from clothkit.dataset import tables
+from clothkit.dataset.rows import write_rows
 from clothkit.dataset.tasks import TASKS
-from clothkit.evaluation.comparisons import compare, interval, of_predictions, sign_flip
+from clothkit.evaluation import tidy
+from clothkit.evaluation.comparisons import COLUMNS, KEYS, compare, interval, of_predictions, sign_flip
 
 ONE_TASK = np.ones(40, int)
 
@@ -136,3 +141,12 @@ def test_sequences_of_unequal_counts_are_compared_task_by_task() -> None:
     by_sequence = difference.groupby("sequence")
     expected = theirs(by_sequence.sum().to_numpy(), by_sequence.count().to_numpy())
     assert (row["low"], row["high"]) == pytest.approx(expected, abs=3e-4)
+
+
+def test_nothing_to_compare_is_a_table_that_can_be_read(tmp_path: Path) -> None:
+    """As at scale household, which has no net that predicts voxels."""
+    planned = pd.DataFrame([{"split": "test", "system": "main", **dict.fromkeys(KEYS, 1), "error": 0.1}])
+    write_rows(tmp_path / "comparisons.parquet", compare(planned, "error", "main", "a2"), {})
+    found = tables.read(tmp_path / "comparisons.parquet", tidy.ANY_COMPARISONS)
+    assert found.empty
+    assert list(found.columns) == list(COLUMNS)
