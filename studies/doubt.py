@@ -11,10 +11,9 @@ loss than the recorded manipulations. Means with 95 % bootstrap intervals over s
 paired differences (and the p of a sign-flip test) to the paper's objective without doubt (alpha 0) and the same rule;
 doubt.png shows them.
 
-`--split test` does the same with test sequences, into doubt_test.csv: for what was chosen before. Of the planner in
-force (main), the same without doubt (b3), one net (b2) and eq. (15), doubt_test_comparisons.csv has the paired
-comparisons, which the report's first paragraphs tell. `--system b1` plans
-from true meshes instead, `--system b2` with one net and no doubt. `--measures` and `--alphas` choose
+`--split test` does the same with test sequences, into doubt_test.csv: for what was chosen before. Then
+doubt_test_comparisons.csv has the paired comparisons that the report's first paragraphs tell (`compared`). `--system
+b1` plans from true meshes instead, `--system b2` with one net and no doubt. `--measures` and `--alphas` choose
 variants: `--measures expected --alphas 0.5 1 2`; `--folds 0` leaves out the rule. `--draw` summarises and draws the
 rows that are there. Differences are to the variant that `--against SYSTEM MEASURE ALPHA` names (default: main paper
 0). Existing rows are not computed again; those made with other nets, maps or settings (`fingerprint`) are dropped.
@@ -144,20 +143,25 @@ ENDS = {"": "difference", "_low": "low", "_high": "high", "_p": "p"}
 
 
 def compared(table: pd.DataFrame, params: Params) -> pd.DataFrame:
-    """Return the comparisons of the planner in force and of eq. (15) with those that the report calls b3 and b2."""
+    """Return the comparisons that the report tells.
+
+    They are of the planner in force (main) with those that the report calls b3 and b2, which have its accuracy term,
+    and with eq. (13) without doubt (eq13); and of eq. (13) with the doubt of eq. (15) (eq15) with the latter.
+    """
     plan = params.stages.plan
     measure, fold = plan.uncertainty.measure, plan.search.fold
     weight = plan.uncertainty.u_weight if measure == "paper" else 1.0
     variants = {
-        "eq15": Variant("main", "paper", EQ15, fold),
         "main": Variant("main", measure, params.alpha * weight, fold),
-        "b3": Variant("main", "paper", 0.0, fold),
-        "b2": Variant("b2", "paper", 0.0, fold),
+        "b3": Variant("main", measure, 0.0, fold),
+        "b2": Variant("b2", measure, 0.0, fold),
+        "eq13": Variant("main", "paper", 0.0, fold),
+        "eq15": Variant("main", "paper", EQ15, fold),
     }
     named = pd.concat(
         [table[(table[VARIANT] == list(variant)).all(axis=1)].assign(system=name) for name, variant in variants.items()]
     )
-    pairs = [("main", "b3"), ("main", "b2"), ("eq15", "b3")]
+    pairs = [("main", "b3"), ("main", "b2"), ("main", "eq13"), ("eq15", "eq13")]
     found = [compare(named, "error", *pair) for pair in pairs if set(pair) <= set(named["system"])]
     return pd.concat(found) if found else pd.DataFrame(columns=list(COLUMNS))
 

@@ -56,8 +56,8 @@ MESHES, OWN = DATA / "meshes.zarr", DATA / "studies/doubt_amount"
 MAIN = SYSTEMS["main"]
 PAIR = 2
 """Number of nets that are trained with each amount of data."""
-VARIANTS: tuple[tuple[Any, float], ...] = (("paper", 0.0), ("expected", 1.0))
-"""Measure and alpha: no doubt, and the expected error."""
+VARIANTS: tuple[tuple[Any, float], ...] = (("expected", 0.0), ("expected", 1.0))
+"""Measure and alpha: no doubt, and the expected error; the accuracy term is the same."""
 SETTING = ["amount", "nets"]
 """Training sequences and number of nets."""
 
@@ -139,7 +139,7 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
     keys: Any
     for keys, own in rows.groupby(SETTING, sort=True):
         told: dict[str, Any] = {**dict(zip(SETTING, keys, strict=True)), **own[["rank", "auroc"]].iloc[0]}
-        found.append(summary_of(own).assign(**told))
+        found.append(summary_of(own, (MAIN.name, *VARIANTS[0])).assign(**told))
     table = pd.concat(found, ignore_index=True)
     return table[[*SETTING, *table.columns.drop([*SETTING])]]
 

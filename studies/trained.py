@@ -70,8 +70,8 @@ def train(
 
 def train_estimator(folder: Path, seed: int, params: Params, dataset: Dataset, current: str) -> Net:
     """Return VtM trained as the train_vtm stage does, but with another seed; it is trained unless it is in `folder`."""
-    settings = params.stages.train_vtm
-    work = WORK / "studies" / folder.name / current
+    settings, study = params.stages.train_vtm, folder.parent.name
+    work = WORK / "studies" / study / f"{folder.name}_{current}"
     with alone(work.with_name(f"{work.name}.lock")):
         if is_trained(folder, current):
             return net_store.load(folder)
@@ -81,7 +81,14 @@ def train_estimator(folder: Path, seed: int, params: Params, dataset: Dataset, c
         trained = train_vtm(settings, training, validation, work=work, key=jax.random.key(seed))
         net = Net(settings.net, trained.params)
         net = recalibrated(net, validation) if settings.recalibrate else net
-        attributes = {"stage": f"studies/{folder.name}", "scale": params.scale, "seed": seed, COLUMN: current}
+        attributes = {
+            "stage": f"studies/{study}",
+            "scale": params.scale,
+            "params": params.section("train_vtm"),
+            "seed": seed,
+            "validation_score": trained.score,
+            COLUMN: current,
+        }
         net_store.save(work / "net", net, trained.history, attributes)
         folder.parent.mkdir(parents=True, exist_ok=True)
         publish(work / "net", folder)

@@ -67,7 +67,7 @@ def test_the_summary_compares_with_no_doubt_of_the_same_nets(study: ModuleType, 
                 for sequence in range(15):
                     for start, length in TASKS:
                         # Doubt is worth 0.02 with little data, and nothing with much.
-                        gain = 0.02 * (measure == "expected") * (amount == 100)
+                        gain = 0.02 * (alpha > 0) * (amount == 100)
                         error = 0.1 + 0.001 * sequence - gain + 0.001 * rng.normal()
                         rows.append(
                             {"amount": amount, "nets": nets, "measure": measure, "alpha": alpha, "fold": fold}

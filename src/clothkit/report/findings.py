@@ -33,7 +33,8 @@ RULE = (
 STUDIED = {
     ("main", "b3"): "compared with plans without the term, those with it were",
     ("main", "b2"): "compared with plans of one net without it, they were",
-    ("eq15", "b3"): "with eq. (15), the paper's term, instead, they were compared with plans without it",
+    ("main", "eq13"): "compared with plans by the accuracy term of eq. (13) alone, they were",
+    ("eq15", "eq13"): "plans by the whole of eq. (13), with the doubt of eq. (15), were compared with those",
 }
 """The comparisons of the study of doubt (studies/doubt.py --split test), in words."""
 
@@ -100,7 +101,10 @@ def _lead(others: dict[str, pd.DataFrame]) -> str:
         f"As in the paper, *main* was better than {names[name]} in {lead}." for name, lead in leads.items() if lead
     ]
     if without:
-        sentences.append(f"In the paper *main* is better than {' and '.join(without)}; here this was not found.")
+        names_of = " and ".join(without)
+        sentences.append(
+            f"In the paper *main* is better than {names_of}; in this report's sessions this was not found."
+        )
     return " ".join(sentences) + "\n"
 
 

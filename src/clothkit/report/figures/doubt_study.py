@@ -18,6 +18,9 @@ MEASURES = {
 }
 """Labels and colours of measures of uncertainty, in order."""
 
+UNDOUBTED = {"paper": "no doubt, eq. (13)", "expected": "no doubt, cloth lengths"}
+"""Labels without doubt, by the accuracy term that goes with the measure."""
+
 
 def doubt(table: pd.DataFrame, path: Path) -> None:
     """Writes charts of the error by measure of uncertainty, a row for each rule and a column for each plan length.
@@ -37,7 +40,7 @@ def doubt(table: pd.DataFrame, path: Path) -> None:
         for place, (name, alpha) in enumerate(variants):
             for row in rows[(rows["measure"] == name) & (rows["alpha"] == alpha)].to_dict("records"):
                 label, colour = MEASURES[name]
-                label = "no doubt" if (name, alpha) == ("paper", 0) else label
+                label = UNDOUBTED.get(name, label) if alpha == 0 else label
                 spread = ([row["error"] - row["low"]], [row["high"] - row["error"]])
                 filled = "white" if alpha == 0 else colour
                 axis.errorbar([place], [row["error"]], yerr=spread, fmt="o", color=colour, markersize=4.5,
