@@ -54,6 +54,9 @@ def _write_shapes(folder: Path) -> None:
     np.save(folder / "goal.npy", folded(along=0.0))
     surface = trimesh.Trimesh(bent.reshape(-1, 3).astype(float) * SCALE, SQUARE.triangles(), process=False)
     surface.export(folder / "bent.ply", file_type="ply", encoding="ascii")
+    silhouette = np.zeros((24, 24), dtype=bool)
+    silhouette[4:20, 6:18] = True
+    np.savez(folder / "silhouette.npz", silhouette=silhouette, pixel=np.float64(SCALE / 16))
     with np.load(folder / "cloud.npz") as stored:
         # Text takes long to read, many times over.
         points = stored["points"][stored["cloth"]][::4]

@@ -26,7 +26,9 @@ from clothkit.evaluation import arrays, tidy
 from clothkit.models import store as nets
 from clothkit.observation.files import read
 from clothkit.observation.observe import observe
-from clothkit.observation.states import PointCloud
+from clothkit.observation.plane import Plane
+from clothkit.observation.silhouettes import points_of
+from clothkit.observation.states import PointCloud, SilhouetteState
 from clothkit.params import load_params
 from clothkit.planning import agent, normalisation
 from clothkit.planning.batches import take
@@ -158,7 +160,12 @@ def _output(path: Path) -> Any:
 def _observed(path: Path | str) -> Any:
     """A state, and its voxels and pose: what cameras did not see may be NaN or infinite in its file."""
     state = read(path)
-    seen = observe(state, cloth_side=CLOTH, table=SMALL.table(), name=str(path))
+    table: Plane | None = SMALL.table()
+    if isinstance(state, SilhouetteState):
+        # Its points know their table.
+        state = points_of(state, area=CLOTH**2, thickness=0.002, surface=0.0, table=table, name=str(path))
+        table = None
+    seen = observe(state, cloth_side=CLOTH, table=table, name=str(path))
     return [seen, None if isinstance(state, PointCloud) else state]
 
 
@@ -260,6 +267,7 @@ LOADERS = (
     loader("mesh as NPY", "mesh.npy", "npy", _observed),
     loader("voxels", "voxels.npy", "npy", _observed),
     loader("cloud as NPZ", "cloud.npz", "npz", _observed),
+    loader("silhouette as NPZ", "silhouette.npz", "npz", _observed),
     loader("cloud as PLY", "cloud.ply", "text", _observed),
     loader("cloud as PCD", "cloud.pcd", "text", _observed),
     loader("cloud as binary PCD", "binary.pcd", "text", _observed),
