@@ -341,10 +341,11 @@ def reach(table: pd.DataFrame, path: Path) -> None:
             axis.plot(own["size"], mean, f"{marker}-", color=colour, linewidth=1.2, markersize=4, label=label)
             axis.fill_between(own["size"], low, high, color=colour, alpha=0.13, linewidth=0)
         if column == "error":
-            for level, name in (("error_free", "no limit"), ("error_no_action", "nothing done")):
+            # Of plans within limits the errors lie between the two.
+            for level, name, side in (("error_free", "no limit", "top"), ("error_no_action", "nothing done", "bottom")):
                 axis.axhline(float(rows[level].mean()), color=panels.INK, linewidth=0.8, linestyle=(0, (1, 2)))
                 at = (0.99, float(rows[level].mean()))
-                axis.annotate(name, at, xycoords=axis.get_yaxis_transform(), fontsize=7, ha="right", va="bottom")
+                axis.annotate(name, at, xycoords=axis.get_yaxis_transform(), fontsize=7, ha="right", va=side)
         axis.set_ylim(0, 105 if column == "inside" else 1.15 * max(rows["error_no_action"].max(), rows["error"].max()))
         axis.set_xticks(np.sort(rows["size"].unique()))
         axis.set_title(REGIONS[region], fontsize=8.5, color=panels.INK)
