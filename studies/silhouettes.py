@@ -50,14 +50,7 @@ def main() -> None:
         covered = silhouette(goal, resolution=RESOLUTION, extent=EXTENT)
         pixel = 2 * EXTENT / RESOLUTION * scale
         picture = SilhouetteState(covered.T[::-1], pixel=pixel)
-        points = points_of(
-            picture,
-            area=side**2,
-            thickness=simulation.material.thickness,
-            surface=settings.surface,
-            table=None,
-            name=name,
-        )
+        points = points_of(picture, area=side**2, thickness=simulation.material.thickness, table=None, name=name)
         row: dict[str, str | float] = {"goal": name, "layers": side**2 / (covered.sum() * pixel**2)}
         for source, state in (("heights", MeshState(goal, np.zeros(2, np.float32), scale)), ("silhouette", points)):
             voxels = observe(state, cloth_side=side, settings=settings, name=name).voxels

@@ -19,10 +19,12 @@ from clothkit.app.plan_file import UNLIKELY, Plan, read_plan, schema
 from clothkit.app.planner import begin, decide, for_one_cloth, turned_plan
 from clothkit.app.settings import AppConfig
 from clothkit.cloth.mesh import distance
-from clothkit.cloth.topology import SQUARE
+from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE
+from clothkit.cloth.voxels import Viewport
 from clothkit.manipulation.geometry import to_cartesian
 from clothkit.observation.camera import CameraConfig
 from clothkit.observation.files import read
+from clothkit.observation.settings import CloudConfig
 from clothkit.planning.planner import Planner
 from clothkit.planning.types import Memory, Observation
 from tests.app.conftest import AT, ROOT, run, succeed
@@ -366,6 +368,15 @@ def test_side_and_table_come_from_params_unless_options_say_otherwise() -> None:
     assert how.table.offset == 0.5
     assert how.cloud.table_colour == ((1, 2, 3), (4, 5, 6))
     assert observation_options(app, side=0.3, table=None, table_colour=None, box=None).side == 0.3
+
+
+def test_a_camera_sees_half_a_layer_above_the_vertices_and_as_high_as_the_nets() -> None:
+    tall = CloudConfig(viewport=Viewport(height=0.4))
+    how = observation_options(AppConfig(cloud=tall), side=None, sides=(0.5, 0.3), thickness=0.006)
+    assert how.cloud.surface == 0.003
+    assert how.cloud.highest == pytest.approx(0.4 * 0.5 / CLOTH_LENGTH)
+    set_by_hand = observation_options(AppConfig(cloud=CloudConfig(surface=0.001, highest=0.3)), side=0.4)
+    assert (set_by_hand.cloud.surface, set_by_hand.cloud.highest) == (0.001, 0.3)
 
 
 def test_the_published_schema_is_the_one_that_plans_are_read_by() -> None:

@@ -86,6 +86,27 @@ def test_trained_nets_come_first(fresh: Path, nets: Path) -> None:
     assert not (fresh / "cache").exists()
 
 
+def test_nets_of_another_scale_tell_of_prebuilt_ones(
+    fresh: Path, nets: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(nets / "data", fresh / "data", dirs_exist_ok=True)
+    path = fresh / "data/nets/vtm/net.json"
+    about = json.loads(path.read_text())
+    for scale, told in (("laptop", True), ("household", False)):
+        path.write_text(json.dumps({**about, "scale": scale}))
+        assert load_nets(Path("data"))[0] == Path("data")
+        assert ("of scale laptop; --data prebuilt/household takes" in capsys.readouterr().err) == told
+    folder, settings = load_nets(Path("prebuilt/household"))
+    assert folder.is_relative_to(fresh / "cache")
+    assert settings.plan == load_params(Path("params.yaml")).scales["household"].plan
+    assert not capsys.readouterr().err
+
+
+def test_nets_of_an_interrupted_chain_are_not_taken(fresh: Path, nets: Path) -> None:
+    shutil.copytree(nets / "data/nets/pemd", fresh / "data/nets/pemd")
+    assert load_nets(Path("data"))[0].is_relative_to(fresh / "cache")
+
+
 def test_which_of_several(fresh: Path) -> None:
     assert prebuilt(Path("prebuilt")) == Path("prebuilt/household")
     shutil.rmtree("prebuilt/household")

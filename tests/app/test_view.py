@@ -8,6 +8,7 @@ import subprocess
 import sys
 import urllib.request
 from pathlib import Path
+from typing import Literal
 from unittest import mock
 
 import numpy as np
@@ -39,6 +40,7 @@ from tests.app import played
 from tests.app.conftest import run
 from tests.app.plans import finding
 from tests.planning import toy
+from tests.planning.test_lengths import finding as finding_each
 from tests.toy_dataset import MANIPULATIONS
 
 FORWARD = ("--no-browser", "--port", 0)
@@ -322,7 +324,9 @@ def test_a_search_in_lots_tells_how_far_it_is_and_can_be_stopped() -> None:
     assert nothing.best is None
 
 
-def under_way(folder: Path, monkeypatch: pytest.MonkeyPatch, state: str | None = None) -> live.Live:
+def under_way(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, state: str | None = None, steps: int | Literal["auto"] = 2
+) -> live.Live:
     """A live session of the toy world, from its first state or another one, before its first plan."""
     monkeypatch.chdir(folder)  # without params.yaml
     how = observation_options(load_settings(folder).app, side=None, table=None, table_colour=None, box=None)
@@ -330,7 +334,7 @@ def under_way(folder: Path, monkeypatch: pytest.MonkeyPatch, state: str | None =
         read_input(file, how) for file in (state or f"{folder}/meshes.zarr:0/0", f"{folder}/meshes.zarr:0/2")
     )
     return live.begin(
-        for_one_cloth(toy.planner("b1")), start, goal, 2, title="toy", data=folder, settings=load_settings(folder)
+        for_one_cloth(toy.planner("b1")), start, goal, steps, title="toy", data=folder, settings=load_settings(folder)
     )
 
 
@@ -358,6 +362,28 @@ def test_a_live_session_goes_from_plan_to_plan(folder: Path, monkeypatch: pytest
     assert before is not None
     assert end is not None
     assert end < 0.1 * before
+    with pytest.raises(InputError, match="is over"):
+        live.plan(session, seed=0, on_progress=lambda _: True)
+
+
+def test_a_live_session_chooses_how_many_manipulations(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    session = under_way(folder, monkeypatch, steps="auto")
+    plans, told = recorded_plan(), list[Progress]()
+    assert session.left == 3
+    with mock.patch.object(live, "execute", lambda *given, **_: toy.execute(*given)):
+        for done in (0, 1):
+            longer = {n: np.concatenate([plans[done:], plans[:1], plans[:1]])[:n] for n in (1, 2, 3)}
+            with finding_each(longer):
+                session = live.plan(session, seed=0, on_progress=lambda now: not told.append(now))
+            assert session.plan is not None
+            assert len(session.plan.plan) == 2 - done
+            session = live.perform(session)
+        assert session.left == 1
+        with finding_each({1: plans[:1]}):
+            session = live.plan(session, seed=0, on_progress=lambda _: True)
+    assert session.agent.over
+    assert session.left == 0
+    assert [progress.strains for progress in told] == [3, 2]
     with pytest.raises(InputError, match="is over"):
         live.plan(session, seed=0, on_progress=lambda _: True)
 

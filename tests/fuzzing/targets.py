@@ -163,7 +163,7 @@ def _observed(path: Path | str) -> Any:
     table: Plane | None = SMALL.table()
     if isinstance(state, SilhouetteState):
         # Its points know their table.
-        state = points_of(state, area=CLOTH**2, thickness=0.002, surface=0.0, table=table, name=str(path))
+        state = points_of(state, area=CLOTH**2, thickness=0.002, table=table, name=str(path))
         table = None
     seen = observe(state, cloth_side=CLOTH, table=table, name=str(path))
     return [seen, None if isinstance(state, PointCloud) else state]

@@ -45,7 +45,7 @@ def test_the_number_of_layers_is_told_by_the_area(
     camera = CameraConfig(tilt=tilt, azimuth=azimuth, height=height)
     image = image_of(folded(along=along), camera)
     state = SilhouetteState(image.cloth, intrinsics=matrix(camera))
-    cloud = points_of(state, area=CLOTH**2, thickness=THICKNESS, surface=0.0, table=camera.table(), name="s")
+    cloud = points_of(state, area=CLOTH**2, thickness=THICKNESS, table=camera.table(), name="s")
     # A pixel is 2.7 mm wide, and the fold's round edge is cloth, too.
     heights = camera.table().heights(cloud.points)
     np.testing.assert_allclose(heights, height_of(layers), atol=0.04 * layers * THICKNESS)
@@ -109,6 +109,6 @@ def test_a_depth_image_tells_more(tmp_path: Path) -> None:
 
 def test_a_flat_cloth_is_one_layer() -> None:
     state = SilhouetteState(np.ones((400, 400), bool), pixel=0.001)
-    cloud = points_of(state, area=0.16, thickness=THICKNESS, surface=0.001, table=None, name="s")
-    np.testing.assert_allclose(cloud.points[:, 2], height_of(1) + 0.001)
+    cloud = points_of(state, area=0.16, thickness=THICKNESS, table=None, name="s")
+    np.testing.assert_allclose(cloud.points[:, 2], height_of(1))
     assert len(cloud.points) == 160_000

@@ -74,11 +74,12 @@ class Agent:
 
         agent = Agent("data", side=0.4, table=(0, 0, -1, -0.8))
         agent.begin("goal.obj", steps=2)
+        agent.observe(points)
         while agent.left:
-            agent.observe(points)
             plan = agent.plan()
             if plan.expected.improves:
                 ...  # hands follow the waypoints in plan.steps[0].hands
+            agent.observe(points)
 
     Whatever is wrong with an input raises InputError, one sentence, and leaves the agent as it was.
     """

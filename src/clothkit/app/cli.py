@@ -65,7 +65,7 @@ def cli() -> None:
     """Plan how a robot with two hands folds a cloth into any given shape.
 
     Settings come from params.yaml of the current directory, where there is one (its block `app` is about your cloth,
-    camera and robot), and nets from data/, as `dvc repro` makes them.
+    camera and robot), and nets from data/, as `dvc repro` makes them, or while there are none, from prebuilt/household.
 
     \b
     clothkit plan --state cloud.ply --goal goal.obj --steps 2 --table 0 0 -1 -0.8

@@ -40,7 +40,11 @@ LEAST = 0.05
     help="NPZ: mesh, mean and sigma [u, v, xyz] in metres. [default: beside --out, ending sigma.npz]",
 )
 @click.option(
-    "--data", type=click.Path(path_type=Path), default=Path("data"), show_default=True, help="Where nets/vtm is."
+    "--data",
+    type=click.Path(path_type=Path),
+    default=Path("data"),
+    show_default=True,
+    help="Folder of nets, as in clothkit plan.",
 )
 @with_observation_options
 def command(file: str, *, out: Path, sigma: Path | None, data: Path, mask: str | None, **values: Any) -> None:

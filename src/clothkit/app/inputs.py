@@ -167,13 +167,12 @@ def observed(state: State, options: ObservationOptions, *, name: str) -> Input:
     """Observe the cloth of a state, which messages call `name`. Raises InputError."""
     cloud, table, stated = options.cloud, options.table, options.stated
     if isinstance(state, SilhouetteState):
-        area, surface = options.sides[0] * options.sides[1], cloud.surface
-        state = points_of(
-            state, area=area, thickness=options.thickness, surface=surface, table=options.table, name=name
-        )
+        area = options.sides[0] * options.sides[1]
+        state = points_of(state, area=area, thickness=options.thickness, table=options.table, name=name)
     if isinstance(state, PointCloud) and state.table is not None:
-        # The options describe a camera's cloud; these points are of a surface whose table is known.
-        cloud, table, stated = dataclasses.replace(cloud, box=None, table_colour=None), None, Stated()
+        # The options describe a camera's cloud; these points are where vertices are, and their table is known.
+        cloud = dataclasses.replace(cloud, box=None, table_colour=None, surface=0.0)
+        table, stated = None, Stated()
     observation = observe(state, cloth_side=options.side, settings=cloud, table=table, stated=stated, name=name)
     farthest = float(np.abs(observation.pose.normalised_to_camera(np.zeros((1, 3)))).max())
     if farthest > WITHIN - 2 * options.side:

@@ -68,15 +68,17 @@ _CLOTH_OPTIONS = (
         "--side",
         type=float,
         metavar="METRES",
-        help="Side of the flat cloth, if it is a square. [default: a given plan's, else app.side]",
+        help="Side of the flat cloth, if it is a square. [default: a given plan's, else app.side, 0.4]",
     ),
-    click.option("--sides", type=float, nargs=2, metavar="METRES METRES", help="Both sides, if it is no square."),
+    click.option(
+        "--sides", type=float, nargs=2, metavar="METRES METRES", help="Both sides in any order, if it is no square."
+    ),
     click.option(
         "--thickness",
         type=float,
         metavar="METRES",
         help="Distance of the middles of two layers that touch: half the height of the cloth, folded once and pressed "
-        "flat. [default: a given plan's, else app.thickness]",
+        "flat. [default: a given plan's, else app.thickness, 0.002]",
     ),
 )
 
@@ -108,7 +110,8 @@ def with_observation_options(command: Callable[..., Any]) -> Callable[..., Any]:
                 nargs=4,
                 metavar="A B C D",
                 help="The table's plane a x + b y + c z = d in metres and in the cloud's frame, (a, b, c) pointing up. "
-                "Without it the plane is looked for among the points that are not the cloth's.",
+                "It does not tell which points are the cloth's. Without it the plane is looked for among those that "
+                "are not.",
             ),
             click.option(
                 "--up",
@@ -167,7 +170,14 @@ def observation_options(
     as_points: bool = False,
 ) -> ObservationOptions:
     """How files are read and observed, by option values and else by settings. Raises InputError for invalid values."""
-    cloud = app.cloud
+    longer, shorter = _sides(app, side, sides)
+    layer = _thickness(app, thickness)
+    # A camera sees a cloth's surface, half a layer above the vertices, and as high as the voxels are that nets take.
+    cloud = dataclasses.replace(
+        app.cloud,
+        surface=app.cloud.surface or layer / 2,
+        highest=max(app.cloud.highest, app.cloud.viewport.height * longer / CLOTH_LENGTH),
+    )
     if table_colour:
         if np.shape(table_colour) != (6,):
             raise InputError("--table-colour: expected six numbers, the low corner of the colours and the high one")
@@ -188,8 +198,8 @@ def observation_options(
     if up is not None and not any(up):
         raise InputError("--up: expected a direction, found 0 0 0")
     return ObservationOptions(
-        _sides(app, side, sides),
-        _thickness(app, thickness),
+        (longer, shorter),
+        layer,
         cloud,
         plane_of(plane) if plane else None,
         Stated(up, camera),

@@ -42,15 +42,16 @@ from clothkit.runtime.errors import InputError
     "--steps",
     type=Steps(),
     metavar="N|auto",
-    help="Manipulations, 1 to 3; auto: as many as are worth it, none if the cloth is the goal already. Needed but with "
-    "--after. [default: as many as a named goal needs]",
+    help="Manipulations, 1 to 3; auto: as many as are worth it, none if the cloth is the goal already. Required if the "
+    "goal is a file and there is no --after. [default: what a named goal needs; with --after what is left of it]",
 )
 @click.option("--out", type=click.Path(path_type=Path), default=Path("plan.json"), show_default=True, metavar="FILE")
 @click.option(
     "--after",
     type=click.Path(path_type=Path),
     metavar="PLAN",
-    help="The plan whose first step has led to this state: goes on with its later steps, labels and memory.",
+    help="The plan whose first step has been executed and led to this state: goes on with its later steps, labels and "
+    "memory. It has two steps or three, with --steps auto any number.",
 )
 @click.option(
     "--system",
@@ -66,8 +67,8 @@ from clothkit.runtime.errors import InputError
     default=Path("data"),
     show_default=True,
     metavar="FOLDER",
-    help="Where nets/ and normalisation/ are, as dvc repro makes them; the default folder, while it has no nets, is "
-    "replaced by the nets under prebuilt/, if there are any.",
+    help="Where nets/ and normalisation/ are, as dvc repro makes them, or a folder of prebuilt nets. While the default "
+    "folder has no nets, those of prebuilt/household are taken.",
 )
 @click.option(
     "--optimiser",
@@ -90,8 +91,8 @@ from clothkit.runtime.errors import InputError
     multiple=True,
     metavar="X Y Z X Y Z",
     help="Low and high corner of the box that the hands reach, metres in the table's frame; given twice, each hand has "
-    "its own. A plan that leaves it is turned by right angles or mirrored, where this cloth looks the same turned; its "
-    "goal turns along. If that does not help, another plan is searched for.",
+    "its own. A plan that leaves it is turned or mirrored, where this cloth looks the same turned; its goal turns "
+    "along. If that does not help, another plan is searched for.",
 )
 @click.option(
     "--reach-ball",
@@ -99,7 +100,8 @@ from clothkit.runtime.errors import InputError
     nargs=4,
     multiple=True,
     metavar="X Y Z R",
-    help="The same as a ball: centre and radius. Balls come after boxes, if each hand has its own.",
+    help="The same as a ball: centre and radius, metres in the table's frame. Balls come after boxes, if each hand has "
+    "its own.",
 )
 @click.option(
     "--keep-out",
@@ -107,9 +109,10 @@ from clothkit.runtime.errors import InputError
     nargs=6,
     multiple=True,
     metavar="X Y Z X Y Z",
-    help="Low and high corner of a box that no hand may enter; any number of them.",
+    help="Low and high corner of a box that no hand may enter, metres in the table's frame; may be repeated, and "
+    "replaces app.keep_out.",
 )
-@click.option("--apart", type=float, metavar="METRES", help="Least distance between two hands. [default: app.apart]")
+@click.option("--apart", type=float, metavar="METRES", help="Least distance between two hands. [default: app.apart, 0]")
 @click.option(
     "--confirm",
     is_flag=True,

@@ -5,7 +5,8 @@ from pathlib import Path
 import click
 
 from clothkit.app.inputs import Settings, load_settings
-from clothkit.prebuilt.files import unpacked, user_folder
+from clothkit.models import store
+from clothkit.prebuilt.files import VTM, unpacked, user_folder
 from clothkit.prebuilt.manifest import MANIFEST
 from clothkit.prebuilt.manifest import read as read_manifest
 
@@ -17,21 +18,39 @@ FIRST = "household"
 def load_nets(data: Path) -> tuple[Path, Settings]:
     """Return the folder that a command takes its nets from, and its settings.
 
-    The folder is `data`, unless that is the default and holds no trained nets: then it is where prebuilt nets, if there
-    are any, are unpacked, which a notice on stderr says, and the settings are those of their scale and ensemble. Raises
-    InputError if a file is invalid.
+    The folder is `data`, unless that holds prebuilt nets, or is the default and holds no trained ones: then it is where
+    prebuilt nets are unpacked, if there are any, and the settings are those of their scale and ensemble. Notices on
+    stderr say when prebuilt nets are taken that were not asked for, and when there are some for more cloths than the
+    trained ones know. Raises InputError if a file is invalid.
     """
-    found = None if data != DATA or _has_nets(data) else prebuilt(PREBUILT)
+    found = data if (data / MANIFEST).exists() else None
+    if found is None and data == DATA:
+        if _has_nets(data):
+            _tell_of_others(data)
+        else:
+            found = prebuilt(PREBUILT)
     if found is None:
         return data, load_settings(data)
     manifest = read_manifest(found)
     folder = unpacked(found, keep=user_folder())
-    click.echo(f"notice: no trained nets in {data}/nets: those of {found} are used", err=True)
+    if found != data:
+        click.echo(f"notice: no trained nets in {data}/nets: those of {found} are used", err=True)
     return folder, load_settings(folder, scale=manifest.scale)._replace(members=manifest.members)
 
 
 def _has_nets(data: Path) -> bool:
-    return any((data / "nets" / name).exists() for name in ("pemd", "emd_voxel", "vtm"))
+    """Whether there are all nets of system main, which an interrupted chain does not have yet."""
+    return all((data / "nets" / name).exists() for name in ("pemd", "vtm"))
+
+
+def _tell_of_others(data: Path) -> None:
+    scale = store.description(data / VTM).get("scale")
+    if scale not in (None, FIRST) and (PREBUILT / FIRST / MANIFEST).exists():
+        click.echo(
+            f"notice: the nets in {data}/nets are used, of scale {scale}; --data {PREBUILT / FIRST} takes prebuilt "
+            "ones, which know cloths of many sides and thicknesses",
+            err=True,
+        )
 
 
 def prebuilt(root: Path) -> Path | None:

@@ -27,7 +27,11 @@ from clothkit.runtime.publish import unfinished_files
 @click.option("--plan", "source", required=True, type=click.Path(path_type=Path), metavar="PLAN", help="A plan file.")
 @click.option("--out", type=click.Path(path_type=Path), default=Path("predicted"), show_default=True, metavar="FOLDER")
 @click.option(
-    "--data", type=click.Path(path_type=Path), default=Path("data"), show_default=True, help="Where nets/ is."
+    "--data",
+    type=click.Path(path_type=Path),
+    default=Path("data"),
+    show_default=True,
+    help="Folder of nets, as in clothkit plan.",
 )
 @with_observation_options
 def command(*, state: str, source: Path, out: Path, data: Path, mask: str | None, **values: Any) -> None:

@@ -67,7 +67,11 @@ class Score(NamedTuple):
     help=f"The outcome: {', '.join(FORMATS)}.",
 )
 @click.option(
-    "--data", type=click.Path(path_type=Path), default=Path("data"), show_default=True, help="Where nets/vtm is."
+    "--data",
+    type=click.Path(path_type=Path),
+    default=Path("data"),
+    show_default=True,
+    help="Folder of nets, as in clothkit plan.",
 )
 @with_observation_options
 def command(

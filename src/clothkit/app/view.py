@@ -11,7 +11,7 @@ import tempfile
 import threading
 import webbrowser
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import click
 import jax
@@ -19,7 +19,8 @@ import viser
 
 from clothkit.app.extras import optional
 from clothkit.app.inputs import Settings, read_input
-from clothkit.app.named_goals import goal_name
+from clothkit.app.lengths import Steps
+from clothkit.app.named_goals import goal_name, manipulations_of
 from clothkit.app.options import observation_options, with_observation_options
 from clothkit.app.output import check_target
 from clothkit.app.prebuilt import load_nets
@@ -52,7 +53,11 @@ from clothkit.runtime.errors import InputError
 @click.option("--state", metavar="FILE", help="Your own cloth; needs --goal.")
 @click.option("--goal", metavar="FILE|NAME", help="The shape that it shall have: a file, or a name of clothkit goals.")
 @click.option(
-    "--steps", type=click.IntRange(1, 3), default=1, show_default=True, help="Manipulations on the way there."
+    "--steps",
+    type=Steps(),
+    metavar="N|auto",
+    help="Manipulations on the way there, 1 to 3; auto: as many as are worth it. [default: what a named goal needs, "
+    "else 1]",
 )
 @click.option("--host", default="127.0.0.1", show_default=True, help="Who may open the page: 0.0.0.0 lets others.")
 @click.option(
@@ -72,7 +77,7 @@ def command(
     name: str,
     state: str | None,
     goal: str | None,
-    steps: int,
+    steps: int | Literal["auto"] | None,
     host: str,
     port: int,
     no_browser: bool,
@@ -102,7 +107,10 @@ def command(
         raise InputError(
             f"--{'goal' if goal is None else 'state'}: missing, expected both or neither of state and goal"
         )
-    own = SessionFiles(state, goal, steps, mask) if state and goal else None
+    named = goal_name(goal, None, None) if goal else None
+    own = (
+        SessionFiles(state, goal, steps or (manipulations_of(named) if named else 1), mask) if state and goal else None
+    )
     if not data.is_dir():
         raise InputError(f"{data}: not found, expected the folder that dvc repro fills")
     _check_there_is_something(data, name, settings, own)
@@ -113,7 +121,7 @@ def command(
     if own is not None:
         # A bad file must be reported here, and not on a page that nobody has opened yet.
         read_input(own.state, options, mask=mask)
-        if goal_name(own.goal, None, None) is None:
+        if named is None:
             read_input(own.goal, options)
     with contextlib.redirect_stdout(io.StringIO()):  # viser prints its address even if verbose is False
         server = viser.ViserServer(host=host, port=port, verbose=False)

@@ -23,22 +23,19 @@ class Covered(NamedTuple):
     """Square metres."""
 
 
-def points_of(
-    state: SilhouetteState, *, area: float, thickness: float, surface: float, table: Plane | None, name: str
-) -> PointCloud:
-    """The points that a camera would see of a cloth with this silhouette, if its layers were evenly spread.
+def points_of(state: SilhouetteState, *, area: float, thickness: float, table: Plane | None, name: str) -> PointCloud:
+    """The points in the middle of the uppermost layer of a cloth with this silhouette, if layers were evenly spread.
 
-    `area` is the flat cloth's [m²], `thickness` the distance of the middles of two layers that touch [m], `surface`
-    what a camera sees above them [m] (`CloudConfig.surface`). `table` is the table's plane in the camera's frame, which
-    a silhouette seen from straight above does without. Raises InputError, in which the silhouette is called `name`, if
-    the plane is not known or a pixel does not show it.
+    `area` is the flat cloth's [m²], `thickness` the distance of the middles of two layers that touch [m]. `table` is
+    the table's plane in the camera's frame, which a silhouette seen from straight above does without. Raises
+    InputError, in which the silhouette is called `name`, if the plane is not known or a pixel does not show it.
     """
     plane = LEVEL if state.pixel is not None else table
     if plane is None:
         raise InputError(f"{name}: is a silhouette before a camera, expected the table's plane (--table)")
     covered = _from_above(state, state.pixel) if state.pixel is not None else _on_table(state, plane, name)
     layers = max(area / covered.area, 1.0)
-    height = (layers - 0.5) * thickness + surface
+    height = (layers - 0.5) * thickness
     notice = f"{name}: is a silhouette, which shows no heights; it is taken for {layers:.1f} layers everywhere"
     return PointCloud(
         covered.places + height * plane.normal,

@@ -8,6 +8,7 @@ long to simulate.
 import dataclasses
 from functools import partial
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -15,12 +16,14 @@ from jaxtyping import Float
 from clothkit.app import agent_state
 from clothkit.app.agent_state import AgentState
 from clothkit.app.inputs import Input, Settings
+from clothkit.app.lengths import AUTO, check_can_choose
 from clothkit.app.planner import Planned, estimate_mesh, load_vtm, mesh_of
 from clothkit.app.reach import limits_of
 from clothkit.app.viewer.search_progress import OnProgress, Progress, search_in_batches
 from clothkit.app.viewer.session import Mesh, Session, StateEstimate, Step, error_of, matched, shown_plan
 from clothkit.cloth.silhouette import centred
 from clothkit.cloth.topology import CLOTH_LENGTH
+from clothkit.dataset.store import STEPS
 from clothkit.estimation.estimate import estimate_probabilistic
 from clothkit.manipulation.vector import is_null, is_single
 from clothkit.observation.observe import observe
@@ -51,8 +54,8 @@ class Live:
 
     @property
     def left(self) -> int:
-        """Number of manipulations that are left."""
-        return self.session.length - self.at
+        """Number of manipulations that are left; none if the agent chose to do nothing more."""
+        return 0 if self.agent.over else self.session.length - self.at
 
     @property
     def memory(self) -> Memory:
@@ -66,14 +69,24 @@ class Live:
 
 
 def begin(
-    planner: Planner, start: Input, goal: Input, length: int, *, title: str, data: Path, settings: Settings
+    planner: Planner,
+    start: Input,
+    goal: Input,
+    steps: int | Literal["auto"],
+    *,
+    title: str,
+    data: Path,
+    settings: Settings,
 ) -> Live:
-    """Start a session of `length` manipulations; it has no plan yet.
+    """Start a session of some manipulations, or of as many as the agent finds worth it; it has no plan yet.
 
     The mesh in the file of `start` is simulated or, if there is none, the estimate. Raises InputError when the system
     cannot plan from these files.
     """
-    agent = agent_state.begin(planner, settings._replace(data=data), goal, length)
+    length, choosing = (STEPS, settings.app.length) if steps == AUTO else (steps, None)
+    if choosing is not None:
+        check_can_choose(planner.system)
+    agent = agent_state.begin(planner, settings._replace(data=data), goal, length, choosing)
     agent = agent_state.observe(agent, start)
     truth, mesh = mesh_of(start), mesh_of(goal)
     if truth is None and planner.system.voxels:
@@ -103,13 +116,19 @@ def estimate_of(agent: AgentState) -> StateEstimate:
 def plan(live: Live, *, seed: int, on_progress: OnProgress) -> Live:
     """Search for a plan for the manipulations that are left, and return the session with it.
 
-    The plan is within the limits of the hands that the settings tell, if it can be. Raises InputError when it can't, or
+    An agent that chooses their number searches once for each, and tells of no progress in between. The plan is within
+    the limits of the hands that the settings tell, if it can be. Raises InputError when it can't, or
     when no manipulation is left.
     """
     if not live.left:
         raise InputError("session: is over, expected manipulations that are left to plan")
     perceived = live.agent.perceived
     assert perceived is not None
+    limits = limits_of(live.agent.settings.app)
+    if live.agent.choosing is not None:
+        progress = Progress(0, live.left, None, np.zeros(0, np.float32), 0)
+        on_progress(progress)
+        return _with_plan(live, agent_state.plan(live.agent, seed=seed, limits=limits), progress)
     progress = search_in_batches(
         live.agent.planner,
         perceived.state,
@@ -119,7 +138,6 @@ def plan(live: Live, *, seed: int, on_progress: OnProgress) -> Live:
         on_progress=on_progress,
     )
     found = with_progress(live, progress)
-    limits = limits_of(live.agent.settings.app)
     if found.plan is None or not limits:
         return found
     agent = agent_state.kept_within(limits, found.agent, seed=seed)

@@ -7,6 +7,7 @@ from pathlib import Path
 import viser
 
 from clothkit.app.inputs import Settings, keep_compiled_programs, read_input
+from clothkit.app.lengths import AUTO
 from clothkit.app.named_goals import goal_like, goal_name
 from clothkit.app.options import ObservationOptions
 from clothkit.app.planner import load_planner
@@ -14,6 +15,7 @@ from clothkit.app.viewer.live import Live, begin, perform, plan, with_progress
 from clothkit.app.viewer.player import Player, assign, by_hand
 from clothkit.app.viewer.search_progress import Progress
 from clothkit.app.viewer.tasks import SessionFiles
+from clothkit.dataset.store import STEPS
 from clothkit.planning.systems import SYSTEMS, system
 from clothkit.runtime.errors import InputError, system_error
 
@@ -54,7 +56,9 @@ class LivePanel:
         with gui.add_folder("Own files", expand_by_default=own is not None or not tasks):
             self._state = gui.add_text("state", own.state if own else "", hint="A file of this machine, or upload one")
             self._goal = gui.add_text("goal", own.goal if own else "", hint="Likewise, or a name of clothkit goals")
-            self._steps = gui.add_slider("steps", 1, 3, 1, own.steps if own else 1)
+            steps = own.steps if own else 1
+            self._steps = gui.add_slider("steps", 1, STEPS, 1, 1 if steps == AUTO else steps)
+            self._auto = gui.add_checkbox("as many as are worth it", steps == AUTO)
             upload_state = gui.add_upload_button("upload state")
             upload_goal = gui.add_upload_button("upload goal")
         self._seed = gui.add_number("seed", 0, min=0, step=1, hint="Another seed, another search")
@@ -109,14 +113,15 @@ class LivePanel:
             for control in (self._load, self._system, self._task):
                 control.disabled = False
             self._plan.disabled = self._live is None or not self._live.left
-            self._execute.disabled = self._live is None or self._live.plan is None
+            self._execute.disabled = self._live is None or self._live.plan is None or not self._live.left
             self._running.release()
 
     def _begin(self) -> str:
         self._live = None
         # A mask is that of the cloud that it was given with.
         mask = self._masked[1] if self._masked and self._masked[0] == self._state.value else None
-        own = SessionFiles(self._state.value, self._goal.value, self._steps.value, mask)
+        steps = AUTO if self._auto.value else self._steps.value
+        own = SessionFiles(self._state.value, self._goal.value, steps, mask)
         name, files = self._task.value, self._tasks.get(self._task.value, own)
         if not files.state or not files.goal:
             raise InputError("own files: state or goal is missing, expected a file for each")
@@ -133,7 +138,10 @@ class LivePanel:
         self._live = begin(planner, start, goal, files.steps, title=title, data=self._data, settings=self._settings)
         self._player.show(self._live.session)
         return "\n\n".join(
-            [f"{_count(self._live.left)} to plan.", *(f"⚠ {n}" for n in (*start.notices, *goal.notices))]
+            [
+                f"{'at most ' if files.steps == AUTO else ''}{_count(self._live.left)} to plan.",
+                *(f"⚠ {n}" for n in (*start.notices, *goal.notices)),
+            ]
         )
 
     def _search(self) -> str:
@@ -166,6 +174,8 @@ class LivePanel:
         self._player.show(session, at=live.at)
         if self._live.plan is None:
             return "stopped before anything was found."
+        if self._live.agent.over:
+            return "nothing more is worth doing: the session is over."
         planned = session.steps[live.at].plan
         if planned is not None and not planned.improves:
             return "planned, but it is not expected to help: plan again with another seed, or execute all the same."
@@ -177,7 +187,8 @@ class LivePanel:
         self._player.show(self._live.session, at=self._live.at, shown="state")
         if not self._live.left:
             return "executed; the session is over."
-        return f"executed; {_count(self._live.left)} left: plan again from what is seen now."
+        most = "" if self._live.agent.choosing is None else "at most "
+        return f"executed; {most}{_count(self._live.left)} left: plan again from what is seen now."
 
 
 def keep_upload(folder: Path, what: str, name: str, content: bytes) -> Path:

@@ -2,7 +2,7 @@
 
 import os
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -16,7 +16,8 @@ class SessionFiles(NamedTuple):
     state: str
     """A file, in the notation of the commands; so is `goal`."""
     goal: str
-    steps: int
+    steps: int | Literal["auto"]
+    """The number of manipulations, or that the agent chooses."""
     mask: str | None = None
 
 
