@@ -11,7 +11,7 @@ import numpy as np
 
 from clothkit.app.output import write_mesh
 from clothkit.cloth.silhouette import centred
-from clothkit.cloth.topology import SQUARE
+from clothkit.cloth.topology import SQUARE, Topology
 from clothkit.cloth.voxels import RESOLUTION
 from clothkit.observation.pose import Pose
 from clothkit.observation.waypoints import hand_paths, paths_from
@@ -50,6 +50,7 @@ def content(
     vectors: tuple[np.ndarray, ...] = (BOTH, ONE),
     camera: tuple[np.ndarray, np.ndarray] | None = None,
     members: tuple[int, ...] = (0, 1),
+    topology: Topology = SQUARE,
 ) -> dict[str, Any]:
     """Manipulations of a flat cloth; nets expect what the toy world makes of them, the first one of them if one plans.
 
@@ -59,7 +60,7 @@ def content(
     members = members[:1] if chosen.single else members
     several = len(members) > 1
     axes, origin = camera or (np.eye(3), np.zeros(3))
-    poses, mesh, steps = [Pose(axes, origin, np.array(AT), side / 1.4)], SQUARE.flat(), []
+    poses, mesh, steps = [Pose(axes, origin, np.array(AT), side / 1.4)], topology.flat(), []
     start = {"state": _state(mesh, chosen.voxels, poses[0]), "centre_m": _centre(poses[0])}
     for vector in vectors:
         paths = hand_paths(vector, mesh, poses[-1])

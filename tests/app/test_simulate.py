@@ -4,9 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from clothkit.app.observables import input_of
 from clothkit.app.options import observation_options
+from clothkit.app.output import write_mesh
 from clothkit.app.plan_file import read_plan
 from clothkit.app.settings import AppConfig
 from clothkit.app.simulate import score
@@ -33,6 +35,16 @@ def test_a_half_fold_in_metres_away_from_the_origin(here: Path, files: Path, fra
     too_many = run("simulate", "--plan", "plan.json", "--steps", 2)
     assert too_many.exit_code == 1
     assert too_many.stderr.strip() == "simulate: --steps: plan.json has 1, found 2"
+
+
+def test_a_rectangle_is_simulated_as_one(here: Path) -> None:
+    options = observation_options(AppConfig(), side=None, sides=(0.4, 0.24))
+    write_mesh(here / "towel.obj", options.topology.flat().astype(float) * options.scale + [*AT, 0])
+    write(here / "plan.json", content(vectors=(HALF,), topology=options.topology) | {"sides_m": [0.4, 0.24]})
+    succeed("simulate", "--state", "towel.obj", "--plan", "plan.json", "--out", "mesh.obj")
+    outcome = trimesh.load_mesh(here / "mesh.obj", process=False).vertices
+    assert np.ptp(outcome[:, 1]) == pytest.approx(0.24, abs=0.01)
+    assert np.ptp(outcome[:, 0]) < 0.3
 
 
 def test_a_rectangle_across_its_goal_is_far_from_it() -> None:

@@ -120,7 +120,8 @@ def command(
         warn(compare_estimate(start, mesh, settings))
     assert mesh is not None
     # If the cloth is crammed into a point, each vertex touches all others, and one simulation step takes minutes.
-    check_grid(state or f"{source}: start.state", mesh * pose.scale, side=plan.side_m, unit="m")
+    name = state or f"{source}: start.state"
+    check_grid(name, mesh * pose.scale, options.topology, side=plan.side_m, unit="m")
     if named:
         with part("make the goal"):
             goal_input = named_goal(
