@@ -125,10 +125,16 @@ def test_readme_is_short_and_its_figures_are_the_report_s() -> None:
     for system in ("b1", "b2", "b3"):
         assert of(table_6, system) in " ".join(text.split())
     study = pd.read_csv(ROOT / "reports/laptop/studies/doubt_test_comparisons.csv").set_index(["system", "against"])
-    for against, words in (("eq13", "by {}, {}, {} for one"),):
+    for against, words in (
+        ("b3", "distance alone, by {}, {}, {} for one"),
+        ("eq13", "eq. (13) alone by {}, {}, {} (p"),
+    ):
         rows = study.loc[("main", against)].set_index("column").loc[columns]
         assert words.format(*(f"{-value:.3f}" for value in rows["difference"])) in " ".join(text.split())
-        assert (rows["p"] < 0.001).all()
+    assert (rows["p"] < 0.001).all()
+    without = study.loc[("main", "b3")].set_index("column").loc[columns, "p"]
+    assert f"(p {without.iloc[0]:.2f}, {without.iloc[1]:.2f}, < 0.001)" in " ".join(text.split())
+    assert without.iloc[2] < 0.001
     pairs = pd.read_csv(ROOT / "reports/laptop/tables/planning_comparisons.csv")
     pairs = pairs[(pairs["split"] == "test") & (pairs["measure"] == "error") & (pairs["system"] == "main")]
     with_one_net = pairs[(pairs["against"] == "b2") & (pairs["column"] == "3/all")].iloc[0]
