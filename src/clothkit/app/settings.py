@@ -39,6 +39,7 @@ class AppConfig:
     y_up: bool = False
     """Whether y, and not z, is up in OBJ and PLY meshes, and in clouds if table, up and viewpoint are not given."""
     cloud: CloudConfig = CloudConfig()
+    """`surface` 0 stands for half the thickness that is told; `highest` is at least the top of the nets' viewport."""
     agreement: AgreementConfig | None = None
     """Thresholds of agreement from which an estimate counts as explaining its observation; None: the nets' own."""
     motion: MotionConfig = MotionConfig()
