@@ -118,7 +118,7 @@ def estimated(picture: Picture, observation: Observation, net: Net, refine: obje
 def row_of(picture: Picture, observation: Observation, mesh: Float[np.ndarray, "u v 3"], net: Net) -> dict:
     """Return what the study tells of an image."""
     placed = observation.pose.normalised_to_table(mesh.astype(float))
-    agrees = agreement(mesh[None], observation.voxels[None], viewport=net.config.viewport)
+    agrees = agreement(mesh[None], observation.voxels[None], viewport=net.config.viewport, forgiven=0)
     return {
         "image": picture.name,
         "corners_cm": np.nan if picture.markers is None else 100 * corner_error(placed, picture.markers),

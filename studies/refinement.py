@@ -70,7 +70,7 @@ def main() -> None:
         started = time.process_time()
         mesh: Float[np.ndarray, "states u v 3"] = in_batches(refined, BATCH, seen, cloth)
         milliseconds = 1e3 * (time.process_time() - started) / (-(-len(seen) // BATCH) * BATCH)
-        agrees = agreement(mesh, seen, viewport=net.config.viewport)
+        agrees = agreement(mesh, seen, viewport=net.config.viewport, forgiven=0)
         columns = {"way": name, "sequence": row, "state": state, "error": np.asarray(errors(mesh, truth, cloth=cloth))}
         columns |= {"silhouette": agrees.silhouette, "heights": agrees.heights, "pierced": intersections(mesh)}
         tables.append(pd.DataFrame(columns | {"milliseconds": milliseconds}))

@@ -158,3 +158,11 @@ def test_sessions_are_played_planned_and_executed(page: Page, tmp_path: Path) ->
         expect(page.get_by_text(f"my_{name}.npy is here")).to_be_visible()
     page.get_by_role("button", name="load", exact=True).click()
     expect(page.get_by_text("my_state.npy: has shape [5, 5]")).to_be_visible()
+
+    # As many manipulations as are worth it, from a file that is right.
+    np.save(tmp_path / "flat.npy", SQUARE.flat())
+    chooser(page, "upload state").set_files(tmp_path / "flat.npy")
+    expect(page.get_by_text("flat.npy is here")).to_be_visible()
+    page.get_by_label("as many as are worth it").click()
+    page.get_by_role("button", name="load", exact=True).click()
+    expect(page.get_by_text("at most 3 manipulations to plan.")).to_be_visible()

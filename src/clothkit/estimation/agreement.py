@@ -13,6 +13,10 @@ from clothkit.runtime.config import config
 
 Share = Annotated[float, Ge(0), Le(1)]
 
+FORGIVEN = 1
+"""Difference of two heights [voxels] that does not count: a surface near the border of two voxels may be seen in either
+of them, and of a cloth that lies flat in one or two voxels that would be half of its height."""
+
 
 @config
 class AgreementConfig:
@@ -33,7 +37,8 @@ class Agreement(NamedTuple):
     silhouette: Float[np.ndarray, "*batch"]
     """That of the columns that hold cloth."""
     heights: Float[np.ndarray, "*batch"]
-    """That of the occluded voxels: in each column, all voxels up to the height of the cloth."""
+    """That of the occluded voxels: in each column, all voxels up to the height of the cloth. Where both hold cloth,
+    heights that differ count as if they differed by `forgiven` less."""
 
     def explains(self, least: AgreementConfig) -> Bool[np.ndarray, "*batch"]:
         """Whether both values reach their thresholds."""
@@ -41,7 +46,11 @@ class Agreement(NamedTuple):
 
 
 def agreement(
-    meshes: Float[np.ndarray, "*batch u v 3"], seen: Bool[np.ndarray, "*batch x y z"], *, viewport: Viewport = VIEWPORT
+    meshes: Float[np.ndarray, "*batch u v 3"],
+    seen: Bool[np.ndarray, "*batch x y z"],
+    *,
+    viewport: Viewport = VIEWPORT,
+    forgiven: int = FORGIVEN,
 ) -> Agreement:
     """The agreement of meshes [normalised, centred] with occluded, centred voxels of that viewport.
 
@@ -49,13 +58,15 @@ def agreement(
     viewport clamped to its uppermost voxels.
     """
     shown = np.asarray(_observed(meshes, viewport=viewport))
-    columns = np.asarray(shown.any(-1)), np.asarray(seen.any(-1))
-    return Agreement(_iou(*columns, axes=2), _iou(shown, seen, axes=3))
+    here, there = shown.sum(-1), np.asarray(seen).sum(-1)
+    lower, higher = np.minimum(here, there), np.maximum(here, there)
+    nearer = np.where(lower > 0, np.maximum(higher - forgiven, lower), higher)
+    return Agreement(_ratio(lower > 0, higher > 0), _ratio(lower, nearer))
 
 
-def _iou(a: np.ndarray, b: np.ndarray, *, axes: int) -> np.ndarray:
-    over = tuple(range(-axes, 0))
-    both, either = (a & b).sum(over), (a | b).sum(over)
+def _ratio(both: np.ndarray, either: np.ndarray) -> np.ndarray:
+    """Intersection over union from those of each column; 1 where nothing is in either."""
+    both, either = both.sum((-2, -1)), either.sum((-2, -1))
     return np.asarray(np.where(either > 0, both / np.maximum(either, 1), 1.0))
 
 

@@ -100,14 +100,21 @@ def _planned(
     memory: Memory,
     key: Keys,
     tasks: Mapping[int, Bool[np.ndarray, " task"]],
+    *,
+    nulls_last: bool = False,
 ) -> Plan:
-    """The best plans of each length for some of the tasks, ordered by task, then by length."""
+    """The best plans of each length for some of the tasks, ordered by task, then by length.
+
+    With `nulls_last`, null manipulations come after all others.
+    """
     plans, rows_of_plans = [], []
     for length, chosen in tasks.items():
         rows = np.flatnonzero(chosen)
         if len(rows):
             problems = pose(planner, state[rows], candidates[rows], take(memory, rows), length)
             found = _searched(planner, problems, key[rows], length)
+            if nulls_last:
+                found = _with_nulls_last(planner, problems, found)
             plans.append(conclude(planner, problems, found, candidates[rows]))
             rows_of_plans.append(rows)
     order = np.argsort(np.concatenate(rows_of_plans), kind="stable")
@@ -129,7 +136,9 @@ def _chosen(
 ) -> Plan:
     """For each task, of the best plans of each length that is left, that whose number of manipulations is worth it."""
     lengths = range(1, planner.normalisation.longest + 1)
-    plans = _planned(planner, state, candidates, memory, key, {n: memory.left >= n for n in lengths})
+    tasks = {n: memory.left >= n for n in lengths}
+    # A null manipulation before others would use up one of those that are left, and the look after it, for nothing.
+    plans = _planned(planner, state, candidates, memory, key, tasks, nulls_last=True)
     now, relative = nearest_labelling(planner.representation, state, memory)
     expected = np.full((len(state), len(lengths)), np.inf)
     task = np.repeat(np.arange(len(state)), np.minimum(memory.left, len(lengths)))
@@ -159,16 +168,23 @@ def _nothing(
     problems = pose(planner, state, candidates, memory, 1)
     null = np.zeros((len(state), 1, 6), np.float32)
     null[:, 0, :4] = np.nan_to_num(np.tile(candidates[:, 0], 2))
+    plan = conclude(planner, problems, _evaluated(planner, problems, null, relative), candidates)
+    return plan._replace(expected=now.astype(plan.expected.dtype), useless=np.ones_like(plan.useless))
+
+
+def _evaluated(
+    planner: Planner, problems: Problem, plan: Float[np.ndarray, "task n 6"], relative: Int[np.ndarray, " task"]
+) -> Found:
+    """Plans that no search found, as if it had."""
     search = partial(evaluated, planner.model, planner.representation, planner.nets)
-    found = in_batches(
-        lambda problems, plan, relative: search(problems, planner.objective(1), plan, relative),
+    objective = planner.objective(plan.shape[1])
+    return in_batches(
+        lambda problems, plan, relative: search(problems, objective, plan, relative),
         planner.settings.batch,
         problems,
-        null,
+        plan,
         relative,
     )
-    plan = conclude(planner, problems, found, candidates)
-    return plan._replace(expected=now.astype(plan.expected.dtype), useless=np.ones_like(plan.useless))
 
 
 def perceive(
@@ -229,6 +245,26 @@ def _searched(planner: Planner, problems: Problem, keys: Keys, length: int) -> F
             return jax.block_until_ready(planner.search(problems, keys, length=length))
 
     return in_batches(timed_search, batch, problems, keys)
+
+
+def _with_nulls_last(planner: Planner, problems: Problem, found: Found) -> Found:
+    """What a search found, where it found null manipulations before others with the others first."""
+    plan = np.asarray(found.plan)
+    null = np.asarray(is_null(plan))
+    order = np.argsort(null, axis=1, kind="stable")
+    rows = np.flatnonzero((order != np.arange(plan.shape[1])).any(axis=1))
+    if not len(rows):
+        return found
+    moved = np.take_along_axis(plan, order[..., None], axis=1)[rows]
+    again = _evaluated(planner, take(problems, rows), moved, np.asarray(found.relative)[rows])
+
+    def replaced(old: np.ndarray, new: np.ndarray) -> np.ndarray:
+        old = np.array(old)
+        old[rows] = new
+        return old
+
+    # How the search went on stays what it was.
+    return jax.tree.map(replaced, found, again._replace(losses=found.losses[rows]))
 
 
 def conclude(
