@@ -11,15 +11,22 @@ NN.txt, the true mesh of 21 x 21 vertices. Every image is converted to points, o
 - iou: intersection over union of the silhouettes of points and estimate; columns and heights: of the voxels.
 
 The net is that in the folder `--data` (default: data), and is told sides and thickness. `--seeds 1 2` trains others,
-with these seeds and otherwise alike, on the dataset in `--data`, and has rows of each: how much is luck? With
-`--pictures FOLDER`, observation, estimate and both on one another are drawn; do not publish them if the images'
-licence does not allow it.
+with these seeds and otherwise alike, on the dataset in `--data`, and has rows of each: how much is luck? `--ways`
+trains nets with the seed of the chain in other ways:
+
+longer       with three times the iterations
+wider        with hidden layers of twice the width
+hypotheses   with two hypotheses
+more data    on the training sequences of `--also FOLDER`, too, such as those of another scale
+
+Rows of other nets stay in the table. With `--pictures FOLDER`, observation, estimate and both on one
+another are drawn; do not publish them if the images' licence does not allow it.
 """
 
 import argparse
 import dataclasses
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -34,7 +41,7 @@ from trained import train_estimator
 
 from clothkit.cloth.symmetry import equivalents
 from clothkit.cloth.topology import CLOTH_LENGTH
-from clothkit.dataset.store import load
+from clothkit.dataset.store import Dataset, load
 from clothkit.estimation.agreement import agreement
 from clothkit.estimation.estimate import estimate
 from clothkit.models import store
@@ -46,6 +53,7 @@ from clothkit.observation.settings import CloudConfig
 from clothkit.observation.states import PointCloud
 from clothkit.params import Params, load_params
 from clothkit.runtime.errors import InputError
+from clothkit.training.settings import TrainVtMConfig
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -62,6 +70,18 @@ UNIT, UNIT_PIXELS, UNIT_MIDDLE, UNIT_TABLE, PER_UNIT = 0.125, 186.0, 276.0, 200.
 """Of simulated ones: metres a unit of length, pixels a unit, the middle pixel, the table's value, counts a unit."""
 EMPTY = 254
 """Value from which a pixel shows no cloth."""
+
+CHAIN, MORE = "chain", "more data"
+WAYS: dict[str, Callable[[TrainVtMConfig], TrainVtMConfig]] = {
+    "longer": lambda own: dataclasses.replace(
+        own, training=dataclasses.replace(own.training, iterations=3 * own.training.iterations)
+    ),
+    "wider": lambda own: dataclasses.replace(own, net=dataclasses.replace(own.net, hidden=2 * own.net.hidden)),
+    "hypotheses": lambda own: dataclasses.replace(own, net=dataclasses.replace(own.net, hypotheses=2)),
+    MORE: lambda own: own,
+}
+"""Other ways to train than that of the chain."""
+KEYS = ["way", "seed", "image"]
 
 
 class Picture(NamedTuple):
@@ -169,14 +189,32 @@ def draw(path: Path, picture: Picture, observation: Observation, mesh: Float[np.
     plt.close(figure)
 
 
-def nets(data: Path, seeds: list[int], params: Params) -> Iterator[tuple[int, Net]]:
-    """The net of the chain and those with other seeds, each with its seed."""
+def nets(
+    data: Path, seeds: list[int], ways: list[str], also: Path | None, params: Params
+) -> Iterator[tuple[str, int, Net]]:
+    """The net of the chain and those with other seeds or trained in other ways, each with way and seed."""
     own = params.stages.train_vtm.training.seed
-    yield own, store.load(data / "nets/vtm")
-    meshes, others = data / "meshes.zarr", [seed for seed in seeds if seed != own]
-    current = fingerprint([meshes], params.stages.train_vtm) if others else ""
-    for seed in others:
-        yield seed, train_estimator(data / "nets/real_cloths" / str(seed), seed, params, load(meshes), current)
+    yield CHAIN, own, store.load(data / "nets/vtm")
+    for way, seed in [*((CHAIN, seed) for seed in seeds if seed != own), *((way, own) for way in ways)]:
+        used = [data / "meshes.zarr", *([also / "meshes.zarr"] if also and way == MORE else [])]
+        varied = params if way == CHAIN else with_training(params, WAYS[way](params.stages.train_vtm))
+        sets = [load(path) for path in used]
+        training = joined([dataset.of_split("train") for dataset in sets])
+        folder = data / "nets/real_cloths" / (str(seed) if way == CHAIN else way.replace(" ", "_"))
+        current = fingerprint(used, varied.stages.train_vtm)
+        yield way, seed, train_estimator(folder, seed, varied, training, sets[0].of_split("validation"), current)
+
+
+def with_training(params: Params, training: TrainVtMConfig) -> Params:
+    """Return params with other settings of the stage train_vtm."""
+    stages = params.stages.model_copy(update={"train_vtm": training})
+    return params.model_copy(update={"scales": {**params.scales, params.scale: stages}})
+
+
+def joined(datasets: list[Dataset]) -> Dataset:
+    """Return the sequences of several datasets."""
+    names = [field.name for field in dataclasses.fields(Dataset)]
+    return Dataset(*(np.concatenate([getattr(dataset, name) for dataset in datasets]) for name in names))
 
 
 def main() -> None:
@@ -185,28 +223,34 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--data", type=Path, default=Path("data"))
     parser.add_argument("--seeds", type=int, nargs="*", default=[])
+    parser.add_argument("--ways", choices=list(WAYS), nargs="*", default=[])
+    parser.add_argument("--also", type=Path, metavar="FOLDER")
     parser.add_argument("--pictures", type=Path)
     asked = parser.parse_args()
+    if (MORE in asked.ways) != (asked.also is not None):
+        parser.error(f"--ways {MORE!r} and --also FOLDER: expected both or neither")
     params = load_params(Path("params.yaml"))
     if asked.pictures:
         asked.pictures.mkdir(parents=True, exist_ok=True)
     rows = []
-    for seed, net in nets(asked.data, asked.seeds, params):
+    for way, seed, net in nets(asked.data, asked.seeds, asked.ways, asked.also, params):
         settings = dataclasses.replace(params.app.cloud, viewport=net.config.viewport)
         for picture in pictures(asked.folder):
             observation = observed(picture, settings)
             mesh = estimated(picture, observation, net, params.stages.plan.refine)
-            rows.append({"seed": seed, **row_of(picture, observation, mesh, net)})
+            rows.append({"way": way, "seed": seed, **row_of(picture, observation, mesh, net)})
             if asked.pictures:
-                told = ", ".join(f"{name} {value:.2f}" for name, value in list(rows[-1].items())[2:] if value == value)
-                path = asked.pictures / f"{picture.name}_{seed}.png"
+                told = ", ".join(f"{name} {value:.2f}" for name, value in list(rows[-1].items())[3:] if value == value)
+                path = asked.pictures / f"{picture.name}_{way}_{seed}.png"
                 draw(path, picture, observation, mesh, f"{picture.name}: {told}")
-    found = pd.DataFrame(rows)
-    kind = found["image"].str.replace(r"_\d+$", "", regex=True).rename("kind")
-    print(found.drop(columns="image").groupby([kind, "seed"]).mean().round(3).to_string())
     folder = Path("reports") / params.scale / "studies"
     folder.mkdir(parents=True, exist_ok=True)
-    found.round(4).to_csv(folder / "real_cloths.csv", index=False)
+    file = folder / "real_cloths.csv"
+    kept = [pd.read_csv(file)] if file.exists() else []
+    found = pd.concat([*kept, pd.DataFrame(rows)]).drop_duplicates(KEYS, keep="last").round(4)
+    kind = found["image"].str.replace(r"_\d+$", "", regex=True).rename("kind")
+    print(found.drop(columns="image").groupby([kind, "way", "seed"], sort=False).mean().round(3).to_string())
+    found.to_csv(file, index=False)
 
 
 if __name__ == "__main__":

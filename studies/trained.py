@@ -68,8 +68,10 @@ def train(
         shutil.rmtree(work)
 
 
-def train_estimator(folder: Path, seed: int, params: Params, dataset: Dataset, current: str) -> Net:
-    """Return VtM trained as the train_vtm stage does, but with another seed; it is trained unless it is in `folder`."""
+def train_estimator(
+    folder: Path, seed: int, params: Params, training: Dataset, validation: Dataset, current: str
+) -> Net:
+    """Return VtM trained as the train_vtm stage does, but with that seed; it is trained unless it is in `folder`."""
     settings, study = params.stages.train_vtm, folder.parent.name
     work = WORK / "studies" / study / f"{folder.name}_{current}"
     with alone(work.with_name(f"{work.name}.lock")):
@@ -77,7 +79,6 @@ def train_estimator(folder: Path, seed: int, params: Params, dataset: Dataset, c
             return net_store.load(folder)
         work.mkdir(exist_ok=True)
         print(f"{folder}: training", flush=True)
-        training, validation = dataset.of_split("train"), dataset.of_split("validation")
         trained = train_vtm(settings, training, validation, work=work, key=jax.random.key(seed))
         net = Net(settings.net, trained.params)
         net = recalibrated(net, validation) if settings.recalibrate else net
