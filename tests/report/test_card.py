@@ -170,6 +170,16 @@ def test_the_page_is_complete_and_its_code_runs(raw: Path, card: Path, monkeypat
     assert list(np.asarray(names["how"], float)) == pytest.approx([-1, -1, 1, -1, 0.3, 0.5])
 
 
+def test_drawn_cloths_are_told_by_their_ranges(raw: Path) -> None:
+    inputs = read(raw)
+    drawn = {"thickness": [0.002, 0.008], "cloth_friction": [0.2, 0.8], "table_friction": [0.3, 1.0]}
+    params = {**inputs.params, "variation": drawn}
+    words = in_words(dataclasses.replace(inputs, attributes={**inputs.attributes, "params": params}))
+    assert "squares and rectangles of 32 x 32 vertices whose longer side is 0.4 m" in words
+    assert "Layers lie 0.002 to 0.008 m apart" in words
+    assert "is a square" not in words
+
+
 def test_equal_artifacts_give_equal_bytes(raw: Path, card: Path, tmp_path: Path) -> None:
     build(tmp_path / "again", raw, SETTINGS)
     assert contents(tmp_path / "again") == contents(card)

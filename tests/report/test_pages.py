@@ -4,12 +4,14 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from ruamel.yaml import YAML
 
 from clothkit.evaluation import comparisons
 from clothkit.report import formatting, pages, sections, texts
 from clothkit.report.blocks import Picture
 from clothkit.report.entries import Figure, Section, Table, Text
 from clothkit.report.markdown.page import page
+from clothkit.report.paper import without_paper
 from clothkit.report.sections import CAPTIONS, TABLES
 from clothkit.runtime.errors import InputError
 from tests.evaluation.planning_rows import SYSTEMS
@@ -44,6 +46,20 @@ def test_what_an_older_report_lacks_is_not_missed(tmp_path: Path, missing: tuple
     assert text.count("Not measured in this report.") == sum(
         name.startswith("table_") for name in missing if name != "table_8"
     )
+
+
+def test_a_report_of_other_cloths_does_not_speak_of_the_papers_figures(tmp_path: Path) -> None:
+    made = {name: without_paper(table) for name, table in tables_of(SYSTEMS).items()}
+    folder = write_report(tmp_path / "report", made)
+    settings = YAML(typ="safe").load(folder / "params.yaml")
+    settings["scales"][settings["scale"]]["report"]["paper"] = False
+    YAML().dump(settings, folder / "params.yaml")
+    pages.write(folder, tmp_path)
+    assert set(pd.read_csv(tmp_path / "budgets.csv")["source"]) == {"clothkit"}
+    text = (tmp_path / "README.md").read_text()
+    assert "| paper |" not in text
+    for told in ("The paper's", "In the paper", "As in the paper", "The paper gives", "The paper does not say"):
+        assert told not in text
 
 
 def test_a_section_is_left_out_where_a_report_lacks_its_data(tmp_path: Path) -> None:

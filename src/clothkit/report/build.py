@@ -27,6 +27,7 @@ from clothkit.report.figures.sessions import Session, median, of_record, session
 from clothkit.report.figures.trajectories import Example, trajectories
 from clothkit.report.figures.voxels import voxels
 from clothkit.report.inputs import Inputs
+from clothkit.report.paper import without_paper
 from clothkit.report.plots import plots
 from clothkit.report.sections import CAPTIONS
 from clothkit.report.settings import ReportConfig
@@ -77,10 +78,7 @@ def build(folder: Path, inputs: Inputs, settings: ReportConfig) -> dict[str, pd.
         for measure, name in (("error", "goals"), ("softgym", "goals_softgym"), ("iou", "goals_iou")):
             built[name] = goal_tables.goals(inputs.goals, measure)
     if not settings.paper:
-        built = {
-            name: table[table["source"] != "paper"].reset_index(drop=True) if "source" in table else table
-            for name, table in built.items()
-        }
+        built = {name: without_paper(table) for name, table in built.items()}
     for name in ("by_cloth", "comparisons"):
         if built[name].empty:
             del built[name]

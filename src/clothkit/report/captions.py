@@ -38,9 +38,9 @@ PAPER = (
 )
 UNCERTAINTY = (
     "Median over meshes of the mean of abs(error) / σ. The ideal is 0.798; a smaller value means that σ is too large. "
-    "Columns: estimates, then predictions after one, two and three manipulations. The paper gives values for the test "
-    "set only.\n"
+    "Columns: estimates, then predictions after one, two and three manipulations.\n"
 )
+UNCERTAINTY_PAPER = "The paper gives values for the test set only.\n"
 
 VOXELS = (
     "The same predictions in voxels: mean absolute difference of voxel values. *a2* is the paper's voxel baseline: its "
@@ -61,24 +61,26 @@ POSITION = (
 )
 LABELLED = (
     "*mean, labelled* compares outcome and goal vertex by vertex in the dataset's labels, instead of in the best of "
-    'eight labellings. The paper\'s errors are distances "for each mesh vertex"; it does not say which labelling it '
-    "uses.\n"
+    "eight labellings.\n"
 )
+LABELLED_PAPER = 'The paper\'s errors are distances "for each mesh vertex"; it does not say which labelling it uses.\n'
 LABELLED_SHORT = (
     "Errors are those in the best of eight labellings; *labelled* ones compare outcome and goal in the dataset's "
-    "labels. The paper does not say which labelling it uses.\n"
+    "labels.\n"
 )
+LABELLED_SHORT_PAPER = "The paper does not say which labelling it uses.\n"
 INTERVALS = (
     "*mean 95 % low* and *high*, or *95 % of mean*, are the ends of a bootstrap interval of our mean. It resamples "
     "sequences, because the tasks of a sequence share states. It is not given for fewer than ten sequences.\n"
 )
 TALL = (
     "The table above for a viewport of height 0.25, whose voxels are four times finer in z than in x and y, as the "
-    "paper's text says. The paper's values are the same as above.{}\n"
+    "paper's text says.\n"
 )
+TALL_PAPER = "The paper's values are the same as above.\n"
 TALL_A2 = (
-    " *a2* predicts voxels of the usual viewport. Each voxel of this table takes the larger of the two values that lie "
-    "in it, one above the other; voxels above the usual viewport count as empty."
+    "*a2* predicts voxels of the usual viewport. Each voxel of this table takes the larger of the two values that lie "
+    "in it, one above the other; voxels above the usual viewport count as empty.\n"
 )
 BUDGETS = (
     "The budgets for planning and training. *nets*: nets used in a plan: an ensemble, or for systems with one net the "
@@ -86,8 +88,10 @@ BUDGETS = (
     "stages' last runs on this machine; for a training that was interrupted, only the time after it was resumed. "
     "*strains*: plans that an iteration changes. *evaluations*: how often the search for a plan of 1, 2 or 3 "
     "manipulations evaluates the loss, with or without its gradient. One evaluation of a voxel net costs many times as "
-    "much as one of a mesh net. The paper's rows have the paper's settings; their numbers of parameters are those of "
-    "our implementation.\n"
+    "much as one of a mesh net.\n"
+)
+BUDGETS_PAPER = (
+    "The paper's rows have the paper's settings; their numbers of parameters are those of our implementation.\n"
 )
 PLANNING_VOXELS = (
     "The same outcomes and goals in voxels: mean absolute difference of voxel values. Both are without noise and "
@@ -101,9 +105,11 @@ PLANNING_COMPARISONS = (
 )
 SPEED = (
     "Seconds of search per plan, by system and plan length. *estimate*: seconds per estimate of a mesh, including its "
-    "refinement except for *unrefined* (in the paper 3.7 ms for VtM and 0.57 s for the refinement). Our sizes are "
-    "those of [params.yaml](params.yaml), the paper's those of its table 1. Many searches run at the same time. A "
-    "dash: the system has none, or the stage's results were restored and its times are not known.\n"
+    "refinement except for *unrefined*. Sizes are those of [params.yaml](params.yaml). Many searches run at the same "
+    "time. A dash: the system has none, or the stage's results were restored and its times are not known.\n"
+)
+SPEED_PAPER = (
+    "The paper's sizes are those of its table 1; its estimates take 3.7 ms for VtM and 0.57 s for the refinement.\n"
 )
 TIMINGS = (
     "Of the stages' last runs on this machine: CPU time of all processes, and memory of the largest process. A stage "

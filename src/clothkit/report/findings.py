@@ -39,10 +39,11 @@ STUDIED = {
 """The comparisons of the study of doubt (studies/doubt.py --split test), in words."""
 
 
-def findings(comparisons: pd.DataFrame, study: pd.DataFrame | None = None) -> list[str]:
+def findings(comparisons: pd.DataFrame, study: pd.DataFrame | None = None, *, beside_paper: bool = True) -> list[str]:
     """Paragraphs in Markdown from the table of planners' comparisons; an empty list if nothing was compared.
 
     `study` are the comparisons of the study of doubt, which planned for more test sequences, if there are any.
+    `beside_paper` tells whether findings are set beside the paper's.
     """
     errors = comparisons[(comparisons["split"] == "test") & (comparisons["measure"] == "error")]
     pairs = dict(iter(errors[errors["system"] == "main"].groupby("against")))
@@ -52,7 +53,7 @@ def findings(comparisons: pd.DataFrame, study: pd.DataFrame | None = None) -> li
     if study is not None and len(study) and sentences:
         sentences.append(_studied(study))
     others = {name: pairs[name] for name in ("b2", "b3") if name in pairs}
-    if others:
+    if others and beside_paper:
         sentences.append(_lead(others))
     if "unrefined" in pairs:
         sentences.append(_refinement(pairs["unrefined"]))

@@ -8,6 +8,7 @@ from clothkit.report.contents import Contents
 from clothkit.report.html import page as html
 from clothkit.report.layout import NO_ACTION
 from clothkit.report.markdown import page as markdown
+from clothkit.report.paper import without_paper
 from clothkit.report.sections import CAPTIONS, TABLES, sections
 
 STUDIES = ("studies/memory.csv", "studies/doubt_test_comparisons.csv")
@@ -28,6 +29,8 @@ def write(report: Path, folder: Path) -> None:
     own = shown.tables["table_6"].query("source == 'clothkit'")["system"].drop_duplicates()
     systems = [name for name in own if name != NO_ACTION]
     table = budgets(shown.settings, shown.tables.get("timings"), systems)
+    if not shown.settings.beside_paper:
+        table = without_paper(table)
     table.to_csv(folder / "budgets.csv", index=False, float_format="%.5g", lineterminator="\n")
     parts, title = sections(shown, table), f"Report: {shown.settings.scale}"
     (folder / "README.md").write_text(markdown.page(title, parts))

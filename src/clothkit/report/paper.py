@@ -22,3 +22,8 @@ def table_of(number: int, systems: Collection[str]) -> pd.DataFrame:
 def sigma_ratios() -> pd.DataFrame:
     """The paper's median sigma ratios on the test set (sections 6.1 and 6.2); 0.798 is ideal."""
     return pd.read_csv(FOLDER / "sigma_ratio.csv")
+
+
+def without_paper(table: pd.DataFrame) -> pd.DataFrame:
+    """A table of a report without the paper's rows, if it has any."""
+    return table[table["source"] != "paper"].reset_index(drop=True) if "source" in table else table

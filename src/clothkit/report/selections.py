@@ -73,5 +73,5 @@ def sigma_ratios(report: Report, rows: pd.DataFrame) -> pd.DataFrame:
 def speed(report: Report, rows: pd.DataFrame) -> pd.DataFrame:
     """Table 8 with its columns in words."""
     named = {"1": "1 step", "2": "2 steps", "3": "3 steps", "estimate": "an estimate"}
-    table = rows.fillna({"machine": ""}).rename(columns=named)
+    table = rows.astype({"machine": object}).fillna({"machine": ""}).rename(columns=named)
     return table[["system", "source", *table.columns[2:]]]

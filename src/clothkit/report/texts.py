@@ -1,6 +1,7 @@
 """Texts of the report that depend on its settings or its figures, in Markdown; an empty one is left out."""
 
 import math
+from collections.abc import Callable
 
 import pandas as pd
 
@@ -11,10 +12,19 @@ from clothkit.report.formatting import number
 from clothkit.report.layout import BY_LENGTH
 
 
+def with_paper(text: str, about_paper: str) -> Callable[[Report], str]:
+    """A text that goes on about the paper where the paper's figures are in the report."""
+
+    def words(report: Report) -> str:
+        return f"{text.rstrip()} {about_paper}" if report.contents.settings.beside_paper else text
+
+    return words
+
+
 def findings_on_planners(report: Report) -> list[str]:
     """What the comparisons of planners say, a paragraph each."""
-    compared = report.table("planning_comparisons")
-    return [] if compared.empty else findings.findings(compared, report.contents.doubt)
+    compared, beside_paper = report.table("planning_comparisons"), report.contents.settings.beside_paper
+    return [] if compared.empty else findings.findings(compared, report.contents.doubt, beside_paper=beside_paper)
 
 
 def planned(report: Report) -> str:
@@ -75,6 +85,9 @@ def viewport(contents: Contents, name: str, in_meshes: str) -> str:
 
     `in_meshes` names the table with the errors of the same meshes.
     """
+    to_no_action = "*mean / no action* compares our errors with those without any action.\n"
+    if not contents.settings.beside_paper:
+        return to_no_action
     voxels, meshes = (contents.tables.get(table, pd.DataFrame()) for table in (name, in_meshes))
     comparisons = []
     for system in () if voxels.empty else voxels.loc[voxels["source"] == "paper", "system"].drop_duplicates():
@@ -94,8 +107,7 @@ def viewport(contents: Contents, name: str, in_meshes: str) -> str:
         "eight times finer in z than in x and y, although its text says four, and fewer voxels agree if they are "
         "finer; the next table, for a viewport of height 0.25, has voxels that are four times finer. Second, the "
         "paper's table 7 is not consistent with its table 6 across systems: almost equal errors of meshes are voxel "
-        f"differences that differ by more than a factor of two, in {pairs}. *mean / no action* compares our errors "
-        "with those without any action.\n"
+        f"differences that differ by more than a factor of two, in {pairs}. {to_no_action}"
     )
 
 
@@ -131,8 +143,9 @@ def dataset(report: Report) -> str:
     count, manipulations = int(splits["sequences"].sum()), int(splits["manipulations"].sum())
     single = float((splits["single_handed"] * splits["manipulations"]).sum()) / max(manipulations, 1)
     accepted = float(attempts.loc[attempts["outcome"] == "accepted", "share"].sum())
+    cloths = "cloths of many kinds" if report.contents.settings.varied else "a square cloth"
     return (
-        f"{count} sequences of a square cloth folded at random, {manipulations} manipulations, {100 * single:.1f} % of "
+        f"{count} sequences of {cloths} folded at random, {manipulations} manipulations, {100 * single:.1f} % of "
         f"them single-handed; {100 * accepted:.1f} % of the tried sequences were accepted. [The dataset's card]"
         "(dataset/README.md) describes its files, columns, quality and worst states.\n"
     )

@@ -57,7 +57,7 @@ class Inputs:
     vertices: Mapping[int, int]
     """Number of vertices of each topology."""
     sides: tuple[float, float]
-    """Sides of the smallest and the largest flat cloth [m]."""
+    """Longer sides of the smallest and the largest flat cloth [m]."""
 
     @property
     def params(self) -> Mapping[str, Any]:
@@ -150,7 +150,7 @@ def _tried(attempts: pd.DataFrame, lists: Sequence[str]) -> pd.DataFrame:
 
 
 def _sides(materials: pd.Series) -> tuple[float, float]:
-    sides = [float(np.ptp(np.reshape(material, (-1, 2)), axis=0).mean()) for material in materials]
+    sides = [float(np.ptp(np.reshape(material, (-1, 2)), axis=0).max()) for material in materials]
     return min(sides), max(sides)
 
 

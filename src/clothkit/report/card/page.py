@@ -39,11 +39,6 @@ TABLES = ("settings", "outcomes", "hands", "quality", "quality_tried", "against_
 # A sentence is printed only if the artifacts' settings contain all values that it mentions.
 _SENTENCES = (
     "The states come from {source}, of the runs listed in `{runs}/runs.csv`.",
-    "The cloth is a square of {simulation.cloth_side} m with {simulation.side} x {simulation.side} vertices, on a "
-    "table.",
-    "Layers lie {simulation.material.thickness} m apart where they touch.",
-    "Friction coefficients are {simulation.material.cloth_friction} between layers and "
-    "{simulation.material.table_friction} on the table.",
     "Hands move at {simulation.hand_speed} m/s on average, along arcs that rise {simulation.highest_lift} (normalised) "
     "at the most above the point that was grasped.",
     "Where layers lie on each other, hands grasp: {simulation.grasp}.",
@@ -56,6 +51,20 @@ _SENTENCES = (
     "{limits.strain_worst}, and layers lie no closer than {limits.gap} of the distance at which they touch; a "
     "sequence is kept when all its states are.",
     "The seed of all random numbers is {seed}.",
+)
+
+_ONE_CLOTH = (
+    "The cloth is a square of {simulation.cloth_side} m with {simulation.side} x {simulation.side} vertices, on a "
+    "table.",
+    "Layers lie {simulation.material.thickness} m apart where they touch.",
+    "Friction coefficients are {simulation.material.cloth_friction} between layers and "
+    "{simulation.material.table_friction} on the table.",
+)
+_DRAWN_CLOTHS = (
+    "Cloths are drawn for each sequence and stored in `cloths.parquet`: squares and rectangles of {simulation.side} x "
+    "{simulation.side} vertices whose longer side is {simulation.cloth_side} m.",
+    "Layers lie {variation.thickness} m apart where they touch.",
+    "Friction coefficients are {variation.cloth_friction} between layers and {variation.table_friction} on the table.",
 )
 
 _FILES = {
@@ -126,17 +135,26 @@ how = manipulations.loc[({q}, 0), ["u1", "v1", "u2", "v2", "dx", "dy"]]  # what 
 def in_words(inputs: Inputs) -> str:
     """Sentences on how the artifacts were made, from their settings; sentences with missing settings are left out."""
     attributes, stated = inputs.attributes, flatten(inputs.params)
-    keys = {sentence: re.findall(r"{([^}]*)}", sentence) for sentence in _SENTENCES}
+    cloths = _DRAWN_CLOTHS if _are_drawn(inputs) else _ONE_CLOTH
+    told = (*_SENTENCES[:1], *cloths, *_SENTENCES[1:])
+    keys = {sentence: re.findall(r"{([^}]*)}", sentence) for sentence in told}
     sentences = [
         re.sub(r"{([^}]*)}", lambda match: _value(stated[match[1]]), sentence)
-        for sentence in _SENTENCES
+        for sentence in told
         if all(key in stated for key in keys[sentence])
     ]
     origin = ", ".join(f"{key} *{attributes[key]}*" for key in ("stage", "scale") if key in attributes)
     return " ".join([f"Made by {origin}.", *sentences] if origin else sentences or ["The files do not say."]) + "\n"
 
 
+def _are_drawn(inputs: Inputs) -> bool:
+    """Whether each sequence has another cloth."""
+    return "variation.thickness" in flatten(inputs.params)
+
+
 def _value(value: object) -> str:
+    if isinstance(value, list | tuple):
+        return " to ".join(_value(part) for part in value)
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
@@ -157,8 +175,9 @@ def _summary(inputs: Inputs) -> str:
     kept = inputs.attempts["accepted"].astype(bool)
     topologies = "one triangulation" if len(inputs.vertices) == 1 else f"{len(inputs.vertices)} triangulations"
     many = "manipulation" if long == "1" else "manipulations"
+    cloth = "a cloth, another one in each," if _are_drawn(inputs) else "a square cloth"
     return (
-        "Sequences of a square cloth that lies on a table and is folded by a robot with one or two hands, "
+        f"Sequences of {cloth} that lies on a table and is folded by a robot with one or two hands, "
         "simulated: every state at rest as a triangle mesh, and between states what the hands did. For learning what a "
         f"manipulation does to a cloth.\n\n**{sequences} sequences** of {long} {many}: **{len(inputs.states)} "
         f"states**, {moves} manipulations, {counts} vertices a state in {topologies}. Of {len(kept)} tried sequences "
@@ -170,9 +189,10 @@ def _summary(inputs: Inputs) -> str:
 def _words(inputs: Inputs) -> str:
     smallest, largest = (f"{side / CLOTH_LENGTH:.4g}" for side in inputs.sides)
     metres = f", so 1 is {smallest} m here" if smallest == largest else f": 1 is {smallest} to {largest} m here"
+    side = "longer side" if _are_drawn(inputs) else "side"
     return (
         "- *World frame*: metres, z up, the table is z = 0. The flat cloth's sides lie along x and y.\n"
-        f"- *Normalised* lengths: the flat cloth's side is {CLOTH_LENGTH}{metres}.\n"
+        f"- *Normalised* lengths: the flat cloth's {side} is {CLOTH_LENGTH}{metres}.\n"
         "- *Geodesic* coordinates (u, v): a point on the cloth, -1 to 1 from edge to edge; u runs along x on the flat "
         "cloth, v along y.\n"
         "- A *manipulation*: one or two hands grasp the cloth at (u1, v1) and (u2, v2), move on arcs, let go, and the "
