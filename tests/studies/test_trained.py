@@ -36,7 +36,9 @@ def test_another_seed_is_another_net(study: ModuleType, monkeypatch: pytest.Monk
         scale="toy", stages=SimpleNamespace(train_vtm=settings), section=lambda _: {"net": {"hidden": 4}}
     )
     folder = Path("data/nets/real_cloths")
-    nets = [study.train_estimator(folder / str(k), k, params, toy_dataset.dataset(), "abc") for k in (1, 2, 1)]
+    data = toy_dataset.dataset()
+    sets = data.of_split("train"), data.of_split("validation")
+    nets = [study.train_estimator(folder / str(k), k, params, *sets, "abc") for k in (1, 2, 1)]
     assert [work.as_posix() for work in calls] == [f".work/studies/real_cloths/{k}_abc" for k in (1, 2)]
     first, other, again = (np.concatenate([np.ravel(w) for w in jax.tree.leaves(net.params)]) for net in nets)
     np.testing.assert_array_equal(first, again)
