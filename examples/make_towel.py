@@ -1,6 +1,6 @@
 """Writes examples/towel.ply, a flat towel as a depth camera sees it.  ./run python examples/make_towel.py [FILE]
 
-A towel of 0.5 x 0.3 m and 4 mm, turned by 20 degrees, 0.8 m straight below a camera; depth has noise of 1 mm.
+A towel of 0.5 x 0.3 m and 5 mm, turned by 20 degrees, 0.8 m straight below a camera; depth has noise of 1 mm.
 Points are in metres, in the camera's frame.
 """
 
@@ -12,7 +12,7 @@ import trimesh
 from clothkit.cloth.topology import CLOTH_LENGTH, rectangle
 from clothkit.observation.camera import CameraConfig, back_project, render
 
-LONGER, SHORTER, THICKNESS = 0.5, 0.3, 0.004
+LONGER, SHORTER, THICKNESS = 0.5, 0.3, 0.005
 ANGLE = 0.35
 NOISE = 0.001
 EVERY = 2

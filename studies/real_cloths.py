@@ -200,7 +200,7 @@ def nets(
         varied = params if way == CHAIN else with_training(params, WAYS[way](params.stages.train_vtm))
         sets = [load(path) for path in used]
         training = joined([dataset.of_split("train") for dataset in sets])
-        folder = data / "nets/real_cloths" / (str(seed) if way == CHAIN else way.replace(" ", "_"))
+        folder = data / "studies/real_cloths" / (str(seed) if way == CHAIN else way.replace(" ", "_"))
         current = fingerprint(used, varied.stages.train_vtm)
         yield way, seed, train_estimator(folder, seed, varied, training, sets[0].of_split("validation"), current)
 

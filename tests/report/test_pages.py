@@ -21,7 +21,7 @@ from tests.report.web import tree
 REPORTS = Path(__file__).parents[2] / "reports"
 
 
-@pytest.mark.parametrize("scale", ["laptop", "overnight"])
+@pytest.mark.parametrize("scale", ["household", "laptop", "overnight"])
 def test_the_committed_pages_are_made_from_the_committed_tables(scale: str, tmp_path: Path) -> None:
     pages.write(REPORTS / scale, tmp_path)
     for name in pages.OUTS:
