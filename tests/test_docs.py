@@ -124,6 +124,9 @@ def test_readme_is_short_and_its_figures_are_the_report_s() -> None:
     }
     for system in ("b1", "b2", "b3"):
         assert of(table_6, system) in " ".join(text.split())
+    household = pd.read_csv(ROOT / "reports/household/tables/table_6.csv")
+    for system in ("main", "b1", "b3"):
+        assert of(household, system) in " ".join(text.split())
     study = pd.read_csv(ROOT / "reports/laptop/studies/doubt_test_comparisons.csv").set_index(["system", "against"])
     for against, words in (
         ("b3", "distance alone, by {}, {}, {} for one"),
