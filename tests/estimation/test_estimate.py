@@ -13,7 +13,7 @@ from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.cloth.symmetry import equivalents, relabel
 from clothkit.cloth.topology import SQUARE, rectangle
 from clothkit.estimation import estimate as module
-from clothkit.estimation.estimate import alternatives, estimate, estimate_unrefined, labelled_like
+from clothkit.estimation.estimate import alternatives, estimate, estimate_unrefined, fused, labelled_like
 from clothkit.estimation.refine import RefineConfig
 from clothkit.models.hypotheses import Hypotheses
 from clothkit.models.net import Net
@@ -52,11 +52,30 @@ def test_estimates_of_a_small_net() -> None:
     assert 0 < moved.max() <= furthest + 1e-6
     np.testing.assert_array_equal(estimate_unrefined(net, seen), plain.probabilistic.mean)
     guess = np.repeat(lopsided()[None], 2, axis=0)
-    biased = estimate(net, seen, refining, predicted=guess)
+    predicted = ProbabilisticMesh(guess, np.full_like(guess, 0.01))
+    biased = estimate(net, seen, RefineConfig(iterations=5, prior=None), predicted=predicted)
     assert 0 < np.abs(biased.mesh - guess).max() <= furthest + 1e-6
     # Under the labels of what was predicted, refined or not.
     np.testing.assert_array_equal(biased.probabilistic.mean, labelled_like(plain.probabilistic, guess).mean)
     np.testing.assert_array_equal(estimate_unrefined(net, seen, guess), biased.probabilistic.mean)
+    # What is sure of the prediction counts, what is not does not.
+    half = predicted._replace(std=np.where(np.arange(3) < 2, 1e-6, np.inf).astype(np.float32) * np.ones_like(guess))
+    mixed = estimate(net, seen, RefineConfig(iterations=5, prior=2.0), predicted=half)
+    np.testing.assert_allclose(mixed.probabilistic.mean[..., :2], guess[..., :2], atol=1e-5)
+    np.testing.assert_allclose(mixed.probabilistic.mean[..., 2], biased.probabilistic.mean[..., 2], atol=1e-6)
+
+
+def test_a_surer_source_counts_more() -> None:
+    """By hand: 1 with a deviation of 1, and 4 with one of 2, are 1.6 with one of the square root of 0.8."""
+    one, other = (
+        ProbabilisticMesh(jnp.full((1, 2, 2, 3), m), jnp.full((1, 2, 2, 3), s)) for m, s in ((1, 1.0), (4, 2.0))
+    )
+    found = fused(one, other)
+    np.testing.assert_allclose(found.mean, 1.6, rtol=1e-6)
+    np.testing.assert_allclose(found.std, np.sqrt(0.8), rtol=1e-6)
+    alone = fused(one, other._replace(std=jnp.full((1, 2, 2, 3), jnp.inf)))
+    np.testing.assert_array_equal(alone.mean, one.mean)
+    np.testing.assert_array_equal(alone.std, one.std)
 
 
 def test_labels_are_among_the_cloths_own_symmetries() -> None:
@@ -110,5 +129,6 @@ def test_a_prediction_chooses_among_the_shapes() -> None:
     with mock.patch.object(module, "_vtm", two_shapes):
         for mirrored in (False, True):
             expected = np.asarray(relabel(quarter(mirrored), 3))[None]
-            found = estimate(net, seen, RefineConfig(iterations=0), predicted=expected)
+            predicted = ProbabilisticMesh(expected, np.full_like(expected, 0.02))
+            found = estimate(net, seen, RefineConfig(iterations=0), predicted=predicted)
             np.testing.assert_allclose(found.probabilistic.mean, expected, atol=1e-6)

@@ -178,7 +178,9 @@ def advanced(now: AgentState, *, executed: bool) -> AgentState:
         common=planned.common,
         relative=planned.relative,
         traces=planned.traces,
-        predicted=planned.means[now.planner.best, 0] if executed else None,
+        predicted=agent.expectation(planned.means[:, 0], None if planned.stds is None else planned.stds[:, 0])
+        if executed
+        else None,
         left=0 if now.over else int(now.memory.left[0]) - 1,
     )
     return dataclasses.replace(now, memory=memory, planned=None)

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from clothkit.app.plan_file import MeshState, Placed, Plan
 from clothkit.app.planner import State, Traces, memory_after
-from clothkit.planning.agent import initial_traces
+from clothkit.planning.agent import expectation, initial_traces
 from clothkit.planning.planner import Planner
 from clothkit.planning.types import Memory
 from clothkit.runtime.errors import InputError
@@ -97,8 +97,11 @@ def memory_of(plan: Plan, planner: Planner, blank: Memory, traces: Traces, left:
     """
     first, predicted = plan.steps[0], None
     if not first.null:
-        placed = Placed(state=first.predictions[plan.memory.best].state, centre_m=first.centre_m)
-        predicted = placed_state(plan, placed)
+        each = [prediction.state for prediction in first.predictions]
+        means = np.stack([placed_state(plan, Placed(state=state, centre_m=first.centre_m)) for state in each])
+        stds = [state.sigma_m for state in each if isinstance(state, MeshState) and state.sigma_m is not None]
+        scale = plan.metres_per_normalised
+        predicted = expectation(means, np.array(stds, np.float32) / scale if len(stds) == len(each) else None)
     return memory_after(
         planner,
         blank,

@@ -21,7 +21,7 @@ from clothkit.models.net import Net
 from clothkit.planning import agent, optimisers
 from clothkit.planning.batches import take
 from clothkit.planning.lengths import LengthConfig
-from clothkit.planning.perception import Estimation, KnownMeshes
+from clothkit.planning.perception import Estimation, Expected, KnownMeshes
 from clothkit.planning.planner import Planner, artifacts, assemble
 from clothkit.planning.predict import Prediction, differences, predict
 from clothkit.planning.systems import System
@@ -273,17 +273,17 @@ def memory_after(
     common: int,
     relative: int,
     traces: Traces,
-    predicted: State | None,
+    predicted: Expected | None,
     left: int,
 ) -> Memory:
     """Return what the decision after a plan's first step needs (section 5.1), as a batch of one.
 
     `before` is the memory before the plan, with the goal that the plan leads to, and `traces` are those before it.
-    `predicted` is the best net's mean prediction of the state after the first step; None: the step was not executed,
-    so that the expected state and the traces are those before it. In both cases the cloth is observed anew. `left` is
+    `predicted` is what the nets predict of the state after the first step; None: the step was not executed, so that
+    the expected state and the traces are those before it. In both cases the cloth is observed anew. `left` is
     how many manipulations are left.
     """
-    expected = state if predicted is None else predicted
+    expected = Expected(state, np.full(state.shape, np.inf)) if predicted is None else predicted
     if predicted is not None:
         traces = traces_after(planner, state, plan, common=common, traces=traces, cloth=before.cloth[0])
     rest = np.full_like(before.rest, np.nan)
@@ -294,7 +294,8 @@ def memory_after(
         still=np.zeros(1, bool),
         relative=np.array([relative], np.int32),
         rest=rest,
-        expected=expected[None].astype(np.float32),
+        expected=expected.mean[None].astype(np.float32),
+        unsure=expected.std[None].astype(np.float32),
         traces=tuple(trace[None] for trace in traces),
     )
 

@@ -1,4 +1,4 @@
-"""Estimation of meshes from voxels: VtM, relabelling to match a prediction, refinement (4.7 and 5.1, design 6.10)."""
+"""Estimation of meshes from voxels: VtM, relabelling to and fusion with a prediction, refinement (4.7, 5.1)."""
 
 from typing import NamedTuple
 
@@ -41,20 +41,34 @@ def estimate(
     voxels: Shaped[Array | np.ndarray, "batch x y z"],
     settings: RefineConfig,
     *,
-    predicted: Float[Array | np.ndarray, "batch u v 3"] | None = None,
+    predicted: ProbabilisticMesh | None = None,
     cloth: Cloth = PAPERS_CLOTH,
 ) -> Estimate:
     """Estimate meshes from centred voxels; `cloth` are the cloths' sides and thicknesses.
 
     Without `predicted`, refinement starts from VtM's means and the estimates have arbitrary labels; of several
-    hypotheses the most probable is taken. With predicted meshes, the estimates are the hypotheses and the labels with
-    the smallest negative log likelihood of the predictions, and refinement starts from the predictions.
+    hypotheses the most probable is taken. With predictions of the same states, centred, the estimates are the
+    hypotheses and the labels with the smallest negative log likelihood of the predictions' means, which refinement
+    starts from; with `settings.prior`, they are fused with the predictions before.
     """
     if predicted is None:
         found, mesh = alternatives(net, voxels, settings, cloth=cloth)
         return Estimate(most_probable(found), mesh[:, 0])
-    probabilistic = estimate_probabilistic(net, voxels, predicted, cloth=cloth)
-    return Estimate(probabilistic, _refined(net, probabilistic, predicted, voxels, settings, cloth))
+    probabilistic, start = estimate_probabilistic(net, voxels, predicted.mean, cloth=cloth), predicted.mean
+    if settings.prior is not None:
+        probabilistic = fused(probabilistic, predicted._replace(std=settings.prior * jnp.asarray(predicted.std)))
+        start = probabilistic.mean
+    return Estimate(probabilistic, _refined(net, probabilistic, start, voxels, settings, cloth))
+
+
+def fused(one: ProbabilisticMesh, other: ProbabilisticMesh) -> ProbabilisticMesh:
+    """What two independent observations of the same coordinates tell together: the product of their normal densities.
+
+    Means are weighted by the inverse variances. An infinite standard deviation tells nothing.
+    """
+    weights = jnp.asarray(one.std) ** -2, jnp.asarray(other.std) ** -2
+    both = weights[0] + weights[1]
+    return ProbabilisticMesh((weights[0] * one.mean + weights[1] * other.mean) / both, both**-0.5)
 
 
 def alternatives(

@@ -49,6 +49,9 @@ class RefineConfig:
     greatest_std: Annotated[float, Gt(0)] | None = 0.04
     """Standard deviations above this [normalised] count as this; null: none does. Where a probabilistic mesh is very
     unsure, its mean is no shape of a cloth, but nearer to the truth than most shapes that are: it is not given up."""
+    prior: Annotated[float, Gt(0)] | None = 1.0
+    """By how much standard deviations of predictions are taken to be larger than nets say, where an estimate is fused
+    with the prediction of the same state (`estimate.fused`); null: it is not, as in the paper."""
     lift: bool = True
     """Whether layers that pierce one another are moved apart at the end (layering.py), which the paper has not."""
     doubt: Annotated[float, Ge(0)] = 20.0
@@ -78,6 +81,7 @@ PAPERS = RefineConfig(
     observed_weight=0.0,
     bending_weight=0.0,
     greatest_std=None,
+    prior=None,
     lift=False,
     settle=False,
     coarse=(),

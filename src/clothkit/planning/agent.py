@@ -18,6 +18,7 @@ from clothkit.dataset.store import STEPS
 from clothkit.manipulation.vector import is_null
 from clothkit.planning.batches import in_batches, take
 from clothkit.planning.lengths import LengthConfig, chosen_lengths, nearest_labelling
+from clothkit.planning.perception import Expected
 from clothkit.planning.planner import Planner
 from clothkit.planning.predict import Prediction, differences, predict
 from clothkit.planning.search import evaluated
@@ -61,6 +62,7 @@ def begin(
         relative=np.full(count, 0 if planner.labelled else UNKNOWN, np.int32),
         rest=np.full((count, STEPS, 6), np.nan, np.float32),
         expected=blank,
+        unsure=np.full_like(blank, np.inf),
         traces=initial_traces(planner, count),
     )
 
@@ -197,10 +199,10 @@ def perceive(
     """
     state, candidates = memory.state.copy(), memory.candidates.copy()
     first, moved = np.flatnonzero(~memory.planned), np.flatnonzero(memory.planned & ~memory.still)
-    for rows, expected in ((first, None), (moved, memory.expected)):
+    for rows, expected in ((first, None), (moved, Expected(memory.expected, memory.unsure))):
         if not len(rows):
             continue
-        known = None if expected is None else expected[rows]
+        known = None if expected is None else take(expected, rows)
         state[rows] = planner.perception(take(observation, rows), known, memory.cloth[rows])
         for row in rows:
             points = planner.representation.candidates(state[row], planner.grasping)
@@ -320,6 +322,17 @@ def conclude(
     )
 
 
+def expectation(
+    means: Shaped[np.ndarray, "*batch net u v 3"], stds: Shaped[np.ndarray, "*batch net u v 3"] | None
+) -> Expected:
+    """The mean and the standard deviation of the mixture of the nets' predictions; of voxels, the means' alone."""
+    mean = means.mean(-4)
+    if stds is None:
+        return Expected(mean, np.full_like(mean, np.inf))
+    variance = (stds**2 + (means - mean[..., None, :, :, :]) ** 2).mean(-4)
+    return Expected(mean, np.sqrt(variance))
+
+
 def _padded(values: Float[np.ndarray, "task length ..."], length: int) -> np.ndarray:
     """The values with NaN appended along the second axis."""
     missing = length - values.shape[1]
@@ -337,6 +350,8 @@ def remember(planner: Planner, memory: Memory, plan: Plan, *, executed: np.ndarr
     def where(new: Any, old: Any) -> np.ndarray:
         return np.where(executed.reshape(-1, *(1,) * (old.ndim - 1)), new, old)
 
+    expected = expectation(plan.means[:, 0], None if plan.stds is None else plan.stds[:, 0])
+
     return Memory(
         goal=memory.goal,
         cloth=memory.cloth,
@@ -347,6 +362,7 @@ def remember(planner: Planner, memory: Memory, plan: Plan, *, executed: np.ndarr
         candidates=plan.candidates,
         relative=plan.relative.astype(memory.relative.dtype),
         rest=_padded(plan.manipulations[:, 1:], STEPS),
-        expected=where(plan.means[:, 0, planner.best], memory.expected),
+        expected=where(expected.mean, memory.expected),
+        unsure=where(expected.std, memory.unsure),
         traces=tuple(where(*pair) for pair in zip(plan.traces, memory.traces, strict=True)),
     )

@@ -1,13 +1,14 @@
 """Perception: from an observation to the state that a planner plans from (sections 4.7 and 5.1)."""
 
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from clothkit.cloth.mesh import best_label, mean_sigma
+from clothkit.cloth.mesh import ProbabilisticMesh, best_label, mean_sigma
+from clothkit.cloth.silhouette import centred
 from clothkit.cloth.symmetry import relabel
 from clothkit.cloth.voxels import VIEWPORT, Viewport
 from clothkit.estimation.estimate import estimate, estimate_probabilistic, estimate_unrefined
@@ -16,6 +17,14 @@ from clothkit.models.net import Net
 from clothkit.planning.batches import in_batches
 from clothkit.planning.types import Meshes, Observation, States
 from clothkit.runtime.clock import timed
+
+
+class Expected(NamedTuple):
+    """Predictions of the states that are observed."""
+
+    mean: States
+    std: States
+    """Infinite where not known."""
 
 
 @runtime_checkable
@@ -27,8 +36,10 @@ class Perception(Protocol):
         """The viewport of the voxels that it takes; None if it takes meshes."""
         ...
 
-    def __call__(self, observation: Observation, expected: States | None, cloth: Float[np.ndarray, "task 3"]) -> States:
-        """The states; `expected` are the predicted means of these states, None if nothing was predicted yet.
+    def __call__(
+        self, observation: Observation, expected: Expected | None, cloth: Float[np.ndarray, "task 3"]
+    ) -> States:
+        """The states; `expected` are the predictions of these states, None if nothing was predicted yet.
 
         `cloth` are the cloths' sides and thicknesses.
         """
@@ -66,18 +77,20 @@ class Estimation:
     def viewport(self) -> Viewport:
         return self.vtm.config.viewport
 
-    def __call__(self, observation: Observation, expected: Meshes | None, cloth: Float[np.ndarray, "task 3"]) -> Meshes:
+    def __call__(
+        self, observation: Observation, expected: Expected | None, cloth: Float[np.ndarray, "task 3"]
+    ) -> Meshes:
         assert observation.voxels is not None, "an observation to estimate from has voxels"
 
         def meshes(voxels: np.ndarray, cloth: np.ndarray, *expected: np.ndarray) -> jax.Array:
-            predicted = expected[0] if expected else None
+            predicted = ProbabilisticMesh(*expected) if expected else None
             if not self.refine:
-                return estimate_unrefined(self.vtm, voxels, predicted, cloth=cloth)
+                return estimate_unrefined(self.vtm, voxels, predicted and predicted.mean, cloth=cloth)
             return estimate(self.vtm, voxels, self.refinement, predicted=predicted, cloth=cloth).mesh
 
         # The last batch is padded; its copies count, because they take as long.
         with timed("estimates", -(-len(observation.voxels) // self.batch) * self.batch):
-            inputs = (observation.voxels, cloth, *(() if expected is None else (expected,)))
+            inputs = (observation.voxels, cloth, *(() if expected is None else _as_observed(expected)))
             return in_batches(meshes, self.batch, *inputs)
 
     def sigma(self, observation: Observation, cloth: Float[np.ndarray, "task 3"]) -> Float[np.ndarray, " task"]:
@@ -97,11 +110,13 @@ class KnownMeshes:
     """Whether their labels are those of the goal and stay the same. Else they follow the expected mesh's."""
     viewport: None = None
 
-    def __call__(self, observation: Observation, expected: Meshes | None, cloth: Float[np.ndarray, "task 3"]) -> Meshes:
+    def __call__(
+        self, observation: Observation, expected: Expected | None, cloth: Float[np.ndarray, "task 3"]
+    ) -> Meshes:
         assert observation.meshes is not None, "an observation that is planned from as it is has meshes"
         if self.labelled or expected is None:
             return observation.meshes
-        return np.stack([labelled_like(*each) for each in zip(observation.meshes, expected, cloth, strict=True)])
+        return np.stack([labelled_like(*each) for each in zip(observation.meshes, expected.mean, cloth, strict=True)])
 
 
 @dataclass(frozen=True)
@@ -110,9 +125,16 @@ class ObservedVoxels:
 
     viewport: Viewport = VIEWPORT
 
-    def __call__(self, observation: Observation, expected: States | None, cloth: Float[np.ndarray, "task 3"]) -> States:
+    def __call__(
+        self, observation: Observation, expected: Expected | None, cloth: Float[np.ndarray, "task 3"]
+    ) -> States:
         assert observation.voxels is not None, "an observation that is planned from as it is has voxels"
         return observation.voxels
+
+
+def _as_observed(expected: Expected) -> Expected:
+    """Predicted meshes, centred as observations are."""
+    return expected._replace(mean=np.stack([centred(mesh)[0] for mesh in expected.mean]).astype(np.float32))
 
 
 def labelled_like(

@@ -150,5 +150,7 @@ class Memory(NamedTuple):
     rest: Float[np.ndarray, "task planned 6"]
     """The manipulations of the last plan after its first."""
     expected: States
-    """The best net's mean prediction of the state after the last executed manipulation."""
+    """The nets' mean prediction of the state after the last executed manipulation."""
+    unsure: States
+    """The standard deviations of `expected`, with what the nets differ by; infinite where none are known."""
     traces: Traces
