@@ -16,6 +16,7 @@ expectation_summary.csv. The nets and the data are those in `--data` (default: d
 
 import argparse
 import dataclasses
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -116,7 +117,7 @@ def summary(table: pd.DataFrame, path: Path) -> pd.DataFrame:
     """Return and write the means of each way by step, and what they differ by from `start`."""
     wide = table.pivot_table(index="sequence", columns=["way", "step"], values="error")
     rows = []
-    for way, step in wide.columns.to_list():
+    for way, step in product(table["way"].unique(), range(1, STEPS + 1)):
         both = wide[[(way, step), (START, step)]].dropna().to_numpy()
         difference = both[:, 0] - both[:, -1]
         low, high = interval(difference, np.ones(len(both)))

@@ -17,6 +17,7 @@ trains nets with the seed of the chain in other ways:
 longer       with three times the iterations
 wider        with hidden layers of twice the width
 hypotheses   with two hypotheses
+four         with four hypotheses
 more data    on the training sequences of `--also FOLDER`, too, such as those of another scale
 
 Rows of other nets stay in the table. With `--pictures FOLDER`, observation, estimate and both on one
@@ -78,6 +79,7 @@ WAYS: dict[str, Callable[[TrainVtMConfig], TrainVtMConfig]] = {
     ),
     "wider": lambda own: dataclasses.replace(own, net=dataclasses.replace(own.net, hidden=2 * own.net.hidden)),
     "hypotheses": lambda own: dataclasses.replace(own, net=dataclasses.replace(own.net, hypotheses=2)),
+    "four": lambda own: dataclasses.replace(own, net=dataclasses.replace(own.net, hypotheses=4)),
     MORE: lambda own: own,
 }
 """Other ways to train than that of the chain."""

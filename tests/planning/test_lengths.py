@@ -128,29 +128,35 @@ def test_no_more_than_are_left_and_no_further_one_that_is_not_worth_its_margin()
     assert dear.choice.length.tolist() == [1]
 
 
-def test_null_manipulations_come_after_the_others() -> None:
-    """A search for three finds a pause and two folds: the folds are done first, as if it had found them so."""
+def test_null_manipulations_do_not_count() -> None:
+    """A search for three finds a pause and two folds: a plan of two, better than what the search for two finds."""
     start, pause = toy.bent(), np.array([[-1, -1, 1, 1, 0, 0]], np.float32)
     goal = after(start, FOLDS[:2])[None]
     other = np.repeat(FOLDS[2:], 2, axis=0)
-    paused, after_folds = (np.concatenate(parts) for parts in ((pause, FOLDS[:2]), (FOLDS[:2], pause)))
+    paused = np.concatenate([FOLDS[:1], pause, FOLDS[1:2]])
     with finding({1: other[:1], 2: other, 3: paused}):
         plan, memory = decided(toy.planner("b1"), start[None], goal, ALWAYS)
         told, _ = decided(toy.planner("b1"), start[None], goal, None)
-    with finding({1: other[:1], 2: other, 3: after_folds}):
+    with finding({1: other[:1], 2: FOLDS[:2], 3: np.repeat(pause, 3, axis=0)}):
         same, _ = decided(toy.planner("b1"), start[None], goal, ALWAYS)
-    assert plan.choice is not None
-    assert plan.choice.length.tolist() == [3]
-    np.testing.assert_array_equal(plan.manipulations[0], after_folds)
-    assert not plan.null[0]
+        ended, _ = decided(toy.planner("b1"), start[None], start[None], ALWAYS)
+    for each in (plan, same):
+        assert each.choice is not None
+        assert each.choice.length.tolist() == each.length.tolist() == [2]
+        np.testing.assert_array_equal(each.manipulations[0, :2], FOLDS[:2])
+        assert np.isnan(each.manipulations[0, 2:]).all()
+        assert np.isinf(each.choice.expected[0, 3])
+        assert not each.null[0]
     assert memory.left.tolist() == [2]
-    np.testing.assert_array_equal(memory.rest[0, :2], after_folds[1:])
+    np.testing.assert_array_equal(memory.rest[0, 0], FOLDS[1])
     np.testing.assert_array_equal(plan.means, same.means)
     np.testing.assert_array_equal(plan.expected, same.expected)
     assert plan.loss[0] > 0  # its own: the search told none
+    # Plans of pauses are none, however near their outcome seems to be.
+    assert ended.choice is not None
+    assert ended.choice.length.tolist() == [0]
     # Where the number is told, plans stay as they were found.
     np.testing.assert_array_equal(told.manipulations[0], paused)
-    assert told.null[0]
 
 
 def test_a_goal_in_other_labels_is_reached_already() -> None:

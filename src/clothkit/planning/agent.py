@@ -4,14 +4,14 @@
 one of them: `perceive`, `pose`, `conclude`, `remember`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int, Shaped
+from jaxtyping import Float, Int, Shaped
 
 from clothkit.cloth.topology import PAPERS_CLOTH
 from clothkit.dataset.store import STEPS
@@ -89,7 +89,7 @@ def decide(
     """
     state, candidates = perceive(planner, observation, memory)
     if length is None:
-        plan = _planned(planner, state, candidates, memory, key, {n: memory.left == n for n in range(1, STEPS + 1)})
+        plan = _planned(planner, state, candidates, memory, key)
     else:
         plan = _chosen(planner, state, candidates, memory, key, length)
     return plan, remember(planner, memory, plan, executed=~plan.null)
@@ -101,26 +101,17 @@ def _planned(
     candidates: Float[np.ndarray, "task candidate 2"],
     memory: Memory,
     key: Keys,
-    tasks: Mapping[int, Bool[np.ndarray, " task"]],
-    *,
-    nulls_last: bool = False,
 ) -> Plan:
-    """The best plans of each length for some of the tasks, ordered by task, then by length.
-
-    With `nulls_last`, null manipulations come after all others.
-    """
+    """For each task, the best plan of as many manipulations as are left."""
     plans, rows_of_plans = [], []
-    for length, chosen in tasks.items():
-        rows = np.flatnonzero(chosen)
+    for length in range(1, STEPS + 1):
+        rows = np.flatnonzero(memory.left == length)
         if len(rows):
             problems = pose(planner, state[rows], candidates[rows], take(memory, rows), length)
             found = _searched(planner, problems, key[rows], length)
-            if nulls_last:
-                found = _with_nulls_last(planner, problems, found)
             plans.append(conclude(planner, problems, found, candidates[rows]))
             rows_of_plans.append(rows)
-    order = np.argsort(np.concatenate(rows_of_plans), kind="stable")
-    return take(_joined(plans), order)
+    return take(_joined(plans), np.argsort(np.concatenate(rows_of_plans), kind="stable"))
 
 
 def _joined(plans: Sequence[Plan]) -> Plan:
@@ -137,23 +128,62 @@ def _chosen(
     settings: LengthConfig,
 ) -> Plan:
     """For each task, of the best plans of each length that is left, that whose number of manipulations is worth it."""
-    lengths = range(1, planner.normalisation.longest + 1)
-    tasks = {n: memory.left >= n for n in lengths}
-    # A null manipulation before others would use up one of those that are left, and the look after it, for nothing.
-    plans = _planned(planner, state, candidates, memory, key, tasks, nulls_last=True)
+    count, longest = len(state), planner.normalisation.longest
+    found = [
+        each
+        for length in range(1, longest + 1)
+        for each in _without_nulls(planner, state, candidates, memory, key, length)
+    ]
     now, relative = nearest_labelling(planner.representation, state, memory)
-    expected = np.full((len(state), len(lengths)), np.inf)
-    task = np.repeat(np.arange(len(state)), np.minimum(memory.left, len(lengths)))
-    # A useless plan is farther from the goal than its start, or no plan at all.
-    expected[task, plans.length - 1] = np.where(plans.useless, np.inf, plans.expected)
+    expected = np.full((count, longest), np.inf)
+    for rows, plans in found:
+        # A useless plan is farther from the goal than its start, or no plan at all.
+        ends, number = np.where(plans.useless, np.inf, plans.expected), plans.length - 1
+        expected[rows, number] = np.minimum(expected[rows, number], ends)
     chosen = chosen_lengths(now, expected, settings)
-    distances = np.concatenate([now[:, None], expected], axis=1)
-    taken, done = plans.length == chosen[task], np.flatnonzero(chosen == 0)
-    plan, order = take(plans, taken), task[taken]
-    if len(done):
+    parts: list[Plan] = []
+    tasks: list[Int[np.ndarray, " rows"]] = []
+    for rows, plans in found:
+        best = (plans.length == chosen[rows]) & (plans.expected == expected[rows, plans.length - 1])
+        best &= ~np.isin(rows, np.concatenate([*tasks, []]))
+        parts, tasks = [*parts, take(plans, best)], [*tasks, rows[best]]
+    if len(done := np.flatnonzero(chosen == 0)):
         nothing = _nothing(planner, take((state, candidates, memory), done), relative[done], now[done])
-        plan, order = _joined([plan, nothing]), np.concatenate([order, done])
-    return take(plan, np.argsort(order, kind="stable"))._replace(choice=Choice(chosen, distances))
+        parts, tasks = [*parts, nothing], [*tasks, done]
+    plan = take(_joined(parts), np.argsort(np.concatenate(tasks), kind="stable"))
+    return plan._replace(choice=Choice(chosen, np.concatenate([now[:, None], expected], axis=1)))
+
+
+def _without_nulls(
+    planner: Planner,
+    state: States,
+    candidates: Float[np.ndarray, "task candidate 2"],
+    memory: Memory,
+    key: Keys,
+    length: int,
+) -> Iterator[tuple[Int[np.ndarray, " rows"], Plan]]:
+    """The best plans of a length, where so many manipulations are left, without the null manipulations among them.
+
+    Yields tasks and their plans, by how many manipulations the plans have; of a plan of null manipulations, nothing.
+    """
+    rows = np.flatnonzero(memory.left >= length)
+    if not len(rows):
+        return
+    problems = pose(planner, state[rows], candidates[rows], take(memory, rows), length)
+    found = _searched(planner, problems, key[rows], length)
+    plan, null = np.asarray(found.plan), np.asarray(is_null(np.asarray(found.plan)))
+    nulls_last = np.take_along_axis(plan, np.argsort(null, axis=1, kind="stable")[..., None], axis=1)
+    for number in range(1, length + 1):
+        chosen = np.flatnonzero((~null).sum(1) == number)
+        if not len(chosen):
+            continue
+        tasks = rows[chosen]
+        own, of_number = take((problems, found), chosen)
+        if number < length:
+            own = pose(planner, state[tasks], candidates[tasks], take(memory, tasks), number)
+            shorter, relative = nulls_last[chosen, :number], np.asarray(found.relative)[chosen]
+            of_number = _evaluated(planner, own, shorter, relative)
+        yield tasks, conclude(planner, own, of_number, candidates[tasks])
 
 
 def _nothing(
@@ -247,26 +277,6 @@ def _searched(planner: Planner, problems: Problem, keys: Keys, length: int) -> F
             return jax.block_until_ready(planner.search(problems, keys, length=length))
 
     return in_batches(timed_search, batch, problems, keys)
-
-
-def _with_nulls_last(planner: Planner, problems: Problem, found: Found) -> Found:
-    """What a search found, where it found null manipulations before others with the others first."""
-    plan = np.asarray(found.plan)
-    null = np.asarray(is_null(plan))
-    order = np.argsort(null, axis=1, kind="stable")
-    rows = np.flatnonzero((order != np.arange(plan.shape[1])).any(axis=1))
-    if not len(rows):
-        return found
-    moved = np.take_along_axis(plan, order[..., None], axis=1)[rows]
-    again = _evaluated(planner, take(problems, rows), moved, np.asarray(found.relative)[rows])
-
-    def replaced(old: np.ndarray, new: np.ndarray) -> np.ndarray:
-        old = np.array(old)
-        old[rows] = new
-        return old
-
-    # How the search went on stays what it was.
-    return jax.tree.map(replaced, found, again._replace(losses=found.losses[rows]))
 
 
 def conclude(
