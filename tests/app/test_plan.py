@@ -290,11 +290,16 @@ def test_after_takes_up_what_is_left(here: Path, files: Path) -> None:
     memory = memories[1]
     np.testing.assert_allclose(memory.rest[0, :1], [plan.steps[1].manipulation], atol=1e-6)
     assert memory.relative[0] == plan.memory.relative == later.memory.relative
-    # The state is expected as the best net predicts it after the first step.
+    # The state is expected as the nets predict it after the first step, in the mean.
     first = plan.steps[0]
     assert not first.null
-    placed = type(plan.start)(state=first.predictions[0].state, centre_m=first.centre_m)
-    np.testing.assert_allclose(memory.expected[0], placed_state(plan, placed), atol=1e-5)
+    placed = [type(plan.start)(state=each.state, centre_m=first.centre_m) for each in first.predictions]
+    means = [placed_state(plan, each) for each in placed]
+    np.testing.assert_allclose(memory.expected[0], np.mean(means, axis=0), atol=1e-5)
+    stds = [np.array(each.state.sigma_m) / plan.metres_per_normalised for each in first.predictions]
+    np.testing.assert_allclose(
+        memory.unsure[0] ** 2, np.mean(np.square(stds), axis=0) + np.var(means, axis=0), rtol=1e-2
+    )
     # A toy trace counts the manipulations that were executed.
     assert all((np.array(trace) == (not plan.steps[0].null)).all() for trace in later.memory.traces_before)
     assert wrong.exit_code == 1

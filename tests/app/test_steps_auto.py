@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from clothkit.app import agent_state
 from clothkit.app import plan as plan_command
 from clothkit.app.agent import Agent
 from clothkit.app.inputs import load_settings
@@ -14,6 +15,7 @@ from clothkit.app.options import observation_options
 from clothkit.app.output import write_mesh
 from clothkit.app.plan_file import UNLIKELY, read_plan
 from clothkit.cloth.topology import SQUARE
+from clothkit.planning.trust import Trusted
 from clothkit.planning.types import Choice
 from tests.app.conftest import AT, run, succeed
 from tests.app.test_plan import FOUND, toy_planner
@@ -94,6 +96,19 @@ def test_systems_in_voxels_do_not_choose(here: Path, files: Path) -> None:
 def test_numbers_without_a_plan_are_left_out() -> None:
     choice = Choice(np.array([2]), np.array([[0.2, np.inf, 0.05, np.inf]]))
     assert choice_in_words(choice, 0.5) == "expected error by number of manipulations: 0: 100 mm, 2: 25 mm (chosen)"
+
+
+def test_nothing_is_done_where_such_plans_made_things_worse(goals: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bad = Trusted(*(np.array([value]) for value in (9.0, 8.0, 10.0, 0.01)))
+    monkeypatch.setattr(agent_state, "trusted_of", lambda *_: bad)
+    with finding({n: FOLDS[:n] for n in (1, 2, 3)}):
+        said = succeed("plan", "--state", "goal_0.obj", "--goal", "goal_2.obj", "--steps", "auto")
+    plan = read_plan(goals / "plan.json")
+    assert [step.null for step in plan.steps] == [True]
+    assert plan.warning == UNLIKELY
+    assert plan.expected.error_m == plan.expected.error_no_action_m
+    assert plan.expected.silhouette_iou == plan.expected.silhouette_iou_no_action
+    assert "nothing more is worth doing: plans with such expectations ended farther" in said
 
 
 def test_a_loop_ends_where_nothing_more_is_worth_doing(goals: Path) -> None:

@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from clothkit.app.describe import warning_of
 from clothkit.app.inputs import load_settings
 from clothkit.app.plan import summary
-from clothkit.app.plan_file import plan_of
+from clothkit.app.plan_file import UNLIKELY, WORSE, plan_of
 from clothkit.app.planner import Planned, trusted_of
 from clothkit.planning import error_map, trust
 from clothkit.planning.error_map import ErrorMap
@@ -58,3 +59,12 @@ def test_it_is_told_in_millimetres() -> None:
     lengths = {"outcome_error_m": 0.012, "outcome_error_low_m": 0.004, "outcome_error_high_m": 0.025, "trust": 0.875}
     told = summary(plan_of({**given, "expected": {**given["expected"], **lengths}}), Path("plan.json"))
     assert "such plans ended 12 mm from their goals, 80 % of them 4 to 25 mm; trust 0.88" in told
+
+
+def test_a_plan_whose_like_made_things_worse_is_warned_of() -> None:
+    told = {"improves": True, "outcome_error_m": 0.2, "error_no_action_m": 0.1}
+    assert warning_of(told) == WORSE
+    assert warning_of({**told, "improves": False}) == UNLIKELY
+    assert warning_of({**told, "outcome_error_m": 0.1}) is None
+    assert warning_of({**told, "outcome_error_m": None}) is None
+    assert warning_of({**told, "error_no_action_m": None}) is None

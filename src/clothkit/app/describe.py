@@ -127,7 +127,7 @@ def describe(planner: Planner, planned: Planned, paths: list[HandPaths], request
             for i, path in enumerate(paths)
         ],
         "expected": expectation,
-        "warning": None if expectation["improves"] else plan_file.UNLIKELY,
+        "warning": warning_of(expectation),
         "notices": notices(request),
         "memory": {
             "common": planned.common,
@@ -139,6 +139,14 @@ def describe(planner: Planner, planned: Planned, paths: list[HandPaths], request
         },
     }
     return plan_of(content)
+
+
+def warning_of(expectation: dict[str, Any]) -> str | None:
+    """Return what speaks against a plan, from the fields of `plan_file.Expectation`; None: nothing."""
+    if not expectation["improves"]:
+        return plan_file.UNLIKELY
+    outcome, no_action = expectation["outcome_error_m"], expectation["error_no_action_m"]
+    return plan_file.WORSE if outcome is not None and no_action is not None and outcome > no_action else None
 
 
 def notices(request: PlanRequest) -> list[str]:
@@ -154,7 +162,8 @@ def expected(planner: Planner, planned: Planned, request: PlanRequest) -> dict[s
 
     Errors are those by which the agent decides whether a plan is useless: in the labelling that the search found.
     """
-    outcome = np.mean(planned.means[:, -1], axis=0)
+    # What a null manipulation comes to is known better than nets predict it.
+    outcome = planned.state if bool(np.all(is_null(planned.plan))) else np.mean(planned.means[:, -1], axis=0)
     fields: dict[str, Any] = dict.fromkeys(
         ("error_cloth_lengths", "error_m", "error_no_action_cloth_lengths", "error_no_action_m")
     )

@@ -48,4 +48,8 @@ def choice_in_words(choice: Choice, side: float) -> str:
         if np.isfinite(value)
     ]
     line = f"expected error by number of manipulations: {', '.join(counts)}"
-    return line if chosen else f"{line}; nothing more is worth doing"
+    if chosen:
+        return line
+    better = expected[1:].min(initial=np.inf) < expected[0]
+    why = ": plans with such expectations ended farther from their goals than the cloth lies now" if better else ""
+    return f"{line}; nothing more is worth doing{why}"

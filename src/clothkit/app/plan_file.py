@@ -25,6 +25,7 @@ from clothkit.runtime.errors import InputError, system_error
 from clothkit.runtime.json_file import parse_json
 
 UNLIKELY = "this plan is not expected to improve the state"
+WORSE = "plans with such an expectation ended farther from their goals than this cloth lies now"
 
 _SHORT = 100
 
@@ -274,7 +275,7 @@ class Plan(Part):
     steps: Annotated[list[Step], Len(1, 3)]
     expected: Expectation
     warning: str | None
-    """'this plan is not expected to improve the state', or null."""
+    """UNLIKELY, WORSE, or null. WORSE can be said of a plan that `expected.improves`: that is what its nets expect."""
     notices: list[str] = []
     """What was not seen of state or goal, and whether their estimates fail to explain what was."""
     memory: Memory

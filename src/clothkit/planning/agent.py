@@ -186,6 +186,14 @@ def _without_nulls(
         yield tasks, conclude(planner, own, of_number, candidates[tasks])
 
 
+def nothing(planner: Planner, observation: Observation, memory: Memory, choice: Choice) -> Plan:
+    """The plans of an agent that does nothing more, whatever it would choose; `choice` tells what it would have."""
+    state, candidates = perceive(planner, observation, memory)
+    now, relative = nearest_labelling(planner.representation, state, memory)
+    plan = _nothing(planner, (state, candidates, memory), relative, now)
+    return plan._replace(choice=choice._replace(length=np.zeros_like(choice.length)))
+
+
 def _nothing(
     planner: Planner,
     of: tuple[States, Float[np.ndarray, "task candidate 2"], Memory],
@@ -333,7 +341,7 @@ def conclude(
 
 
 def expectation(
-    means: Shaped[np.ndarray, "*batch net u v 3"], stds: Shaped[np.ndarray, "*batch net u v 3"] | None
+    means: Float[np.ndarray, "*batch net x y z"], stds: Float[np.ndarray, "*batch net x y z"] | None
 ) -> Expected:
     """The mean and the standard deviation of the mixture of the nets' predictions; of voxels, the means' alone."""
     mean = means.mean(-4)
