@@ -274,6 +274,19 @@ def test_tables_that_are_none_get_one_sentence() -> None:
         plane_of((0.0, 0.0, 0.0, 1.0))
 
 
+def test_a_table_that_is_told_is_where_it_is_seen() -> None:
+    wrong = plane_of((0.0, 0.0, -1.0, -0.81))
+    assert CAMERA.table().offset == pytest.approx(-0.8)
+    with pytest.raises(InputError, match="the points around the cloth lie 10 mm above the table's plane, expected at"):
+        observe_cloud(CLOUD, cloth_side=CLOTH, table=wrong)
+    # Where no table is seen it can't be told, and things beside the cloth are no table.
+    observe_cloud(ALONE, cloth_side=CLOTH, table=wrong)
+    count = len(ALONE.points)
+    heap = np.random.default_rng(0).uniform([0.3, -0.1, 0.7], [0.38, 0.1, 0.8], (3000, 3))
+    beside = PointCloud(np.concatenate([ALONE.points, heap]), cloth=np.arange(count + 3000) < count)
+    observe_cloud(beside, cloth_side=CLOTH, table=TABLE)
+
+
 def test_settings_that_do_not_fit_the_cloud_get_one_sentence() -> None:
     with pytest.raises(InputError, match="has no colours, but table_colour"):
         observe_cloud(ALONE, cloth_side=CLOTH, settings=CloudConfig(table_colour=((0, 0, 0), (9, 9, 9))))

@@ -37,6 +37,8 @@ _LEAST_OUTLYING = 2.0
 _FARTHEST = 1e5
 # Cloth sides. Points further from the median of the cloth's points are strays, if they are few.
 _ASTRAY = 20.0
+# Share of the points around the cloth from which they count as the table's.
+_MOSTLY = 0.6
 _BESIDE = 1.5  # cells: reaches the eight cells around a cell
 _VOXELS_A_SIDE = CLOTH_LENGTH / 2 * RESOLUTION[0]  # voxels along a side of the flat cloth
 
@@ -93,6 +95,8 @@ def segment(
     rotation, origin = plane.frame()
     cloth, others = ((part - origin) @ rotation.T for part in (cloth, others))
     cloth = cloth[thinned]
+    if told:
+        _check_told(others, cloth, cloth_side, settings, name)
     check_lying(name, cloth, side=cloth_side, remedy="check the table's plane, or say which way is up (--up)")
     cloth = _above_table(cloth, settings, name)
     cloth = _without_strays(cloth, cloth_side, settings)
@@ -144,7 +148,8 @@ def _check_units(cloth: np.ndarray, cloth_side: float, *, masked: bool, name: st
     if narrowest <= span <= widest:
         return
     sentence = (
-        f"{name}: the cloth spans {span:.3g} m, a cloth of side {cloth_side:g} m spans {narrowest:.3g} to {widest:.3g}"
+        f"{name}: the cloth spans {span:.3g} m, a cloth whose longer side is {cloth_side:g} m spans {narrowest:.3g} to "
+        f"{widest:.3g} m, slack included"
     )
     units = [unit for unit, factor in _UNITS.items() if narrowest <= span / factor <= widest]
     if units:
@@ -152,6 +157,23 @@ def _check_units(cloth: np.ndarray, cloth_side: float, *, masked: bool, name: st
     if span > widest and not masked:
         raise InputError(f"{sentence}; if the table is among the points, give a mask or the table's colour")
     raise InputError(f"{sentence}; check the units, the cloth's side, and which points are the cloth's")
+
+
+def _check_told(others: np.ndarray, cloth: np.ndarray, cloth_side: float, settings: CloudConfig, name: str) -> None:
+    """Raises InputError when a plane around the cloth is seen that lies beside the table's plane that was told."""
+    tolerance = settings.plane.tolerance
+    around = np.abs(others[:, :2] - np.median(cloth[:, :2], axis=0)).max(1) < cloth_side
+    heights = others[around & (np.abs(others[:, 2]) < settings.highest), 2]
+    if len(heights) < _LEAST_POINTS:
+        return
+    middle = float(np.median(heights))
+    seen, expected = ((np.abs(heights - height) < tolerance).mean() for height in (middle, 0.0))
+    if abs(middle) > tolerance and seen > _MOSTLY and expected < 1 - _MOSTLY:
+        raise InputError(
+            f"{name}: the points around the cloth lie {1000 * abs(middle):.0f} mm {'above' if middle > 0 else 'below'} "
+            f"the table's plane, expected at most {1000 * tolerance:.0f} mm; check the plane, or leave it out: it is "
+            "found in these points"
+        )
 
 
 def _above_table(cloth: np.ndarray, settings: CloudConfig, name: str) -> np.ndarray:
