@@ -162,8 +162,8 @@ def test_what_the_net_has_never_seen_is_told(here: Path) -> None:
     for strangest, thickness, doubts in (
         (100.0, 0.002, ()),
         (0.1, 0.002, ("the net has seen nothing like it (strangeness ",)),
-        (100.0, 0.02, ("the net has seen no cloth of these sides and this thickness",)),
-        (0.1, 0.02, ("strangeness", "and the net has seen no cloth of these")),
+        (100.0, 0.02, ("the net has seen no cloth of", "mm thick, but of")),
+        (0.1, 0.02, ("strangeness", "and the net has seen no cloth of")),
     ):
         seen = read_input("flat.npy", observation_options(APP, side=None, table=None, thickness=thickness))
         known = settings._replace(alarms=alarms_of(strangest=strangest))

@@ -14,6 +14,7 @@ from clothkit.app import plan as plan_command
 from clothkit.app.agent import Agent
 from clothkit.app.inputs import load_settings
 from clothkit.app.options import observation_options
+from clothkit.app.plan import summary
 from clothkit.app.plan_file import Plan, read_plan
 from clothkit.app.planner import decide
 from clothkit.app.reach import check_limits, limits_of
@@ -108,7 +109,7 @@ def test_another_plan_is_searched_for_where_turning_does_not_help(here: Path) ->
     [
         (
             Limits((Box((5, 5, -1), (6, 6, 1)),)),
-            r"a hand is \d.\d* m outside the box \(5, 5, -1\)..\(6, 6, 1\), and no point",
+            r"a hand is \d.\d* m outside the box \(5, 5, -1\)..\(6, 6, 1\), and no .* within reach: they are \(",
         ),
         (
             Limits(keep_out=(Ball((*AT, 0.0), 1.0),)),
@@ -207,6 +208,35 @@ def test_bad_limits_of_an_agent_are_told_in_one_sentence(limits: Limits, says: s
     assert check_limits(half) is half
 
 
+def test_the_goal_is_turned_where_the_turned_plan_nearly_fits(here: Path) -> None:
+    """Turned by half, the known plan leaves the box by 5 mm: a plan for the turned goal is found within it."""
+    flat = SQUARE.flat()
+    goal = np.asarray(toy.dragged(jnp.asarray(flat), jnp.asarray(ONE[0])))
+    settings = load_settings(Path("data"))
+    options = observation_options(settings.app, side=None, table=None)
+
+    def planned(limits: Limits) -> Plan:
+        agent = Agent.of(toy_planner(), settings, options, limits=limits)
+        agent.begin(metres(goal), steps=1)
+        agent.observe(metres(flat))
+        with decided(ONE):
+            return agent.plan()
+
+    (free,) = paths_of(planned(Limits()))
+    turned = 2 * np.array(AT) - free[..., :2]
+    low, high = turned.min((0, 1)) + np.array([0.005, -0.001]), turned.max((0, 1)) + 0.001
+    limits = Limits((Box((*low, -9), (*high, 9)),))
+    plan = planned(limits)
+    np.testing.assert_allclose(np.array(plan.turned), -np.eye(2), atol=1e-6)
+    assert breaches(limits, paths_of(plan)) == []
+    assert plan.expected.error_m < 0.2 * plan.expected.error_no_action_m  # type: ignore[operator]
+    assert plan.expected.error_without_limits_m is not None
+    assert plan.limits is not None
+    (region,) = plan.limits.hands
+    assert region.low_m == pytest.approx((*low, -9))  # type: ignore[union-attr]
+    assert "without them" in summary(plan, Path("plan.json"))
+
+
 def test_a_turned_plan_is_remembered_as_it_is(here: Path) -> None:
     """A flat cloth looks the same turned: what is remembered is the turned plan, for the turned goal."""
     flat = SQUARE.flat()
@@ -222,13 +252,14 @@ def test_a_turned_plan_is_remembered_as_it_is(here: Path) -> None:
     with decided(two):
         plan = agent.plan()
     np.testing.assert_allclose(np.array(plan.turned), -np.eye(2), atol=1e-6)
-    outcome = toy.dragged(jnp.asarray(flat), jnp.asarray(plan.steps[0].manipulation, jnp.float32))
-    agent.observe(metres(np.asarray(outcome)), executed=True)
+    fold = jnp.asarray(plan.steps[0].manipulation, jnp.float32)
+    outcome = np.mean([np.asarray(toy.dragged(jnp.asarray(flat), fold, net)) for net in toy.NETS], axis=0)
+    agent.observe(metres(outcome), executed=True)
     memory = agent.state.memory
     np.testing.assert_allclose(memory.expected[0], outcome, atol=1e-4)
     np.testing.assert_allclose(memory.rest[0, 0], plan.steps[1].manipulation, atol=1e-6)
     np.testing.assert_allclose(memory.goal[0], centred(goal)[0] * np.float32([-1, -1, 1]), atol=1e-5)
-    assert agent.observe(metres(np.asarray(outcome))).error == pytest.approx(0, abs=1e-3)
+    assert agent.observe(metres(outcome)).error == pytest.approx(0, abs=0.02)
 
 
 def test_a_later_plan_that_is_turned_aims_at_the_turned_goal(here: Path) -> None:

@@ -294,7 +294,7 @@ class Agent:
         )
         paths = paths_of(self._planner, now.planned, source.pose, self._settings.app.motion)
         hands = [hands_of(self._limits, path.points) for path in paths]
-        found = describe(self._planner, now.planned, paths, request._replace(hands=hands))
+        found = describe(self._planner, now.planned, paths, request._replace(limits=self._limits, hands=hands))
         *before, step = self.session.steps
         step = step._replace(plan=shown_plan(self._planner, now.planned, settings=self._settings))
         self._session = self.session._replace(steps=(*before, step), goal=now.target)

@@ -8,6 +8,7 @@ import numpy as np
 from clothkit.app.inputs import Input, Settings
 from clothkit.app.planner import State, load_vtm, mesh_of
 from clothkit.estimation.agreement import AgreementConfig, agreement
+from clothkit.estimation.alarms import MARGIN, Alarms
 from clothkit.estimation.support import strangeness
 from clothkit.models.vtm import hidden_units
 from clothkit.planning.systems import System
@@ -45,8 +46,9 @@ def compare_estimate(source: Input, mesh: State, settings: Settings) -> Estimate
     silhouette, heights, explains = float(agrees.silhouette), float(agrees.heights), bool(agrees.explains(least))
     figures, doubts, strange = f"silhouette IoU {silhouette:.2f}, height IoU {heights:.2f}", [], None
     if not explains:
-        expected = f"expected at least {least.silhouette:.2f} and {least.heights:.2f}"
-        doubts.append(f"the estimate does not explain what was seen ({figures}, {expected})")
+        named = (("silhouette", silhouette, least.silhouette), ("height", heights, least.heights))
+        low = [f"{name} IoU {value:.3f}, expected at least {most:g}" for name, value, most in named if value < most]
+        doubts.append(f"the estimate does not explain what was seen ({'; '.join(low)})")
     if alarms:
         units = hidden_units(load_vtm(settings.data), voxels[None], source.cloth[None])
         strange = float(strangeness(np.asarray(units), alarms.support)[0])
@@ -54,12 +56,26 @@ def compare_estimate(source: Input, mesh: State, settings: Settings) -> Estimate
             expected = f"expected at most {alarms.strangest:.1f}"
             doubts.append(f"the net has seen nothing like it (strangeness {strange:.1f}, {expected})")
         if not alarms.knows(source.cloth):
-            doubts.append("the net has seen no cloth of these sides and this thickness")
+            doubts.append(_unknown_cloth(source, alarms))
     sentence = f"the estimate explains what was seen ({figures})"
     if doubts:
         sentence = f"{', and '.join(doubts)}: what follows from it can't be relied on"
     known = len(doubts) == (not explains)
     return EstimateAgreement(silhouette, heights, explains, f"{source.file}: {sentence}", strange, known)
+
+
+def _unknown_cloth(source: Input, alarms: Alarms) -> str:
+    """What the net does not know of a cloth, and what it knows."""
+    thickness, scale = float(source.cloth[2]), source.pose.scale
+    low, high = alarms.cloths[0, 2] / MARGIN, alarms.cloths[1, 2] * MARGIN
+    longer, shorter = sorted((float(side) * scale for side in source.cloth[:2]), reverse=True)
+    if not low <= thickness <= high:
+        known = f"{1000 * low * scale:.1f} to {1000 * high * scale:.1f} mm"
+        return (
+            f"the net has seen no cloth of {longer:.3g} m that is {1000 * thickness * scale:.1f} mm thick, but of "
+            f"{known} (--thickness)"
+        )
+    return f"the net has seen no cloth with such different sides, {longer:.3g} and {shorter:.3g} m"
 
 
 def compare_state(system: System, source: Input, estimate: State, settings: Settings) -> EstimateAgreement | None:

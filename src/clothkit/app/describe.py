@@ -20,8 +20,10 @@ from clothkit.models.ensemble import pairs
 from clothkit.observation.pose import Pose
 from clothkit.observation.waypoints import HandPaths, MotionConfig, hand_paths, paths_from
 from clothkit.planning.planner import Planner
+from clothkit.planning.reach import Box, Limits, Region
 
 _MICROMETRES = 6
+_FAR = 100.0  # metres: farther than any hand reaches
 _SURELY = 0.5  # probability from which a voxel counts as cloth
 
 Frame = Literal["camera", "table"]
@@ -46,6 +48,8 @@ class PlanRequest(NamedTuple):
     """Agreement of the estimates of state and goal with their observations; None: not estimated."""
     settings: Settings | None = None
     """What is known of the nets: how far plans can be trusted."""
+    limits: Limits = Limits()
+    """What the hands keep to."""
     hands: Sequence[tuple[int, ...] | None] = ()
     """Which of the robot's hands follow the paths of each step; None, or no entry: any."""
 
@@ -121,6 +125,7 @@ def describe(planner: Planner, planned: Planned, paths: list[HandPaths], request
         "thickness_m": request.thickness,
         "metres_per_normalised": pose.scale,
         "table": {"axes": pose.rotation.tolist(), "origin_m": pose.origin.tolist()},
+        "limits": _limits(request.limits),
         "start": {"state": _state(planned.state, None, pose), "centre_m": _centre(pose)},
         "steps": [
             _step(planner, planned, i, path, poses[i + 1], request.hands[i] if request.hands else None)
@@ -139,6 +144,24 @@ def describe(planner: Planner, planned: Planned, paths: list[HandPaths], request
         },
     }
     return plan_of(content)
+
+
+def _limits(limits: Limits) -> dict[str, Any] | None:
+    if not limits:
+        return None
+    hands, keep_out = ([_region(region) for region in regions] for regions in (limits.hands, limits.keep_out))
+    return {"hands": hands, "keep_out": keep_out, "apart_m": float(limits.apart)}
+
+
+def _region(region: Region) -> dict[str, Any]:
+    if isinstance(region, Box):
+        return {"low_m": _finite(region.low), "high_m": _finite(region.high)}
+    return {"centre_m": _finite(region.centre), "radius_m": min(float(region.radius), _FAR)}
+
+
+def _finite(values: Any) -> list[float]:
+    """Coordinates as JSON can hold them: a box may be open to a side."""
+    return [float(value) for value in np.clip(np.asarray(values, float), -_FAR, _FAR)]
 
 
 def warning_of(expectation: dict[str, Any]) -> str | None:
@@ -177,6 +200,8 @@ def expected(planner: Planner, planned: Planned, request: PlanRequest) -> dict[s
         else:
             fields[f"error{name}_cloth_lengths"], fields[f"error{name}_m"] = error, error * request.side
         fields[f"silhouette_iou{name}"] = iou(covered(state), covered(request.target))
+    if not planner.system.voxels and np.isfinite(planned.without_limits):
+        fields["error_without_limits_m"] = planned.without_limits * request.side
     told = None if request.settings is None else trusted_of(planned, request.settings, planner.system)
     outcome_error = ("outcome_error_m", "outcome_error_low_m", "outcome_error_high_m")
     fields |= dict.fromkeys((*outcome_error, "trust"))

@@ -281,6 +281,11 @@ def summary(plan: Plan, path: Path) -> str:
         apart = [step.disagreement_m for step in plan.steps if step.disagreement_m is not None]
         in_metres = f", the nets differ by {', '.join(f'{1000 * d:.0f}' for d in apart)} mm" if apart else ""
         lines.append(f"epistemic uncertainty u = {expected.epistemic_uncertainty:.3g}{in_metres}")
+    if expected.error_without_limits_m is not None:
+        lines.append(
+            f"to keep within the limits of the hands, another plan was searched for; without them "
+            f"{expected.error_without_limits_m * 1000:.0f} mm were expected"
+        )
     if plan.turned:
         lines.append("the plan was turned or mirrored to be in reach, and so is the shape that it leads to")
     if plan.warning:

@@ -215,6 +215,8 @@ class Expectation(Part):
     silhouette_iou: Share
     """Intersection over union of what outcome and goal cover, both centred."""
     silhouette_iou_no_action: Share
+    error_without_limits_m: NotNegative | None = None
+    """`error_m` of the plan that was found first, and did not keep to the limits of the hands; null: it was kept."""
     outcome_error_m: NotNegative | None = None
     """Distance from the goal that plans with such an expectation came to, in the mean of executed validation plans:
     errors of nets and estimate are part of it. null: not known, or the file is of an older version."""
@@ -245,6 +247,31 @@ class Memory(Part):
     """[net][label][unit]: memory traces before the plan; null: none, the session begins."""
 
 
+class BoxRegion(Part):
+    """The points between two corners, in the table's frame."""
+
+    low_m: Point
+    high_m: Point
+
+
+class BallRegion(Part):
+    """The points within a radius of a centre, in the table's frame."""
+
+    centre_m: Point
+    radius_m: Annotated[float, Gt(0)]
+
+
+class HandLimits(Part):
+    """What the hands were to keep to, in the table's frame: z up, the table at 0."""
+
+    hands: Annotated[list[BoxRegion | BallRegion], Len(0, 2)]
+    """Where they can be: one region for both, or one for each; none: anywhere."""
+    keep_out: list[BoxRegion | BallRegion]
+    """Where none may be."""
+    apart_m: NotNegative
+    """Least distance between the two hands of a step."""
+
+
 class Plan(Part):
     """A plan: from one observation, what to do in one to three steps."""
 
@@ -270,6 +297,8 @@ class Plan(Part):
     metres_per_normalised: Annotated[float, Gt(0)]
     """side_m / 1.4."""
     table: Table
+    limits: HandLimits | None = None
+    """null: none, or the file is of an older version. They are of this plan alone: --after does not take them over."""
     start: Placed
     """What the state was taken for."""
     steps: Annotated[list[Step], Len(1, 3)]

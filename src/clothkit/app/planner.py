@@ -74,6 +74,8 @@ class Planned(NamedTuple):
     """How unsure the perception is of the state [cloth length]."""
     useless: bool = False
     """Whether the agent found that the plan is not expected to bring the state nearer to its goal."""
+    without_limits: float = np.nan
+    """`expected` of the plan that this one was searched for in place of, to keep within limits; NaN: of none."""
     choice: Choice | None = None
     """How the agent chose the number of manipulations, as a batch of one; None: it was told."""
 

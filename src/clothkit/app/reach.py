@@ -1,12 +1,14 @@
 """Plans within a robot's reach: as they are found, turned by a symmetry of the cloth, or searched for within it.
 
 A plan that is in reach stays as it is. Otherwise its turned and mirrored forms are tried, which cost nothing. If none
-of them is in reach, a search with the limits as terms of its objective looks for another plan.
+of them is in reach, a search with the limits as terms of its objective looks for another plan: first for the goal of
+the form that is the nearest to being in reach and, if what is found is much worse than the plan without limits, for
+the goal as it is.
 """
 
 import dataclasses
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +17,7 @@ from jaxtyping import Float
 
 from clothkit.app.describe import paths_of
 from clothkit.app.options import corners, ordered
-from clothkit.app.planner import Planned, State, planned_of, turned_plan
+from clothkit.app.planner import Planned, State, planned_of, turned_goal, turned_plan
 from clothkit.app.settings import AppConfig, BallConfig
 from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.manipulation.geometry import to_cartesian
@@ -36,7 +38,8 @@ from clothkit.planning.reach import (
     graspable,
     terms_of,
 )
-from clothkit.planning.types import Memory
+from clothkit.planning.trust import NEAR
+from clothkit.planning.types import UNKNOWN, Memory
 from clothkit.runtime.errors import InputError
 
 
@@ -106,35 +109,51 @@ def reached(
     `memory` is that before the plan, `candidates` are the state's grasp points, and `place` is where the cloth lies.
     Raises InputError when no such plan does anything.
     """
-    fits = within_by_symmetry(planner, planned, memory.goal[0], place, motion, limits)
-    if fits is not None:
-        return fits
-    found = breaches_of(planner, planned, place, motion, limits)
-    farthest = max(found, key=lambda breach: breach.distance)
+    forms = list(_forms(planner, planned, memory.goal[0], limits))
+    breaks = [breaches_of(planner, form, place, motion, limits) for form, _ in forms]
+    for fit, found in zip(forms, breaks, strict=True):
+        if not found:
+            return fit
+    farthest = max(breaks[0], key=lambda breach: breach.distance)
     told = f"in step {farthest.step} of the plan a hand is {farthest.distance:.3g} m {farthest.limit}"
-    able = _graspable(planner, planned.state, candidates, place, limits)
-    if not len(able):
-        raise InputError(f"reach: {told}, and no point that a plan may grasp first is within reach")
-    other = _searched(planner, planned, memory, able, place, motion, limits, seed=seed)
-    if breaches_of(planner, other, place, motion, limits) or bool(np.all(is_null(other.plan))):
+    points = _grasp_points(planner, planned.state, candidates, place)
+    able = graspable(limits, points.metres)
+    if not able.any():
+        where = ", ".join(f"({x:.2f}, {y:.2f}, {z:.2f})" for x, y, z in points.metres)
+        raise InputError(
+            f"reach: {told}, and no point that a plan may grasp first is within reach: they are {where} m in the "
+            "table's frame"
+        )
+    nearest = int(np.argmin([sum(breach.distance for breach in found) for found in breaks]))
+    best: tuple[Planned, np.ndarray | None] | None = None
+    for form, matrix in (forms[number] for number in dict.fromkeys((nearest, 0))):
+        aimed = memory if matrix is None else _turned(memory, form, matrix)
+        other = _searched(planner, form, aimed, points.uv[able], place, motion, limits, seed=seed)
+        if breaches_of(planner, other, place, motion, limits) or bool(np.all(is_null(other.plan))):
+            continue
+        if best is None or other.expected < best[0].expected:
+            best = other._replace(without_limits=planned.expected), matrix
+        if best[0].expected <= planned.expected + NEAR:
+            break
+    if best is None:
         raise InputError(f"reach: {told}, and no plan was found that stays within reach and does anything")
-    return other, None
+    return best
 
 
-def within_by_symmetry(
-    planner: Planner, planned: Planned, goal: State, place: Pose, motion: MotionConfig, limits: Limits
-) -> tuple[Planned, np.ndarray | None] | None:
-    """Return a plan that keeps the limits, as it is or turned by a symmetry of the cloth, and the matrix of the turn.
+def _forms(
+    planner: Planner, planned: Planned, goal: State, limits: Limits
+) -> Iterator[tuple[Planned, np.ndarray | None]]:
+    """The plan as it is and, where there are limits, turned and mirrored by the symmetries of the cloth."""
+    yield planned, None
+    if limits and not planner.system.voxels:
+        for matrix in symmetries(planned.state, cloth=planned.cloth)[1:]:
+            yield turned_plan(planner, planned, goal, matrix), matrix
 
-    None if no form of it does. Plans in voxels are not turned: symmetries are known for meshes only.
-    """
-    if not (limits and breaches_of(planner, planned, place, motion, limits)):
-        return planned, None
-    for matrix in [] if planner.system.voxels else symmetries(planned.state, cloth=planned.cloth)[1:]:
-        turned = turned_plan(planner, planned, goal, matrix)
-        if not breaches_of(planner, turned, place, motion, limits):
-            return turned, matrix
-    return None
+
+def _turned(memory: Memory, form: Planned, matrix: Float[np.ndarray, "2 2"]) -> Memory:
+    """The memory before a plan for the turned goal."""
+    relative = np.where(memory.relative == UNKNOWN, UNKNOWN, form.relative).astype(memory.relative.dtype)
+    return memory._replace(goal=turned_goal(memory.goal[0], matrix)[None], relative=relative)
 
 
 def breaches_of(planner: Planner, planned: Planned, place: Pose, motion: MotionConfig, limits: Limits) -> list[Breach]:
@@ -181,16 +200,22 @@ def _range(planner: Planner) -> float:
     return float(np.mean(np.subtract(planner.normalisation.high, planner.normalisation.low)))
 
 
-def _graspable(
-    planner: Planner, state: State, candidates: Float[np.ndarray, "candidate 2"], place: Pose, limits: Limits
-) -> Float[np.ndarray, "within 2"]:
-    """The grasp points that some hand can be at."""
+class _GraspPoints(NamedTuple):
+    uv: Float[np.ndarray, "points 2"]
+    """In the coordinates of plans."""
+    metres: Float[np.ndarray, "points 3"]
+    """In the table's frame."""
+
+
+def _grasp_points(
+    planner: Planner, state: State, candidates: Float[np.ndarray, "candidate 2"], place: Pose
+) -> _GraspPoints:
     all_points = candidates[np.isfinite(candidates).all(-1)]
     if planner.system.voxels:
         points = np.column_stack([all_points, np.zeros(len(all_points))])
     else:
         points = np.array([np.asarray(to_cartesian(state, uv), float) for uv in all_points]).reshape(-1, 3)
-    return all_points[graspable(limits, place.normalised_to_table(points))]
+    return _GraspPoints(all_points, place.normalised_to_table(points))
 
 
 def _ball(ball: tuple[float, ...]) -> Ball:
