@@ -109,3 +109,16 @@ def test_a_cloud_in_map_coordinates_is_refused_before_anything_is_planned(tmp_pa
             continue
         with pytest.raises(InputError, match="the cloth is 120 m away from its frame's origin"):
             read_with(file=tmp_path / "cloud.npz", table=TABLE)
+
+
+def test_a_cloud_that_covers_more_than_its_rectangle_is_refused(tmp_path: Path) -> None:
+    """A towel of 0.6 x 0.4 m that is called 0.6 x 0.2 m."""
+    rng = np.random.default_rng(0)
+    points = rng.uniform([-0.3, -0.2, 0.002], [0.3, 0.2, 0.004], (20000, 3))
+    np.savez(tmp_path / "towel.npz", points=points)
+    level = (0.0, 0.0, 1.0, 0.0)
+    good = observation_options(AppConfig(), side=None, sides=(0.4, 0.6), table=level)
+    assert read_input(str(tmp_path / "towel.npz"), good).observation.voxels.any()
+    narrow = observation_options(AppConfig(), side=None, sides=(0.6, 0.2), table=level)
+    with pytest.raises(InputError, match=r"covers 0\.2\d m², more than one of 0\.6 x 0\.2 m can; check its sides"):
+        read_input(str(tmp_path / "towel.npz"), narrow)

@@ -44,6 +44,15 @@ def test_by_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert told.trust[0] == pytest.approx(trust.NEAR / expected - 0.5, rel=1e-4)
     # The map was made with main; and without a sign that it needs it says nothing.
     assert trusted_of(PLANNED, settings, SYSTEMS["b1"]) is None
+    # Of a plan that was searched for within limits, no better end is told than it expects.
+    within = trusted_of(
+        PLANNED._replace(expected=0.2, model_error=0.001, without_limits=0.1), settings, SYSTEMS["main"]
+    )
+    free = trusted_of(PLANNED._replace(expected=0.2, model_error=0.001), settings, SYSTEMS["main"])
+    assert within is not None
+    assert free is not None
+    assert free.error[0] < within.error[0] == pytest.approx(0.2)
+    assert within.trust[0] <= free.trust[0]
     assert trusted_of(PLANNED._replace(model_error=np.nan), settings, SYSTEMS["main"]) is None
     some = dataclasses.replace(MAP, signs=("expected", "sigma"), least=MAP.least[:2], slope=MAP.slope[:2])
     error_map.save(tmp_path / trust.PLACE, some, {})

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 
 from clothkit.app.options import WITHIN, ObservationOptions
 from clothkit.app.settings import AppConfig
+from clothkit.cloth.voxels import RESOLUTION
 from clothkit.estimation import alarms
 from clothkit.estimation.alarms import Alarms
 from clothkit.goals.variants import Variant
@@ -34,6 +35,8 @@ from clothkit.simulation.settings import SimulationConfig
 
 PARAMS = Path("params.yaml")
 _WEIGHTS = Weights(alpha=1.0, beta=5.0, gamma=1.25)
+# Largest share of the flat cloth that its points may cover; noise widens its border.
+_MOST_COVERED = 1.25
 
 Kind = Literal["mesh", "voxels", "points"]
 Usage = Literal["as it is", "estimated"]
@@ -174,6 +177,8 @@ def observed(state: State, options: ObservationOptions, *, name: str) -> Input:
         cloud = dataclasses.replace(cloud, box=None, table_colour=None, surface=0.0)
         table, stated = None, Stated()
     observation = observe(state, cloth_side=options.side, settings=cloud, table=table, stated=stated, name=name)
+    if isinstance(state, PointCloud):
+        _check_area(observation, options.sides, name)
     farthest = float(np.abs(observation.pose.normalised_to_camera(np.zeros((1, 3)))).max())
     if farthest > WITHIN - 2 * options.side:
         raise InputError(
@@ -181,6 +186,18 @@ def observed(state: State, options: ObservationOptions, *, name: str) -> Input:
             f"{WITHIN:.0f} m; expected metres in a frame near the cloth"
         )
     return Input(name, state, observation, options.cloth)
+
+
+def _check_area(observation: Observation, sides: tuple[float, float], name: str) -> None:
+    """Raises InputError when a cloud covers more than a cloth with these sides [m] can."""
+    cell = 2 / RESOLUTION[0] * observation.pose.scale
+    area = float(observation.voxels.any(-1).sum()) * cell**2
+    # Columns at the border count in full, though the cloth covers only a part of them.
+    if area > _MOST_COVERED * (sides[0] + 2 * cell) * (sides[1] + 2 * cell):
+        raise InputError(
+            f"{name}: what should be the cloth covers {area:.2g} m², more than one of {sides[0]:g} x {sides[1]:g} m "
+            "can; check its sides, and which points are the cloth's"
+        )
 
 
 def _read_mask(path: Path, count: int) -> Bool[np.ndarray, " points"]:

@@ -314,6 +314,10 @@ class Plan(Part):
         check_plan(self, system(self.system))
         return self
 
+    def save(self, path: str | Path) -> None:
+        """Write the plan as a file that all commands read. Raises InputError when it can't be written."""
+        write_plan(Path(path), self)
+
     def pose(self, centre_m: Point) -> Pose:
         """The pose of a cloth whose centre [m, in `frame`] is given."""
         axes, origin = np.array(self.table.axes, float), np.array(self.table.origin_m, float)

@@ -25,7 +25,7 @@ from clothkit.planning.perception import Estimation, Expected, KnownMeshes
 from clothkit.planning.planner import Planner, artifacts, assemble
 from clothkit.planning.predict import Prediction, differences, predict
 from clothkit.planning.systems import System
-from clothkit.planning.trust import Signs, Trusted, signs_of, tells, trusted
+from clothkit.planning.trust import Signs, Trusted, of_error, signs_of, tells, trusted
 from clothkit.planning.types import Choice, Memory, Observation, Plan
 from clothkit.planning.uncertainty import uncertainty
 from clothkit.runtime.errors import InputError
@@ -340,7 +340,13 @@ def trusted_of(planned: Planned, settings: Settings, system: System) -> Trusted 
     # As in the plans that were executed: one that is not expected to improve is left undone.
     expected = planned.expected_no_action if planned.useless else planned.expected
     signs = Signs(*(np.array([value]) for value in (expected, planned.model_error, planned.sigma)))
-    return trusted(settings.trust, signs, np.array([len(planned.plan)])) if tells(settings.trust, signs) else None
+    if not tells(settings.trust, signs):
+        return None
+    told = trusted(settings.trust, signs, np.array([len(planned.plan)]))
+    if np.isfinite(planned.without_limits) and told.error[0] < expected:
+        # No plan with limits was executed for the map: that such a one ends nearer than expected is not known.
+        return of_error(settings.trust, np.array([expected]))
+    return told
 
 
 def turned_plan(planner: Planner, planned: Planned, goal: State, matrix: Float[np.ndarray, "2 2"]) -> Planned:
