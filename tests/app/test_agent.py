@@ -169,6 +169,13 @@ def test_what_was_not_executed_is_left_and_what_helps_nothing_is_used_up(here: P
             assert bool(np.isinf(memory.unsure).all()) == (not executed)
             np.testing.assert_allclose(memory.expected[0], expected, atol=1e-5)
             np.testing.assert_allclose(memory.rest[0, 0], FOUND[1])
+        if executed:
+            # What is left undone after it leaves what is expected.
+            with finding(FOUND[1:]):
+                other.plan()
+            other.observe(metres(start), executed=None)
+            np.testing.assert_array_equal(other.state.memory.expected, memory.expected)
+            np.testing.assert_array_equal(other.state.memory.unsure, memory.unsure)
     assert agent.left == 1
     # Another plan takes the place of the one that waits.
     with finding(FOUND):

@@ -282,11 +282,15 @@ def memory_after(
 
     `before` is the memory before the plan, with the goal that the plan leads to, and `traces` are those before it.
     `predicted` is what the nets predict of the state after the first step; None: the step was not executed, so that
-    the expected state and the traces are those before it. In both cases the cloth is observed anew. `left` is
-    how many manipulations are left.
+    the expected state and the traces are those before it; before the first plan, what was perceived. In both cases the
+    cloth is observed anew. `left` is how many manipulations are left.
     """
-    expected = Expected(state, np.full(state.shape, np.inf)) if predicted is None else predicted
+    expected = Expected(state, np.full(state.shape, np.inf))
+    if predicted is None and before.planned[0]:
+        # The cloth lies as the last executed manipulation left it.
+        expected = Expected(before.expected[0], before.unsure[0])
     if predicted is not None:
+        expected = predicted
         traces = traces_after(planner, state, plan, common=common, traces=traces, cloth=before.cloth[0])
     rest = np.full_like(before.rest, np.nan)
     rest[0, : len(plan) - 1] = plan[1:]
