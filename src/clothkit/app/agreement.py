@@ -47,7 +47,9 @@ def compare_estimate(source: Input, mesh: State, settings: Settings) -> Estimate
     figures, doubts, strange = f"silhouette IoU {silhouette:.2f}, height IoU {heights:.2f}", [], None
     if not explains:
         named = (("silhouette", silhouette, least.silhouette), ("height", heights, least.heights))
-        low = [f"{name} IoU {value:.3f}, expected at least {most:g}" for name, value, most in named if value < most]
+        low = [
+            f"{name} IoU {value:.3f}, expected at least {lowest:g}" for name, value, lowest in named if value < lowest
+        ]
         doubts.append(f"the estimate does not explain what was seen ({'; '.join(low)})")
     if alarms:
         units = hidden_units(load_vtm(settings.data), voxels[None], source.cloth[None])

@@ -50,6 +50,7 @@ def choice_in_words(choice: Choice, side: float) -> str:
     line = f"expected error by number of manipulations: {', '.join(counts)}"
     if chosen:
         return line
-    better = expected[1:].min(initial=np.inf) < expected[0]
-    why = ": plans with such expectations ended farther from their goals than the cloth lies now" if better else ""
+    # One manipulation has no margin to earn: it was left out for what plans with such expectations came to.
+    worse = expected[1] < expected[0]
+    why = ": plans with such expectations ended farther from their goals than the cloth lies now" if worse else ""
     return f"{line}; nothing more is worth doing{why}"

@@ -109,11 +109,12 @@ def reached(
     `memory` is that before the plan, `candidates` are the state's grasp points, and `place` is where the cloth lies.
     Raises InputError when no such plan does anything.
     """
-    forms = list(_forms(planner, planned, memory.goal[0], limits))
-    breaks = [breaches_of(planner, form, place, motion, limits) for form, _ in forms]
-    for fit, found in zip(forms, breaks, strict=True):
-        if not found:
+    forms: list[tuple[Planned, np.ndarray | None]] = []
+    breaks: list[list[Breach]] = []
+    for fit in _forms(planner, planned, memory.goal[0], limits):
+        if not (found := breaches_of(planner, fit[0], place, motion, limits)):
             return fit
+        forms, breaks = [*forms, fit], [*breaks, found]
     farthest = max(breaks[0], key=lambda breach: breach.distance)
     told = f"in step {farthest.step} of the plan a hand is {farthest.distance:.3g} m {farthest.limit}"
     points = _grasp_points(planner, planned.state, candidates, place)
