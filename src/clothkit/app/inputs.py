@@ -21,6 +21,7 @@ from clothkit.observation.cloud import Observation
 from clothkit.observation.files import State, read
 from clothkit.observation.observe import observe
 from clothkit.observation.pose import Pose
+from clothkit.observation.segment import MAX_COVERED
 from clothkit.observation.side import Stated
 from clothkit.observation.silhouettes import points_of
 from clothkit.observation.states import MeshState, PointCloud, SilhouetteState, VoxelState
@@ -35,8 +36,6 @@ from clothkit.simulation.settings import SimulationConfig
 
 PARAMS = Path("params.yaml")
 _WEIGHTS = Weights(alpha=1.0, beta=5.0, gamma=1.25)
-# Largest share of the flat cloth that its points may cover; noise widens its border.
-_MOST_COVERED = 1.25
 
 Kind = Literal["mesh", "voxels", "points"]
 Usage = Literal["as it is", "estimated"]
@@ -193,7 +192,7 @@ def _check_area(observation: Observation, sides: tuple[float, float], name: str)
     cell = 2 / RESOLUTION[0] * observation.pose.scale
     area = float(observation.voxels.any(-1).sum()) * cell**2
     # Columns at the border count in full, though the cloth covers only a part of them.
-    if area > _MOST_COVERED * (sides[0] + 2 * cell) * (sides[1] + 2 * cell):
+    if area > MAX_COVERED * (sides[0] + 2 * cell) * (sides[1] + 2 * cell):
         raise InputError(
             f"{name}: what should be the cloth covers {area:.2g} m², more than one of {sides[0]:g} x {sides[1]:g} m "
             "can; check its sides, and which points are the cloth's"

@@ -23,13 +23,14 @@ from clothkit.observation.side import Stated, heights_of, oriented
 from clothkit.observation.states import PointCloud, named
 from clothkit.runtime.errors import InputError
 
+MAX_COVERED = 1.25
+"""Largest share of the flat cloth's area that the cloth's points may cover; noise widens the cloth's border."""
+
 _LEAST_POINTS = 100
 _UNITS = {"millimetres": 1000.0, "centimetres": 100.0, "inches": 39.37}
 # Shares of the cloth's side: least and largest span of a cloth along one axis, folded small or along its diagonal, with
 # some slack.
 _NARROWEST, _WIDEST = 0.15, 1.6
-# Largest share of the flat cloth's area that the cloth's points may cover; noise widens the cloth's border.
-_MOST_COVERED = 1.25
 # No point is an outlier up to this multiple of the mean distance to neighbours. At the corner of an even grid, the
 # distance is one and a half times the mean.
 _LEAST_OUTLYING = 2.0
@@ -232,7 +233,7 @@ def _one_piece(cloth: np.ndarray, cloth_side: float, settings: CloudConfig, name
     cloth = cloth[pieces[inverse] == largest]
     span, area = float(np.ptp(cloth[:, :2], axis=0).max()), sizes[largest] * cell**2
     # Cells at the border count in full, though the cloth covers only a part of them.
-    most = _MOST_COVERED * (cloth_side + 2 * cell) ** 2
+    most = MAX_COVERED * (cloth_side + 2 * cell) ** 2
     if span > _WIDEST * cloth_side or area > most:
         raise InputError(
             f"{name}: what should be the cloth spans {span:.2g} m and covers {area:.2g} m², more than a cloth of side "
