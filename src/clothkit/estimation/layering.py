@@ -1,9 +1,9 @@
 """Layers that do not pierce one another: where two parts of a cloth overlap, one lies above the other.
 
 Each vertex of an estimated mesh is about as precise as the distance between two layers. Where the mesh lies on itself,
-the layers therefore pierce one another in stripes, although it is clear which one is above when the whole overlap is looked
-at: it can't change without a fold in between. So the differences in height of overlapping vertices
-are averaged over neighbouring pairs, which gives an order, and the vertices are moved up and down until they keep it.
+the layers therefore pierce one another in stripes, although it is clear which one is above when the whole overlap is
+looked at: it can't change without a fold in between. So the differences in height of overlapping vertices are averaged
+over neighbouring pairs, which gives an order, and the vertices are moved up and down until they keep it.
 """
 
 from itertools import product
@@ -25,9 +25,9 @@ ROUNDS = 100
 """How often differences in height are averaged over neighbouring pairs."""
 
 RELAXATION = 1.9
-"""Factor of second-order diffusion, from 1 (first order) to below 2. With it, ROUNDS reach as far as a thousand averages
-without it: over all of an overlap, which then has one order. First order reaches ten grid steps, so that two layers
-exchange their places halfway where an estimate is unsure."""
+"""Factor of second-order diffusion, from 1 (first order) to below 2. With it, ROUNDS reach as far as a thousand
+averages without it: over all of an overlap, which then has one order. First order reaches ten grid steps, so that two
+layers exchange their places halfway where an estimate is unsure."""
 
 HIGHEST = 0.03
 """Differences in height count as at most this much [normalised], so that a steep part does not decide alone."""
@@ -99,7 +99,8 @@ def order_of(
 ) -> Order:
     """Which vertex of each pair is the upper one, as it is in the mean over the overlap that it belongs to.
 
-    The mean is that of second-order diffusion on the graph of neighbouring pairs (Muthukrishnan, Ghosh and Schultz 1998).
+    The mean is that of second-order diffusion on the graph of neighbouring pairs (Muthukrishnan, Ghosh and Schultz
+    1998).
     """
     linked = neighbours(pairs, shape) + identity(len(pairs))
     averaged = diags(1 / np.asarray(linked.sum(1)).ravel()) @ linked
