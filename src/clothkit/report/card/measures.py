@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from clothkit.cloth.voxels import HEIGHT
 from clothkit.manipulation.vector import SHORTEST
 from clothkit.report.card.meanings import flatten
 
@@ -67,3 +68,8 @@ def limits(params: Mapping[str, Any]) -> dict[str, float]:
     if share is not None and thickness is not None:
         found["gap"] = share * thickness
     return {**found, MOVE.name: SHORTEST}
+
+
+def highest(limits: Mapping[str, float]) -> float:
+    """The greatest height that a state may have [normalised]; that of the paper's viewport where no limit is known."""
+    return limits.get("height", HEIGHT)
