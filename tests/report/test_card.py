@@ -143,6 +143,13 @@ def test_states_are_too_high_by_the_datasets_own_limit(raw: Path) -> None:
     assert tables.viewport(tried, 0.2)["higher"].tolist() == counted
 
 
+def test_gaps_have_no_one_limit_where_thickness_is_drawn() -> None:
+    told = {"limits": {"gap": 0.4}, "simulation": {"material": {"thickness": 0.002}}}
+    assert limits(told)["gap"] == pytest.approx(0.0008)
+    assert limits({**told, "variation": {"thickness": None}})["gap"] == pytest.approx(0.0008)
+    assert "gap" not in limits({**told, "variation": {"thickness": [0.002, 0.008]}})
+
+
 def test_worst_states_are_the_worst_that_are_left(raw: Path) -> None:
     states = read(raw).states
     worst = tables.worst(states, count=2)

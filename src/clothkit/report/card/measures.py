@@ -60,12 +60,16 @@ def of_name(name: str) -> Measure:
 
 
 def limits(params: Mapping[str, Any]) -> dict[str, float]:
-    """Limits of acceptance by column, in the files' units: those in the artifacts' settings, and the null length."""
+    """Limits of acceptance by column, in the files' units: those in the artifacts' settings, and the null length.
+
+    The limit of gaps is a share of the thickness: where each sequence draws its own, it is no one length and left out.
+    """
     stated = params.get("limits")
     stated = stated if isinstance(stated, Mapping) else {}
     found = {m.name: float(stated[m.name]) for m in QUALITY if isinstance(stated.get(m.name), int | float)}
-    share, thickness = found.pop("gap", None), flatten(params).get("simulation.material.thickness")
-    if share is not None and thickness is not None:
+    told = flatten(params)
+    share, thickness = found.pop("gap", None), told.get("simulation.material.thickness")
+    if share is not None and thickness is not None and told.get("variation.thickness") is None:
         found["gap"] = share * thickness
     return {**found, MOVE.name: SHORTEST}
 

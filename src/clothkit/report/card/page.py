@@ -104,6 +104,7 @@ def page(contents: Contents) -> str:
         markdown.plain(contents.hands),
         "## Quality\n",
         "States of accepted sequences after each manipulation. The worst is the largest, of gaps the smallest.\n",
+        _gap_of_each(inputs),
         _csv("quality"),
         markdown.plain(contents.quality),
         _tried(contents),
@@ -150,6 +151,14 @@ def in_words(inputs: Inputs) -> str:
 def _are_drawn(inputs: Inputs) -> bool:
     """Whether each sequence has another cloth."""
     return "variation.thickness" in flatten(inputs.params)
+
+
+def _gap_of_each(inputs: Inputs) -> str:
+    """The sentence on the limit of gaps where it is another for each cloth; "" where it is one, or unknown."""
+    share = flatten(inputs.params).get("limits.gap")
+    if not _are_drawn(inputs) or share is None:
+        return ""
+    return f"The limit of the gap is {_value(share)} of each cloth's own thickness, so it is no one length.\n"
 
 
 def _value(value: object) -> str:
