@@ -100,13 +100,14 @@ def command(
     \b
     clothkit simulate --state start.obj --plan plan.json --goal goal.obj --out outcome.glb
     """
-    data, settings = load_nets(data)
     plan = read_plan(source)
     if steps and steps > len(plan.steps):
         raise InputError(f"--steps: {source} has {len(plan.steps)}, found {steps}")
     # A thicker cloth than that of the plan may be tried; one of other sides would begin stretched.
     thickness = values.pop("thickness")
-    values |= cloth_of(plan, values, source) | ({} if thickness is None else {"thickness": thickness})
+    values |= cloth_of(plan, values, source)
+    data, settings = load_nets(data, values)
+    values |= {} if thickness is None else {"thickness": thickness}
     options = observation_options(settings.app, **values)
     check_target(out, FORMATS)
     named, angle = goal_option(goal, turn, mirror)
