@@ -80,6 +80,7 @@ def recorded_sessions(dataset: Dataset) -> Sessions:
 @pytest.fixture(scope="module")
 def inputs(dataset: Dataset) -> Inputs:
     common = {"split": "test", "error": 0.03, "error_no_action": 0.2, "sigma_ratio": 0.8}
+    several = {"hypotheses": 2, "probability": 0.6, "error_best": 0.02}
     shift = {"position_error": 0.02, "position_no_action": 0.2}
     in_voxels = {"voxel_error": 0.01, "voxel_error_no_action": 0.05}
     in_voxels |= {"voxel_error_025": 0.005, "voxel_error_025_no_action": 0.025}
@@ -95,7 +96,7 @@ def inputs(dataset: Dataset) -> Inputs:
     )
     estimation = pd.DataFrame(
         [
-            {**common, "sequence": sequence, "state": state, "kind": kind}
+            {**common, **several, "sequence": sequence, "state": state, "kind": kind}
             for sequence in (0, 1)
             for state in (1, 2, 3)
             for kind in ("pmr", "dmr")

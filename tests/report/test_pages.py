@@ -50,7 +50,8 @@ def test_what_an_older_report_lacks_is_not_missed(tmp_path: Path, missing: tuple
 
 
 def test_a_report_of_other_cloths_does_not_speak_of_the_papers_figures(tmp_path: Path) -> None:
-    made = {name: without_paper(table) for name, table in tables_of(SYSTEMS).items()}
+    absent = ("table_4", "table_4_025", "table_7", "table_7_025")
+    made = {name: without_paper(table) for name, table in tables_of(SYSTEMS).items() if name not in absent}
     folder = write_report(tmp_path / "report", made)
     settings = YAML(typ="safe").load(folder / "params.yaml")
     settings["scales"][settings["scale"]]["report"]["paper"] = False

@@ -70,7 +70,7 @@ class Alarms(NamedTuple):
         cloths of the data are thinner than its thickest squares.
         """
         spacing = np.min(cloth[..., :2], axis=-1) / (SQUARE.shape[0] - 1)
-        return MARGIN * np.minimum(self.cloths[1, 2], spacing / LEAST_SPACING)
+        return np.asarray(MARGIN * np.minimum(self.cloths[1, 2], spacing / LEAST_SPACING))
 
     def raised(self, signs: Signs) -> Bool[np.ndarray, " batch"]:
         """Whether an alarm is raised."""

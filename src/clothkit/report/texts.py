@@ -42,7 +42,8 @@ def planned(report: Report) -> str:
 def intro(report: Report) -> str:
     """How errors and columns are meant, and the systems that the report has."""
     there = {system for name in ("table_3", "table_6") for system in report.table(name).get("system", [])}
-    sentences, told = [], set()
+    sentences: list[str] = []
+    told: set[str] = set()
     for systems, sentence in captions.INTRODUCED.items():
         if there.issuperset(systems) and told.isdisjoint(systems):
             sentences.append(sentence)

@@ -3,8 +3,6 @@
 from dataclasses import replace
 from typing import get_type_hints
 
-from annotated_types import Ge, Le
-
 from clothkit.simulation.material import Material
 
 POWERS = {"shear_stiffness": -1, "bending_stiffness": -3, "bending_friction": -2, "bending_limit": 1}
@@ -26,11 +24,6 @@ def resized(material: Material, size: float) -> Material:
     hints = get_type_hints(Material, include_extras=True)
     values = {}
     for name, power in POWERS.items():
-        value = getattr(material, name) * size**power
-        for bound in hints[name].__metadata__:
-            if isinstance(bound, Ge):
-                value = max(value, float(bound.ge))  # type: ignore[arg-type]
-            elif isinstance(bound, Le):
-                value = min(value, float(bound.le))  # type: ignore[arg-type]
-        values[name] = value
+        least, most = hints[name].__metadata__
+        values[name] = min(max(getattr(material, name) * size**power, least.ge), most.le)
     return replace(material, **values)
