@@ -106,18 +106,21 @@ class Agent:
 
         System main estimates a mesh from what a camera sees; b1 takes a mesh as it is. `settings` are by default those
         of params.yaml in the current directory, where there is one; and `limits`, what the robot's hands have to keep
-        to, those of the settings. Where the folder `data` of the current directory has no nets, prebuilt ones are
-        taken, as by the commands.
+        to, those of the settings. Where the folder `data` of the current directory has no nets, or none that know the
+        cloth, prebuilt ones are taken, as by the commands.
         """
+        cloth = {
+            "side": None if side is None else float(side),
+            "sides": _floats("sides", sides, 2),
+            "thickness": None if thickness is None else float(thickness),
+        }
         if settings is None:
-            _, settings = load_nets(Path(data))
+            _, settings = load_nets(Path(data), cloth if system == "main" else None)
         else:
             settings = settings._replace(data=Path(data))
         options = observation_options(
             settings.app,
-            side=None if side is None else float(side),
-            sides=_floats("sides", sides, 2),
-            thickness=None if thickness is None else float(thickness),
+            **cloth,
             table=_floats("table", table, 4),
             table_colour=None if table_colour is None else tuple(table_colour),
             box=_floats("box", box, 6),

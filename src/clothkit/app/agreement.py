@@ -69,13 +69,13 @@ def compare_estimate(source: Input, mesh: State, settings: Settings) -> Estimate
 def _unknown_cloth(source: Input, alarms: Alarms) -> str:
     """What the net does not know of a cloth, and what it knows."""
     thickness, scale = float(source.cloth[2]), source.pose.scale
-    low, high = alarms.cloths[0, 2] / MARGIN, alarms.cloths[1, 2] * MARGIN
+    low, high = alarms.cloths[0, 2] / MARGIN, float(alarms.thickest(source.cloth))
     longer, shorter = sorted((float(side) * scale for side in source.cloth[:2]), reverse=True)
     if not low <= thickness <= high:
         known = f"{1000 * low * scale:.1f} to {1000 * high * scale:.1f} mm"
         return (
-            f"the net has seen no cloth of {longer:.3g} m that is {1000 * thickness * scale:.1f} mm thick, but of "
-            f"{known} (--thickness)"
+            f"the net has seen no cloth of {longer:.3g} x {shorter:.3g} m that is {1000 * thickness * scale:.1f} "
+            f"mm thick, but of {known} (--thickness)"
         )
     return f"the net has seen no cloth with such different sides, {longer:.3g} and {shorter:.3g} m"
 

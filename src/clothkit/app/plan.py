@@ -165,7 +165,6 @@ def command(
     clothkit plan --state cloud.ply --goal half --sides 0.5 0.3 --table 0 0 -1 -0.8
     clothkit plan --state cloud2.ply --goal goal.obj --after plan.json --out plan2.json --table 0 0 -1 -0.8
     """
-    data, settings = load_nets(data)
     check_target(out, ("json",))
     # Path.resolve fails where links lead in a circle.
     if after and os.path.realpath(out) == os.path.realpath(after):
@@ -173,6 +172,9 @@ def command(
     previous = read_plan(after) if after else None
     if previous and after:
         values |= cloth_of(previous, values, after)
+    # Prebuilt nets are those of system main alone.
+    planning = name or (previous.system if previous else "main")
+    data, settings = load_nets(data, values if planning == "main" else None)
     options = observation_options(settings.app, **values)
     limits = limits_of(settings.app, boxes=reach, balls=reach_ball, keep_out=keep_out, apart=apart)
     named, angle = goal_option(goal, turn, mirror)

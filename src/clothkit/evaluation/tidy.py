@@ -77,6 +77,10 @@ ESTIMATION = Table(
         "error_labelled": _optional(_ERROR),
         "error_no_action": _ERROR,
         "sigma_ratio": _ERROR,
+        # Older rows tell nothing of hypotheses.
+        "hypotheses": Column("whole numbers", 1, optional=True),
+        "probability": _optional(_SHARE),
+        "error_best": _optional(_ERROR),
     },
     keys=("split", "sequence", "state", "kind"),
     complete=(_every_state("split", "kind"),),

@@ -4,14 +4,22 @@ Texts that depend on a report's settings or figures are in `texts.py`.
 """
 
 INTRO = (
-    "Errors are mean distances between vertices, in lengths of the cloth's side. Each is the smallest over the cloth's "
-    "eight equivalent labellings. Outcomes and *no action* (the start compared with the goal) are translated onto the "
-    "goal first; estimates and predictions are not. Columns: number of manipulations / state from which they start. "
-    "*main* observes voxels only. *a1* predicts and *b1* plans from true meshes. *b2* plans with one net, and *b3* "
-    "without the uncertainty term. *b4* and *b5* plan in voxels, with an ensemble and with one net. The pictures show "
-    "the first test sequences, which were not selected by their results, except for the largest errors and the median "
-    "cases.\n"
+    "Errors are mean distances between vertices, in lengths of the cloth's side. Each is the smallest over "
+    "{labellings}. Outcomes and *no action* (the start compared with the goal) are translated onto the goal first; "
+    "estimates and predictions are not. Columns: number of manipulations / state from which they start. {systems} The "
+    "pictures show the first test sequences, which were not selected by their results, except for the largest errors "
+    "and the median cases.\n"
 )
+LABELLINGS = "the cloth's eight equivalent labellings"
+LABELLINGS_VARIED = "the cloth's equivalent labellings (eight of a square, four of a rectangle)"
+INTRODUCED = {
+    ("main",): "*main* observes voxels only.",
+    ("a1", "b1"): "*a1* predicts and *b1* plans from true meshes.",
+    ("b2", "b3"): "*b2* plans with one net, and *b3* without the uncertainty term.",
+    ("b3",): "*b3* plans without the uncertainty term.",
+    ("b4", "b5"): "*b4* and *b5* plan in voxels, with an ensemble and with one net.",
+}
+"""Sentences about systems; each stands where all of them are in the report, and none of them in a sentence before."""
 CANONICAL = (
     "The input of the nets that predict meshes is one canonical description of each cloth, which does not depend on "
     "the cloth's direction and labels"
@@ -39,6 +47,9 @@ PAPER = (
 UNCERTAINTY = (
     "Median over meshes of the mean of abs(error) / σ. The ideal is 0.798; a smaller value means that σ is too large. "
     "Columns: estimates, then predictions after one, two and three manipulations.\n"
+)
+UNCERTAINTY_STATES = (
+    "*estimate* is over all states; *estimate 1*, *2* and *3* are those after one, two and three manipulations.\n"
 )
 UNCERTAINTY_PAPER = "The paper gives values for the test set only.\n"
 
@@ -119,6 +130,14 @@ STAGES = "[Seconds and memory of every stage](timings.csv), of the stages' last 
 STATES = (
     "By number of manipulations before the state. *no action* takes the state before the last manipulation as the "
     "estimate.\n"
+)
+HYPOTHESES = (
+    "VtM answers with several hypotheses of the shape, of which the chosen one is the most probable after their "
+    "refinement. *several*: share of states with more than one that is distinct (at least 0.05 away from the chosen "
+    "one, and of a probability of at least 0.02). *probability*: mean, of the chosen one. *error*: mean error of the "
+    "chosen refined mesh; *best*: of the distinct hypothesis that is nearest to the truth, which nobody can know "
+    "beforehand; what lies between them is lost by the choice. The columns *.._several* count the states with several "
+    "alone.\n"
 )
 ATTEMPTS = "Tried sequences by result: accepted, or the reason for the rejection.\n"
 FAILURES = (

@@ -92,7 +92,7 @@ class Table:
     ideal: float = -math.inf
     heads: Mapping[str, str] = field(default_factory=dict)
     unit: str = ""
-    noted: bool = False
+    noted: bool | Callable[[Report], bool] = False
     """Whether a note stands in its place where it is not there."""
     file: str = ""
     """Path of its CSV in the report's folder; empty: `tables/<name>.csv`."""
@@ -119,7 +119,7 @@ class Table:
                 self.heads,
                 self.unit,
             )
-        elif self.noted:
+        elif self.noted(report) if callable(self.noted) else self.noted:
             yield blocks.Note(self.title, captions.MISSING)
 
 

@@ -3,6 +3,9 @@
 SPLITS = {"test": "Test set", "train": "Training set"}
 """Titles of the splits that evaluations use."""
 
+CLOTH_LENGTHS = "lengths of the cloth's side"
+"""Unit of errors."""
+
 TASKS = ("1/0", "1/1", "1/2", "1/all", "2/0", "2/1", "2/all", "3/all")
 """Columns of tables 3, 4, 6 and 7: length / start."""
 
@@ -14,6 +17,12 @@ STATES = ("1", "2", "3", "all")
 
 LENGTHS = ("1", "2", "3")
 """Columns of table 5: number of predicted manipulations, over all starts."""
+
+HYPOTHESES = (
+    *("split", "state", "states", "several", "probability", "error", "best"),
+    *("probability_several", "error_several", "best_several"),
+)
+"""Columns of the table of what several hypotheses give."""
 
 BY_CLOTH = ("measure", "system", "property", "class", "sequences", *LENGTHS)
 """Columns of the table of errors by cloth."""

@@ -10,9 +10,21 @@ import pandas as pd
 
 from clothkit.report import blocks, captions, selections, texts
 from clothkit.report.contents import Contents
-from clothkit.report.entries import Card, Cards, Figure, Folded, Report, Section, Table, Text, Timings
+from clothkit.report.entries import Figure, Folded, Report, Section, Table, Text, Timings
 from clothkit.report.formatting import IDEAL_RATIO
-from clothkit.report.layout import BY_CLOTH, GOALS, LENGTHS, PROBED, SPLITS, STATES, TASKS, TRUST
+from clothkit.report.in_short import IN_SHORT
+from clothkit.report.layout import (
+    BY_CLOTH,
+    CLOTH_LENGTHS,
+    GOALS,
+    HYPOTHESES,
+    LENGTHS,
+    PROBED,
+    SPLITS,
+    STATES,
+    TASKS,
+    TRUST,
+)
 
 OUTCOMES = ("source", "split", "system", "statistic", *TASKS)
 COMPARISON = ("column", "sequences", "difference", "low", "high", "p")
@@ -21,70 +33,10 @@ COMPARISONS = ("split", "measure", "system", "against", *COMPARISON)
 BY_SYSTEM = ("split", "system", "statistic")
 """Keys of the tables with the paper's figures beside ours."""
 
-CLOTH_LENGTHS = "lengths of the cloth's side"
 VOXEL_DIFFERENCE = "mean voxel value difference"
 
 SECTIONS = (
-    Section(
-        "short",
-        "In short",
-        (
-            Text(texts.findings_on_planners),
-            Text(texts.planned),
-            Cards(
-                (
-                    Card(
-                        "Estimation",
-                        "table_2",
-                        "kind",
-                        "dmr",
-                        "all",
-                        "Mean error of meshes estimated from voxels",
-                    ),
-                    Card(
-                        "Prediction",
-                        "table_3",
-                        "system",
-                        "main",
-                        "3/all",
-                        "Mean error of states predicted after three manipulations",
-                    ),
-                    Card(
-                        "Planning, one step",
-                        "table_6",
-                        "system",
-                        "main",
-                        "1/all",
-                        "Mean distance of the cloth from its goal after a one-step plan",
-                    ),
-                    Card(
-                        "Planning, three steps",
-                        "table_6",
-                        "system",
-                        "main",
-                        "3/all",
-                        "Mean distance of the cloth from its goal after a three-step plan",
-                    ),
-                )
-            ),
-            Table(
-                "means",
-                "Mean errors on the test set",
-                words=(
-                    texts.with_paper(captions.LABELLED_SHORT, captions.LABELLED_SHORT_PAPER),
-                    texts.replay,
-                    texts.unequal_budgets,
-                ),
-                rows=selections.means,
-                keys=("what", "system"),
-                judged=selections.systems_of_means,
-                unit=CLOTH_LENGTHS,
-                file="tables/table_6.csv",
-            ),
-            Text(captions.INTRO),
-            Text(texts.descriptions),
-        ),
-    ),
+    IN_SHORT,
     Section(
         "planning",
         "Planning",
@@ -115,7 +67,7 @@ SECTIONS = (
                 selections.mark_systems,
                 keys=BY_SYSTEM,
                 unit=VOXEL_DIFFERENCE,
-                noted=True,
+                noted=texts.is_beside_paper,
             ),
             Table(
                 "table_7_025",
@@ -125,7 +77,7 @@ SECTIONS = (
                 selections.mark_systems,
                 keys=BY_SYSTEM,
                 unit=VOXEL_DIFFERENCE,
-                noted=True,
+                noted=texts.is_beside_paper,
             ),
             Table(
                 "budgets",
@@ -180,7 +132,7 @@ SECTIONS = (
                 selections.mark_systems,
                 keys=BY_SYSTEM,
                 unit=VOXEL_DIFFERENCE,
-                noted=True,
+                noted=texts.is_beside_paper,
             ),
             Table(
                 "table_4_025",
@@ -190,7 +142,7 @@ SECTIONS = (
                 selections.mark_systems,
                 keys=BY_SYSTEM,
                 unit=VOXEL_DIFFERENCE,
-                noted=True,
+                noted=texts.is_beside_paper,
             ),
             Table(
                 "comparisons",
@@ -226,6 +178,13 @@ SECTIONS = (
                 unit=CLOTH_LENGTHS,
                 heads={"1": "after 1", "2": "after 2", "3": "after 3"},
                 noted=True,
+            ),
+            Table(
+                "hypotheses",
+                "Several hypotheses",
+                HYPOTHESES,
+                (captions.HYPOTHESES,),
+                unit=CLOTH_LENGTHS,
             ),
         ),
     ),
@@ -310,7 +269,7 @@ SECTIONS = (
                 "sigma_ratio",
                 "Stated and actual uncertainty",
                 ("source", "split", "system", "estimate", *LENGTHS),
-                (texts.with_paper(captions.UNCERTAINTY, captions.UNCERTAINTY_PAPER),),
+                (texts.with_paper(captions.UNCERTAINTY, captions.UNCERTAINTY_PAPER), texts.estimates_by_state),
                 selections.sigma_ratios,
                 keys=("split",),
                 judged=list(SPLITS.values()),
