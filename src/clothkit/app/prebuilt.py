@@ -4,8 +4,10 @@ from pathlib import Path
 
 import click
 
-from clothkit.app.inputs import Settings, load_settings
+from clothkit.app.inputs import Settings, load_settings, settings_of_params
 from clothkit.models import store
+from clothkit.planning.planner import artifacts
+from clothkit.planning.systems import SYSTEMS
 from clothkit.prebuilt.files import VTM, unpacked, user_folder
 from clothkit.prebuilt.manifest import MANIFEST
 from clothkit.prebuilt.manifest import read as read_manifest
@@ -24,23 +26,32 @@ def load_nets(data: Path) -> tuple[Path, Settings]:
     trained ones know. Raises InputError if a file is invalid.
     """
     found = data if (data / MANIFEST).exists() else None
+    missing: list[str] = []
     if found is None and data == DATA:
-        if _has_nets(data):
-            _tell_of_others(data)
-        else:
+        missing = _missing(data)
+        if missing:
             found = prebuilt(PREBUILT)
+        else:
+            _tell_of_others(data)
     if found is None:
         return data, load_settings(data)
     manifest = read_manifest(found)
     folder = unpacked(found, keep=user_folder())
     if found != data:
-        click.echo(f"notice: no trained nets in {data}/nets: those of {found} are used", err=True)
+        lacking = f"{data} has no {', '.join(missing)} yet" if _has_some(data) else f"no trained nets in {data}/nets"
+        click.echo(f"notice: {lacking}: those of {found} are used", err=True)
     return folder, load_settings(folder, scale=manifest.scale)._replace(members=manifest.members)
 
 
-def _has_nets(data: Path) -> bool:
-    """Whether there are all nets of system main, which an interrupted chain does not have yet."""
-    return all((data / "nets" / name).exists() for name in ("pemd", "vtm"))
+def _missing(data: Path) -> list[str]:
+    """What system main plans with and a chain that was interrupted does not have yet, as paths under `data`."""
+    settings = settings_of_params()
+    needed = artifacts(SYSTEMS["main"], data, settings.members, settings.plan.uncertainty.measure)
+    return [path.relative_to(data).as_posix() for path in needed.values() if not path.exists()]
+
+
+def _has_some(data: Path) -> bool:
+    return any((data / "nets" / name).exists() for name in ("pemd", "vtm"))
 
 
 def _tell_of_others(data: Path) -> None:
