@@ -23,10 +23,15 @@ def asks(goal: Input, agreement: EstimateAgreement | None) -> bool:
     """
     if agreement is None or goal.kind != "points":
         return False
-    if sys.stdin.isatty():
+    if on_terminal():
         return True
     click.echo(f"notice: {goal.file}: what it is taken for is not confirmed (--confirm shows it, and asks)", err=True)
     return False
+
+
+def on_terminal() -> bool:
+    """Return whether a person can answer."""
+    return sys.stdin.isatty()
 
 
 def confirm_goal(out: Path, goal: Input, target: State, agreement: EstimateAgreement | None) -> None:
