@@ -297,7 +297,7 @@ def test_a_named_goal_of_a_live_session_has_the_form_that_is_chosen(folder: Path
     options = observation_options(settings.app, side=None, table=None)
     np.save(tmp_path / "flat.npy", SQUARE.flat())
     start = read_input(str(tmp_path / "flat.npy"), options)
-    with mock.patch.object(named_goals, "goal_mesh", lambda *_, **__: SQUARE.flat()):
+    with mock.patch.object(named_goals, "goal_mesh", return_value=SQUARE.flat()):
         found = goal_of_form(start, "half", 90, True, options, settings)
         plain = goal_of_form(start, "half", None, None, options, settings)
     assert found.variant is not None

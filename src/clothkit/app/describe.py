@@ -12,7 +12,8 @@ from clothkit.app.agreement import EstimateAgreement
 from clothkit.app.inputs import Input, Settings
 from clothkit.app.plan_file import Plan, plan_of, rounded
 from clothkit.app.plan_parts import UnsurePart
-from clothkit.app.planner import Planned, State, epistemic_uncertainty, trusted_of, usage_of
+from clothkit.app.planner import Planned, State, trusted_of, usage_of
+from clothkit.app.uncertainty import epistemic_uncertainty
 from clothkit.app.unsure import THRESHOLD, unsure_part
 from clothkit.cloth.mesh import distance
 from clothkit.cloth.silhouette import centred, iou, silhouette

@@ -27,8 +27,6 @@ from clothkit.planning.predict import Prediction, differences, predict
 from clothkit.planning.systems import System
 from clothkit.planning.trust import Signs, Trusted, of_error, signs_of, tells, trusted
 from clothkit.planning.types import Choice, Memory, Observation, Plan
-from clothkit.planning.uncertainty import uncertainty
-from clothkit.planning.uncertainty_terms import Measure
 from clothkit.runtime.errors import InputError
 
 State = Shaped[np.ndarray, "*state"]
@@ -333,21 +331,6 @@ def _predictions(
         np.array([common]),
         cloth[None],
     )
-
-
-def measure_of(planner: Planner) -> Measure | None:
-    """Return the measure of uncertainty that a planner's searches weigh; None: they weigh none."""
-    weighs = planner.system.doubts and float(planner.weights.alpha) != 0
-    return planner.settings.uncertainty.measure if weighs else None
-
-
-def epistemic_uncertainty(planner: Planner, planned: Planned) -> float | None:
-    """Return u of eq. (15) for a plan; None if there is only one net, or searches weigh something else."""
-    if planned.differences is None or measure_of(planner) != "paper":
-        return None
-    spread = planner.normalisation.reference(len(planned.plan)).spread
-    apart = jnp.asarray(planned.differences)
-    return float(uncertainty(apart, spread, beta=planner.weights.beta, gamma=planner.weights.gamma))
 
 
 def trusted_of(planned: Planned, settings: Settings, system: System) -> Trusted | None:

@@ -11,7 +11,8 @@ from jaxtyping import Float, Shaped
 
 from clothkit.app.inputs import Settings
 from clothkit.app.plan_file import UNLIKELY
-from clothkit.app.planner import Planned, epistemic_uncertainty, measure_of, trusted_of
+from clothkit.app.planner import Planned, trusted_of
+from clothkit.app.uncertainty import epistemic_uncertainty, measure_of
 from clothkit.cloth.mesh import error
 from clothkit.cloth.symmetry import relabel, relabel_manipulation
 from clothkit.cloth.topology import CLOTH_LENGTH, PAPERS_CLOTH, SQUARE
