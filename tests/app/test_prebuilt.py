@@ -113,7 +113,7 @@ def test_a_chain_that_stopped_before_its_reference_values_uses_the_prebuilt_nets
     shutil.copytree(nets / "data", fresh / "data", dirs_exist_ok=True)
     (fresh / "data/normalisation/mesh.json").unlink()
     assert load_nets(Path("data"))[0].is_relative_to(fresh / "cache")
-    told = "notice: data has no normalisation/mesh.json yet: those of prebuilt/household are used"
+    told = "notice: the nets in data lack normalisation/mesh.json: those of prebuilt/household are used"
     assert told in capsys.readouterr().err
     # Nets of other members than those that plan are none.
     shutil.copytree(nets / "data/normalisation", fresh / "data/normalisation", dirs_exist_ok=True)

@@ -88,7 +88,7 @@ def _beneath(mesh: Float[np.ndarray, "u v 3"]) -> Bool[np.ndarray, "u v"]:
     u, v = np.divmod(pairs, mesh.shape[1])
     pairs = pairs[np.maximum(np.abs(np.diff(u)), np.abs(np.diff(v)))[:, 0] >= APART]
     beneath = np.zeros(len(flat), bool)
-    beneath[np.where(flat[pairs[:, 0], 2] < flat[pairs[:, 1], 2], *pairs.T)] = True
+    beneath[np.where(flat[pairs[:, 0], 2] < flat[pairs[:, 1], 2], pairs[:, 0], pairs[:, 1])] = True
     return beneath.reshape(mesh.shape[:2])
 
 

@@ -22,7 +22,7 @@ from clothkit.runtime.errors import InputError, system_error
 
 OWN = "own files"
 AS_IT_COMES = "as it comes"
-"""No turn is chosen, which a goal in a file has to have."""
+"""No turn is chosen, as for a goal that is a file."""
 
 
 class LivePanel:
@@ -138,7 +138,9 @@ class LivePanel:
         planner = load_planner(system(self._system.value), self._data, self._settings)
         start = read_input(files.state, self._options, mask=files.mask)
         # The form of a named goal; what was chosen for one is not for a task's goal, which is a file.
-        form = (TURNS.get(self._turn.value), self._mirror.value or None) if files is own else (None, None)
+        form: tuple[Turn | None, bool | None] = (None, None)
+        if files is own:
+            form = TURNS.get(self._turn.value), self._mirror.value or None
         goal = goal_of_form(start, files.goal, *form, self._options, self._settings._replace(data=self._data))
         title = f"{Path(files.state).name} to {Path(files.goal).name}" if files is own else name
         title = f"{planner.system.name}, {title}"
