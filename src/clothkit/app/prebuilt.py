@@ -38,9 +38,9 @@ def load_nets(data: Path) -> tuple[Path, Settings]:
     manifest = read_manifest(found)
     folder = unpacked(found, keep=user_folder())
     if found != data:
-        lacking = (
-            f"the nets in {data} lack {', '.join(missing)}" if _has_some(data) else f"no trained nets in {data}/nets"
-        )
+        lacking = f"no trained nets in {data}/nets"
+        if _has_some(data):
+            lacking = f"the nets in {data} lack {', '.join(missing)}"
         click.echo(f"notice: {lacking}: those of {found} are used", err=True)
     return folder, load_settings(folder, scale=manifest.scale)._replace(members=manifest.members)
 
