@@ -17,7 +17,7 @@ def std_of(mask: np.ndarray) -> np.ndarray:
 
 
 def seen(mesh: np.ndarray) -> np.ndarray:
-    return np.asarray(voxels.observe(mesh))
+    return np.array(voxels.observe(mesh))
 
 
 def test_a_vertexs_variance_is_the_sum_of_those_of_its_coordinates() -> None:
