@@ -130,6 +130,23 @@ def test_nets_of_an_interrupted_chain_are_not_taken(fresh: Path, nets: Path) -> 
     assert load_nets(Path("data"))[0].is_relative_to(fresh / "cache")
 
 
+def test_a_chain_that_stopped_before_its_reference_values_uses_the_prebuilt_nets(
+    fresh: Path, nets: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(nets / "data", fresh / "data", dirs_exist_ok=True)
+    (fresh / "data/normalisation/mesh.json").unlink()
+    assert load_nets(Path("data"))[0].is_relative_to(fresh / "cache")
+    told = "notice: the nets in data lack normalisation/mesh.json: those of prebuilt/household are used"
+    assert told in capsys.readouterr().err
+    # Nets of other members than those that plan are none.
+    shutil.copytree(nets / "data/normalisation", fresh / "data/normalisation", dirs_exist_ok=True)
+    (fresh / "data/nets/pemd/1").rename(fresh / "data/nets/pemd/7")
+    assert load_nets(Path("data"))[0].is_relative_to(fresh / "cache")
+    # Without prebuilt nets, what is missing is told when it is needed.
+    shutil.rmtree("prebuilt")
+    assert load_nets(Path("data"))[0] == Path("data")
+
+
 def test_which_of_several(fresh: Path) -> None:
     assert prebuilt(Path("prebuilt")) == Path("prebuilt/household")
     shutil.rmtree("prebuilt/household")

@@ -28,6 +28,8 @@ class EstimateAgreement(NamedTuple):
     """How unlike the training data the voxels are; None if the nets come without alarms."""
     known: bool = True
     """Whether the net knows such voxels, and cloths of these sides and this thickness."""
+    cloth_known: bool = True
+    """Whether it knows the latter."""
 
     @property
     def reliable(self) -> bool:
@@ -45,6 +47,7 @@ def compare_estimate(source: Input, mesh: State, settings: Settings) -> Estimate
     least = settings.app.agreement or (alarms.least if alarms else AgreementConfig())
     silhouette, heights, explains = float(agrees.silhouette), float(agrees.heights), bool(agrees.explains(least))
     figures, doubts, strange = f"silhouette IoU {silhouette:.2f}, height IoU {heights:.2f}", [], None
+    cloth_known = True
     if not explains:
         named = (("silhouette", silhouette, least.silhouette), ("height", heights, least.heights))
         low = [
@@ -57,13 +60,14 @@ def compare_estimate(source: Input, mesh: State, settings: Settings) -> Estimate
         if strange > alarms.strangest:
             expected = f"expected at most {alarms.strangest:.1f}"
             doubts.append(f"the net has seen nothing like it (strangeness {strange:.1f}, {expected})")
-        if not alarms.knows(source.cloth):
+        if not (cloth_known := bool(alarms.knows(source.cloth))):
             doubts.append(_unknown_cloth(source, alarms))
     sentence = f"the estimate explains what was seen ({figures})"
     if doubts:
         sentence = f"{', and '.join(doubts)}: what follows from it can't be relied on"
     known = len(doubts) == (not explains)
-    return EstimateAgreement(silhouette, heights, explains, f"{source.file}: {sentence}", strange, known)
+    sentence = f"{source.file}: {sentence}"
+    return EstimateAgreement(silhouette, heights, explains, sentence, strange, known, cloth_known)
 
 
 def _unknown_cloth(source: Input, alarms: Alarms) -> str:

@@ -67,7 +67,7 @@ def load_settings(data: Path, *, scale: str | None = None) -> Settings:
     far plans can be trusted is what is known of the nets there.
     Raises InputError if a file is invalid.
     """
-    settings, calibrated = _settings(scale)._replace(data=data), data / trust.PLACE
+    settings, calibrated = settings_of_params(scale)._replace(data=data), data / trust.PLACE
     if calibrated.exists():
         settings = settings._replace(trust=trust.load(calibrated))
     vtm, set_alarms = data / "nets/vtm", data / "nets/alarms.npz"
@@ -79,7 +79,8 @@ def load_settings(data: Path, *, scale: str | None = None) -> Settings:
     return settings._replace(app=dataclasses.replace(settings.app, cloud=cloud), alarms=known)
 
 
-def _settings(scale: str | None) -> Settings:
+def settings_of_params(scale: str | None = None) -> Settings:
+    """Read params.yaml as `load_settings` does, without what is known of any nets. Raises InputError."""
     # lexists, because a broken or circular link must be reported and not replaced by the defaults.
     if not os.path.lexists(PARAMS):
         return Settings(AppConfig(), PlanConfig(), _WEIGHTS, CandidateConfig(), SimulationConfig(), (0, 1))

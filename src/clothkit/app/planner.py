@@ -27,7 +27,6 @@ from clothkit.planning.predict import Prediction, differences, predict
 from clothkit.planning.systems import System
 from clothkit.planning.trust import Signs, Trusted, of_error, signs_of, tells, trusted
 from clothkit.planning.types import Choice, Memory, Observation, Plan
-from clothkit.planning.uncertainty import uncertainty
 from clothkit.runtime.errors import InputError
 
 State = Shaped[np.ndarray, "*state"]
@@ -83,6 +82,12 @@ class Planned(NamedTuple):
     def improves(self) -> bool:
         """Whether the plan is expected to improve the state: it is not useless, and does something."""
         return not self.useless and not bool(np.all(is_null(self.plan)))
+
+    @property
+    def prediction_error(self) -> float | None:
+        """`model_error`; None if it is not known, or the plan does nothing, so that nothing has to be predicted."""
+        known = np.isfinite(self.model_error) and not bool(np.all(is_null(self.plan)))
+        return self.model_error if known else None
 
 
 def load_planner(system: System, data: Path, settings: Settings, *, optimiser: str | None = None) -> Planner:
@@ -326,15 +331,6 @@ def _predictions(
         np.array([common]),
         cloth[None],
     )
-
-
-def epistemic_uncertainty(planner: Planner, planned: Planned) -> float | None:
-    """Return u of eq. (15) for a plan; None if there is only one net."""
-    if planned.differences is None:
-        return None
-    spread = planner.normalisation.reference(len(planned.plan)).spread
-    apart = jnp.asarray(planned.differences)
-    return float(uncertainty(apart, spread, beta=planner.weights.beta, gamma=planner.weights.gamma))
 
 
 def trusted_of(planned: Planned, settings: Settings, system: System) -> Trusted | None:

@@ -6,9 +6,11 @@ from typing import Any
 
 import click
 
-from clothkit.app.inputs import Settings, load_settings
+from clothkit.app.inputs import Settings, load_settings, settings_of_params
 from clothkit.app.options import observation_options
 from clothkit.models import store
+from clothkit.planning.planner import artifacts
+from clothkit.planning.systems import SYSTEMS
 from clothkit.prebuilt.files import VTM, unpacked, user_folder
 from clothkit.prebuilt.manifest import MANIFEST
 from clothkit.prebuilt.manifest import read as read_manifest
@@ -29,18 +31,23 @@ def load_nets(data: Path, told: Mapping[str, Any] | None = None) -> tuple[Path, 
     invalid.
     """
     found = data if (data / MANIFEST).exists() else None
+    missing: list[str] = []
     if found is None and data == DATA:
-        if _has_nets(data):
+        missing = _missing(data)
+        if missing:
+            found = prebuilt(PREBUILT)
+        else:
             known = None if told is None else _knowing(data, told)
             if known is not None:
                 return known
             _tell_of_others(data)
-        else:
-            found = prebuilt(PREBUILT)
     if found is None:
         return data, load_settings(data)
     if found != data:
-        click.echo(f"notice: no trained nets in {data}/nets: those of {found} are used", err=True)
+        lacking = f"no trained nets in {data}/nets"
+        if _has_some(data):
+            lacking = f"the nets in {data} lack {', '.join(missing)}"
+        click.echo(f"notice: {lacking}: those of {found} are used", err=True)
     return _unpacked(found)
 
 
@@ -71,9 +78,15 @@ def _knowing(data: Path, told: Mapping[str, Any]) -> tuple[Path, Settings] | Non
     return folder, settings
 
 
-def _has_nets(data: Path) -> bool:
-    """Whether there are all nets of system main, which an interrupted chain does not have yet."""
-    return all((data / "nets" / name).exists() for name in ("pemd", "vtm"))
+def _missing(data: Path) -> list[str]:
+    """What system main plans with and a chain that was interrupted does not have yet, as paths under `data`."""
+    settings = settings_of_params()
+    needed = artifacts(SYSTEMS["main"], data, settings.members, settings.plan.uncertainty.measure)
+    return [path.relative_to(data).as_posix() for path in needed.values() if not path.exists()]
+
+
+def _has_some(data: Path) -> bool:
+    return any((data / "nets" / name).exists() for name in ("pemd", "vtm"))
 
 
 def _tell_of_others(data: Path) -> None:

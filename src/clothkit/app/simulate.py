@@ -15,7 +15,8 @@ from clothkit.app.named_goals import goal_option, named_goal, variant_before, va
 from clothkit.app.options import observation_options, with_observation_options
 from clothkit.app.output import check_target, part, write_mesh
 from clothkit.app.plan_arrays import cloth_of, placed_state
-from clothkit.app.plan_file import Plan, Step, read_plan
+from clothkit.app.plan_file import Plan, read_plan
+from clothkit.app.plan_parts import Step
 from clothkit.app.planner import estimate_mesh, load_vtm, mesh_of
 from clothkit.app.prebuilt import load_nets
 from clothkit.cloth.mesh import error
