@@ -22,6 +22,7 @@ Errors are in cloth lengths. Columns of plans are empty where none was made.
 
 import argparse
 import dataclasses
+import itertools
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -141,13 +142,13 @@ def world_of(sides: tuple[float, float], thickness: float, simulation: Simulatio
 
 
 def camera_above(side: float, thickness: float, *, seed: int) -> Callable[[Mesh], Points]:
-    """Return what a depth camera sees of a cloth with that longer side [m], with noise that depends on the seed."""
-    scale = side / CLOTH_LENGTH
+    """Return what a depth camera sees of a cloth with that longer side [m], with other noise at each look."""
+    scale, seeds = side / CLOTH_LENGTH, itertools.count(1000 * seed)
 
     def see(mesh: Mesh) -> Points:
         # The camera sees the upper side, half a layer above the vertices.
         surface = mesh.astype(float) * scale + [0, 0, thickness / 2]
-        image = noisy(render(surface, triangles(mesh.shape[:2]), CAMERA), NoiseConfig(), seed=seed)
+        image = noisy(render(surface, triangles(mesh.shape[:2]), CAMERA), NoiseConfig(), seed=next(seeds))
         cloud = back_project(image)
         return cloud.points, cloud.cloth
 
