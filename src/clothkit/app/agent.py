@@ -28,6 +28,7 @@ from clothkit.app.reach import check_limits, limits_of
 from clothkit.app.viewer.recording import ENDING, write_recording
 from clothkit.app.viewer.session import Session, StateEstimate, Step, shown_plan
 from clothkit.cloth.mesh import error
+from clothkit.cloth.voxels import Viewport
 from clothkit.dataset.store import STEPS
 from clothkit.goals.variants import Turn, Variant
 from clothkit.manipulation.geometry import to_cartesian
@@ -177,6 +178,11 @@ class Agent:
     def left(self) -> int:
         """The number of manipulations that are left, without the first one of a plan that was made and waits."""
         return self.state.left
+
+    @property
+    def viewport(self) -> Viewport:
+        """What voxels that are observed have to cover: what the nets know, by which they tell heights."""
+        return self._options.cloud.viewport
 
     @property
     def agreements(self) -> tuple[EstimateAgreement | None, EstimateAgreement | None]:

@@ -33,6 +33,9 @@ STARTS = ("flat", "dragged", "crumpled")
 GOALS = ("goal", "manipulations", "source", "cloths", *STARTS)
 """Columns of the tables of named goals."""
 
+GOALS_SPREAD = tuple(f"{start}_std" for start in STARTS)
+"""Further ones, which tables of older reports lack: the standard deviation over cloths, by start."""
+
 PROBED = ("all", "start 0", "start 1", "start 2", "step 1", "step 2", "step 3")
 """Groups of probes: all, those of one manipulation by the state that they start from, those of each manipulation."""
 
