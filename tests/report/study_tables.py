@@ -80,7 +80,7 @@ def reach() -> pd.DataFrame:
             row: dict[str, object] = {"region": region, "size": size, "way": way, "tasks": 180}
             row |= {"inside": inside, "inside_low": inside - 0.1, "inside_high": inside, "turned": 0.2 * inside}
             row |= {"searched": 0.0 if way == "turning" else 0.3 * inside}
-            error = 0.3 - 0.25 * inside
+            error = 0.3 - 0.2 * inside
             row |= {"error": error, "error_low": error - 0.01, "error_high": error + 0.01, "error_inside": 0.05}
             rows.append({**row, "error_free_inside": 0.04, "error_free": 0.045, "error_no_action": 0.3})
     return pd.DataFrame(rows)

@@ -55,16 +55,16 @@ def test_rows_of_sessions_in_the_toy_world(study: ModuleType) -> None:
 
 
 def test_what_such_plans_came_to(study: ModuleType) -> None:
-    """By a map that plans of n manipulations end 0.1 n from their goals, whatever is expected of them."""
-    trust = ErrorMap(("expected", "sigma"), np.ones(2), np.log(0.1 * np.arange(1, 4)), np.zeros(2), np.ones(3))
+    """By a map that plans of n manipulations end 0.05 n from their goals, whatever is expected of them."""
+    trust = ErrorMap(("expected", "sigma"), np.ones(2), np.log(0.05 * np.arange(1, 4)), np.zeros(2), np.ones(3))
     with finding({n: MANIPULATIONS[:n] for n in (1, 2, 3)}):
         for steps in ("1", "3"):
             found = study.run(toy.planner("b1"), dataset(1), [0], "test", steps, toy.execute, 0.01, trust)
-            np.testing.assert_allclose(found["trusted"], 0.1 * int(steps), rtol=1e-5)
+            np.testing.assert_allclose(found["trusted"], 0.05 * int(steps), rtol=1e-5)
         chosen = study.run(toy.planner("b1"), dataset(1), [0], "test", "chosen", toy.execute, 0.01, trust)
         free = study.run(toy.planner("b1"), dataset(1), [0], "test", "chosen", toy.execute, 0.01)
     assert free["trusted"].isna().all()
-    worse = 0.1 * free["planned"] > free["expected_no_action"]
+    worse = 0.05 * free["planned"] > free["expected_no_action"]
     assert 0 < (worse & (free["planned"] > 0)).sum() < (free["planned"] > 0).sum()
     # The agent of the study is that of the command line, which does nothing then.
     assert chosen["planned"].tolist() == np.where(worse, 0, free["planned"]).tolist()
