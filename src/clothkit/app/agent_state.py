@@ -19,7 +19,6 @@ from clothkit.app.planner import (
     memory_after,
     observation_of,
     planned_of,
-    trusted_of,
 )
 from clothkit.app.reach import reached
 from clothkit.estimation.estimate import estimate_probabilistic
@@ -132,19 +131,16 @@ def plan(now: AgentState, *, seed: int, limits: Limits = Limits()) -> AgentState
         raise InputError("agent: has observed nothing since the session began, expected an observation to plan from")
     if not now.memory.left[0]:
         raise InputError("agent: the session is over, expected manipulations that are left to plan")
-    known = _known(now.planner, perceived.state)
-    planned, _ = decide(*known, now.memory, seed=seed, length=now.choosing)
+    planned, _ = decide(
+        *_known(now.planner, perceived.state),
+        now.memory,
+        seed=seed,
+        length=now.choosing,
+        trust=now.settings.trust_in(now.planner.system),
+        sigma=perceived.sigma,
+    )
     planned = planned._replace(sigma=perceived.sigma)
-    if planned.choice is not None and _is_worse(planned, now):
-        planned = planned_of(now.planner, agent.nothing(*known, now.memory, planned.choice), now.memory)
-        planned = planned._replace(sigma=perceived.sigma)
     return kept_within(limits, dataclasses.replace(now, planned=planned), seed=seed)
-
-
-def _is_worse(planned: Planned, now: AgentState) -> bool:
-    """Whether plans with such an expectation ended farther from their goals than the cloth lies as it is."""
-    told = trusted_of(planned, now.settings, now.planner.system)
-    return told is not None and float(told.error[0]) > planned.expected_no_action
 
 
 def kept_within(limits: Limits, now: AgentState, *, seed: int) -> AgentState:

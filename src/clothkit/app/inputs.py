@@ -30,6 +30,7 @@ from clothkit.planning import trust
 from clothkit.planning.error_map import ErrorMap
 from clothkit.planning.objective import Weights
 from clothkit.planning.settings import PlanConfig
+from clothkit.planning.systems import System
 from clothkit.runtime.cache import ensure_jax_cache
 from clothkit.runtime.errors import InputError, system_error
 from clothkit.simulation.settings import SimulationConfig
@@ -57,6 +58,10 @@ class Settings(NamedTuple):
     """From which signs on an observation is unknown to the net that estimates meshes; None: not set."""
     trust: ErrorMap | None = None
     """How far the expectations of system main came true; None: not known."""
+
+    def trust_in(self, system: System) -> ErrorMap | None:
+        """Return how far a system's expectations came true; None: not known, as of all systems but main."""
+        return self.trust if system.name == "main" else None
 
 
 def load_settings(data: Path, *, scale: str | None = None) -> Settings:

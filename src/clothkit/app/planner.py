@@ -20,6 +20,7 @@ from clothkit.models import store
 from clothkit.models.net import Net
 from clothkit.planning import agent, optimisers
 from clothkit.planning.batches import take
+from clothkit.planning.error_map import ErrorMap
 from clothkit.planning.lengths import LengthConfig
 from clothkit.planning.perception import Estimation, Expected, KnownMeshes
 from clothkit.planning.planner import Planner, artifacts, assemble
@@ -194,14 +195,22 @@ def begin(planner: Planner, goal: State, length: int, cloth: Float[np.ndarray, "
 
 
 def decide(
-    planner: Planner, observation: Observation, memory: Memory, *, seed: int, length: LengthConfig | None = None
+    planner: Planner,
+    observation: Observation,
+    memory: Memory,
+    *,
+    seed: int,
+    length: LengthConfig | None = None,
+    trust: ErrorMap | None = None,
+    sigma: float | None = None,
 ) -> tuple[Planned, Memory]:
     """The agent's decision for one cloth: the plan, and the memory after its first manipulation.
 
-    With `length`, the agent chooses how many of the manipulations that are left are worth it. Raises InputError when
-    the nets have no reference values for plans of that length.
+    `length`, `trust` and `sigma` are those of `agent.decide`. Raises InputError when the nets have no reference values
+    for plans of that length.
     """
-    plan, later = agent.decide(planner, observation, memory, key=jax.random.key(seed).reshape(1), length=length)
+    key, unsure = jax.random.key(seed).reshape(1), None if sigma is None else np.array([sigma])
+    plan, later = agent.decide(planner, observation, memory, key=key, length=length, trust=trust, sigma=unsure)
     return planned_of(planner, plan, memory), later
 
 
@@ -335,17 +344,17 @@ def _predictions(
 
 def trusted_of(planned: Planned, settings: Settings, system: System) -> Trusted | None:
     """What plans with such an expectation came to; None if that is not known, or the system is another than main."""
-    if settings.trust is None or system.name != "main":
+    if (trust := settings.trust_in(system)) is None:
         return None
     # As in the plans that were executed: one that is not expected to improve is left undone.
     expected = planned.expected_no_action if planned.useless else planned.expected
     signs = Signs(*(np.array([value]) for value in (expected, planned.model_error, planned.sigma)))
-    if not tells(settings.trust, signs):
+    if not tells(trust, signs):
         return None
-    told = trusted(settings.trust, signs, np.array([len(planned.plan)]))
+    told = trusted(trust, signs, np.array([len(planned.plan)]))
     if np.isfinite(planned.without_limits) and told.error[0] < expected:
         # No plan with limits was executed for the map: that such a one ends nearer than expected is not known.
-        return of_error(settings.trust, np.array([expected]))
+        return of_error(trust, np.array([expected]))
     return told
 
 

@@ -3,6 +3,7 @@
 `search` is compiled once per plan length, for all batches of tasks of that length.
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import Annotated, Any
 
@@ -45,7 +46,7 @@ class SearchConfig:
     sees a cloth's outline, where hands grasp, and most of an outline is edge. For meshes only."""
 
 
-@partial(jax.jit, static_argnames=("model", "representation", "settings", "length"))
+@partial(jax.jit, static_argnames=("model", "representation", "settings", "length", "evaluation"))
 def search(
     model: ForwardModel,
     representation: Representation,
@@ -56,10 +57,12 @@ def search(
     length: int,
     settings: SearchConfig,
     keys: Shaped[PRNGKeyArray, " tasks"],
+    evaluation: Callable[..., objectives.Evaluation] = objectives.evaluate,
 ) -> Found:
     """Search for the best plan of each problem of a batch; every field of `problems` has a leading axis of tasks.
 
-    `keys` has one key per task, so that a task's result does not depend on the other tasks of the batch.
+    `keys` has one key per task, so that a task's result does not depend on the other tasks of the batch. `evaluation`
+    evaluates plans as `objective.evaluate` does, which asks for their last states alone.
     """
 
     def one(problem: Problem, key: PRNGKeyArray) -> Found:
@@ -69,7 +72,7 @@ def search(
 
         def evaluate(plans: Plans, *, steps: Array | None = None, exact: bool = False) -> Evaluation:
             common, relative = plans.labels
-            found = objectives.evaluate(
+            found = evaluation(
                 posed,
                 model,
                 representation,

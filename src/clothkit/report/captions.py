@@ -243,6 +243,63 @@ CAMERA_COMPARISONS = (
     "with the camera), its 95 % bootstrap interval, and p of a two-sided paired sign-flip test, both over sequences. "
     "Interval and p are not given for fewer than ten sequences.\n"
 )
+PLAN_LENGTH = (
+    "The agent may choose how many manipulations are worth it (section 8 of the paper; `clothkit plan --steps auto`), "
+    "three at most. Here all tasks were also run with one, two and three manipulations, whatever number their goals "
+    "were recorded with.\n"
+)
+PLAN_LENGTH_PICTURED = (
+    "Mean error of the outcomes against the mean number of executed manipulations, by the number with which the goals "
+    "were recorded. Lines join sessions of one, two and three manipulations; a diamond marks those in which the agent "
+    "chose, with the 95 % interval of their error, a ring those with the recorded number, and a cross the error of "
+    "doing nothing."
+)
+PLAN_LENGTH_TABLE = (
+    "Sessions in which the agent chose (*chosen*) and those with the recorded number (*given*), by that number, over "
+    "all starts. *used*: mean number of executed manipulations. *difference*: mean error of *chosen* minus that of "
+    "*given* on the same tasks (below zero, choosing is better), with its 95 % bootstrap interval and p of a two-sided "
+    "paired sign-flip test, both over sequences.\n"
+)
+MARGINS = (
+    "By how much nearer to the goal each manipulation beyond the first has to be expected to bring the cloth, in "
+    "lengths of the cloth's side: what each margin would have come to on validation tasks. *chosen*: the largest "
+    "margin whose mean error is within one standard error of the lowest; *difference* and *standard_error* are "
+    "relative to that.\n"
+)
+PLAN_WAYS = (
+    "Validation plans that were cut from a plan of three manipulations (*cut*), which was searched for with a loss "
+    "over all predicted states, as section 8 of the paper proposes, and plans of as many manipulations that were "
+    "searched for themselves (*own*), by the number with which the goals were recorded. *expected*: mean predicted "
+    "distance from the goal; *error*: that of the outcome, executed without a look in between. *difference*: *cut* "
+    "minus *own*.\n"
+)
+REACH = (
+    "Plans whose hands have to stay within a region, for validation tasks and a cloth of 0.4 m in the middle of the "
+    "table. *square*: x and y are at most *size* (in m) from the middle; *side*: x is at least minus *size*. A plan "
+    "that leaves the region is turned and mirrored by the cloth's symmetries first. That is all of the way *turning*; "
+    "the way *terms* (`clothkit plan --reach`) else searches anew with reach as a term of the objective.\n"
+)
+REACH_PICTURED = (
+    "Share of tasks with a plan that stays inside, and mean error of the outcomes, against the size of the region, "
+    "with 95 % intervals over sequences. Where there is no plan, nothing is done. Dotted lines are the errors without "
+    "limits and of no action."
+)
+REACH_TABLE = (
+    "*inside*: share of tasks with a plan that stays inside; *turned*, *searched*: shares of those that came about so. "
+    "*error*: mean over all tasks, of the cloth as it lies where there is no plan; *error_inside*: over tasks with a "
+    "plan, and *error_free_inside* that of the plans without limits for the same tasks.\n"
+)
+DOUBT_TEST = (
+    "Test plans by what the search minimises, executed to their end: mean errors of outcomes with 95 % intervals over "
+    "sequences, by number of manipulations and by the rule for first manipulations. Rings are plans without doubt, "
+    "numbers below are the weight alpha of the doubt; a star marks a paired difference to eq. (13) without doubt, "
+    "which is the dotted line, with p < 0.01. [Means and differences](studies/doubt_test_summary.csv)."
+)
+DOUBT_AMOUNT = (
+    "What doubt is worth with nets that were trained on less data, and with more nets: mean errors of the outcomes of "
+    "validation plans with 95 % intervals over sequences. A star marks a paired difference to no doubt with the same "
+    "nets with p < 0.01. [Means and differences](studies/doubt_amount_summary.csv)."
+)
 SYSTEMS = {
     "main": "observes voxels only; an ensemble of mesh nets",
     "a1": "main, from true meshes",

@@ -42,6 +42,25 @@ PROBED = ("all", "start 0", "start 1", "start 2", "step 1", "step 2", "step 3")
 TRUST = ("trust", "plans", "expected", "error", "trusted", "came_true", "inside")
 """Columns of the table of how far plans' expectations came true."""
 
+OUTCOMES = ("source", "split", "system", "statistic", *TASKS)
+COMPARISON = ("column", "sequences", "difference", "low", "high", "p")
+COMPARISONS = ("split", "measure", "system", "against", *COMPARISON)
+
+PLAN_LENGTH = (
+    *("split", "system", "steps", "column", "tasks", "error", "error_low", "error_high", "used", "error_no_action"),
+    *("difference", "difference_low", "difference_high", "p"),
+)
+"""Columns of the study of the number of manipulations that its table is made of."""
+
+PLAN_WAYS = ("split", "measure", "column", "sequences", "own", "cut", "difference", "low", "high", "p")
+"""Columns of the same study's table of plans that are cut."""
+
+REACH = ("region", "size", "way", "tasks", "inside", "turned", "searched", "error", "error_inside", "error_free_inside")
+"""Columns of the study of reach that its table is made of."""
+
+CLOTH_LENGTHS = "lengths of the cloth's side"
+VOXEL_DIFFERENCE = "mean voxel value difference"
+
 STATISTICS = ("mean", "std", "median")
 NO_ACTION = "no action"
 NO_ACTION_OCCLUDED = "no action, occluded"
