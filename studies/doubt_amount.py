@@ -20,7 +20,8 @@ dataset and the probes' settings (`dvc repro probe`).
 """
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -133,6 +134,24 @@ def learn(setting: Setting, params: Params, dataset: Dataset, executed: Probes) 
     return {"rank": rank_correlation(expected, error), "auroc": auroc(expected, error > WRONG)}
 
 
+def kept(path: Path, current: Mapping[Setting, str]) -> pd.DataFrame:
+    """Return the stored rows of these ensembles that have their fingerprints.
+
+    All are read before the first is computed, since what is written replaces the file.
+    """
+    parts = [read(path, [*SETTING, *VARIANT, *KEYS, "error"], each) for each in current.values()]
+    chosen = [
+        part[(part[SETTING] == list(setting)).all(axis=1)] for setting, part in zip(current, parts, strict=True)
+    ]
+    return pd.concat([part for part in chosen if len(part)] or parts[:1], ignore_index=True)
+
+
+def missing_of(table: pd.DataFrame, setting: Setting, variant: Variant, sequences: list[int]) -> list[int]:
+    """Return the sequences of which there are no rows of this ensemble and variant."""
+    own = (table[[*SETTING, *VARIANT]] == [*setting, *variant]).all(axis=1)
+    return np.setdiff1d(sequences, table.loc[own, "sequence"]).tolist()
+
+
 def summary(rows: pd.DataFrame) -> pd.DataFrame:
     """Return the means of doubt.py for each ensemble, with `rank` and `auroc`."""
     found: list[pd.DataFrame] = []
@@ -186,26 +205,23 @@ def main() -> None:
     executed = execute_probes(dataset, stages.probe, simulate.candidates, simulator, work=pieces)
     sequences = dataset.indices("validation")[: asked.sequences].tolist()
     folds = [bool(fold) for fold in asked.folds or [stages.plan.search.fold]]
-    parts: list[pd.DataFrame] = []
+    told, current = {}, {}
     for setting in settings:
-        told = learn(setting, params, dataset, executed)
+        told[setting] = learn(setting, params, dataset, executed)
         inputs = [MESHES, *artifacts(MAIN, setting.data, setting.members, "expected").values()]
-        current = fingerprint([each.resolve() for each in inputs], in_force(params), simulate)
-        rows = read(path, [*SETTING, *VARIANT, *KEYS, "error"], current)
-        rows = rows[(rows[SETTING] == list(setting)).all(axis=1)] if len(rows) else rows
-        for variant in (Variant(MAIN.name, *each, fold) for each in VARIANTS for fold in folds):
-            own = rows[(rows[VARIANT] == list(variant)).all(axis=1)] if len(rows) else rows
-            missing = np.setdiff1d(sequences, own["sequence"]).tolist()
-            free_programs()
-            for first in range(0, len(missing), TOGETHER):
-                planner = planner_of(variant, params, setting.data, setting.members)
-                name = f"{setting.amount} sequences, {setting.nets} nets, {variant.name}"
-                found = planned(planner, dataset, missing[first : first + TOGETHER], simulator, name)
-                columns = {**setting._asdict(), **variant._asdict(), **told, COLUMN: current}
-                rows = append(rows, found.assign(**columns))
-                write(pd.concat([*parts, rows]), path)
-        parts.append(rows)
-    conclude(pd.concat(parts, ignore_index=True), folder)
+        current[setting] = fingerprint([each.resolve() for each in inputs], in_force(params), simulate)
+    table = kept(path, current)
+    for setting, variant in product(settings, [Variant(MAIN.name, *each, fold) for each in VARIANTS for fold in folds]):
+        free_programs()
+        missing = missing_of(table, setting, variant, sequences)
+        for first in range(0, len(missing), TOGETHER):
+            planner = planner_of(variant, params, setting.data, setting.members)
+            name = f"{setting.amount} sequences, {setting.nets} nets, {variant.name}"
+            found = planned(planner, dataset, missing[first : first + TOGETHER], simulator, name)
+            columns = {**setting._asdict(), **variant._asdict(), **told[setting], COLUMN: current[setting]}
+            table = append(table, found.assign(**columns))
+            write(table.sort_values(SETTING, kind="stable"), path)
+    conclude(table, folder)
 
 
 if __name__ == "__main__":

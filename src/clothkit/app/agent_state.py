@@ -6,6 +6,7 @@ moment that it shows.
 
 import dataclasses
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -121,7 +122,8 @@ def plan(now: AgentState, *, seed: int, limits: Limits = Limits()) -> AgentState
     planned, _ = decide(*known, now.memory, seed=seed, length=now.choosing)
     planned = planned._replace(sigma=perceived.sigma)
     if planned.choice is not None and _is_worse(planned, now):
-        planned = planned_of(now.planner, agent.nothing(*known, now.memory, planned.choice), now.memory)
+        key = jax.random.key(seed).reshape(1)
+        planned = planned_of(now.planner, agent.nothing(*known, now.memory, planned.choice, key=key), now.memory)
         planned = planned._replace(sigma=perceived.sigma)
     return kept_within(limits, dataclasses.replace(now, planned=planned), seed=seed)
 
