@@ -103,7 +103,9 @@ def planning_losses(
         relative,
         np.int32(plans.shape[1]),
     )
-    return in_batches(value, planner.settings.batch, states, goals, padded(plans, longest), cloth, offers, covered, keys)
+    return in_batches(
+        value, planner.settings.batch, states, goals, padded(plans, longest), cloth, offers, covered, keys
+    )
 
 
 def _places(

@@ -180,7 +180,8 @@ DOUBT_TABLE = (
 TRUST_PICTURED = (
     "Expected against real errors, in lengths of the cloth's side: at the left those of the probes' predictions, at "
     "the right the distances of plans' outcomes from their goals, of validation plans that were executed to their end. "
-    "Each is expected by a map that was fitted to the other sequences. The band is the interval that is told, in the median."
+    "Each is expected by a map that was fitted to the other sequences. The band is the interval that is told, in the "
+    "median."
 )
 TRUST = (
     "Validation plans by their *trust*: the share of plans with such an expectation that end at most 0.05 lengths of "
