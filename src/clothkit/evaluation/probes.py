@@ -221,7 +221,7 @@ def predicted(
     measures = Measures(*measures)
     conditional = np.full_like(measures.difference, np.nan)
     if len(ensemble.params) > 1:
-        conditional = deviations(measures.difference, *usual(ensemble, probes, cloth, grasping, seed=seed))
+        conditional = np.asarray(deviations(measures.difference, *usual(ensemble, probes, cloth, grasping, seed=seed)))
     return Predicted(np.moveaxis(errors, -1, 0), error, measures, surprises, conditional)
 
 
@@ -239,7 +239,7 @@ def usual(
     """
     model, nets = ensemble.model, ensemble.params
     of_start = np.stack([probes.sequence, probes.start], axis=1)
-    starts, first, place = np.unique(of_start, axis=0, return_index=True, return_inverse=True)
+    starts, first, place = np.unique(of_start.astype(np.uint32), axis=0, return_index=True, return_inverse=True)
     states, count = probes.state[first], len(first)
     found = [MESH.candidates(state, grasping) for state in states]
     grasps = np.stack([np.resize(points, (grasping.most, 2)) for points in found])
