@@ -277,7 +277,7 @@ PROBES = Table(
         "step": _STATE,
         **dict.fromkeys(("error", "distance", "sigma"), _ERROR),
         **dict.fromkeys(("difference", "surprise"), Column("numbers", 0)),
-        "deviations": _missing(_NUMBER),
+        **dict.fromkeys(("deviations", "conditional"), _missing(_NUMBER)),
         "expected": _missing(_ERROR),
     },
     numbered={"error": _ERROR},

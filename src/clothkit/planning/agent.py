@@ -168,7 +168,7 @@ def _chosen(
             best &= ~worse
         parts, tasks = [*parts, take(plans, best)], [*tasks, rows[best]]
     if len(done := np.flatnonzero(chosen == 0)):
-        nothing = _nothing(planner, take((state, candidates, memory), done), relative[done], now[done])
+        nothing = _nothing(planner, take((state, candidates, memory), done), relative[done], now[done], key[done])
         parts, tasks = [*parts, nothing], [*tasks, done]
     plan = take(_joined(parts), np.argsort(np.concatenate(tasks), kind="stable"))
     return plan._replace(choice=Choice(chosen, np.concatenate([now[:, None], expected], axis=1)))
@@ -202,7 +202,7 @@ def _without_nulls(
         if number < length:
             own = pose(planner, state[tasks], candidates[tasks], take(memory, tasks), number)
             shorter, relative = nulls_last[chosen, :number], np.asarray(found.relative)[chosen]
-            of_number = _evaluated(planner, own, shorter, relative)
+            of_number = _evaluated(planner, own, shorter, relative, key[tasks])
         yield tasks, conclude(planner, own, of_number, candidates[tasks])
 
 
@@ -211,6 +211,7 @@ def _nothing(
     of: tuple[States, Float[np.ndarray, "task candidate 2"], Memory],
     relative: Int[np.ndarray, " task"],
     now: Float[np.ndarray, " task"],
+    key: Keys,
 ) -> Plan:
     """The plans of tasks for which nothing is worth doing: a null manipulation at a candidate, which leaves all as is.
 
@@ -220,22 +221,27 @@ def _nothing(
     problems = pose(planner, state, candidates, memory, 1)
     null = np.zeros((len(state), 1, 6), np.float32)
     null[:, 0, :4] = np.nan_to_num(np.tile(candidates[:, 0], 2))
-    plan = conclude(planner, problems, _evaluated(planner, problems, null, relative), candidates)
+    plan = conclude(planner, problems, _evaluated(planner, problems, null, relative, key), candidates)
     return plan._replace(expected=now.astype(plan.expected.dtype), useless=np.ones_like(plan.useless))
 
 
 def _evaluated(
-    planner: Planner, problems: Problem, plan: Float[np.ndarray, "task n 6"], relative: Int[np.ndarray, " task"]
+    planner: Planner,
+    problems: Problem,
+    plan: Float[np.ndarray, "task n 6"],
+    relative: Int[np.ndarray, " task"],
+    key: Keys,
 ) -> Found:
     """Plans that no search found, as if it had."""
     search = partial(evaluated, planner.model, planner.representation, planner.nets)
     objective = planner.objective(plan.shape[1])
     return in_batches(
-        lambda problems, plan, relative: search(problems, objective, plan, relative),
+        lambda problems, plan, relative, key: search(problems, objective, plan, relative, key),
         planner.settings.batch,
         problems,
         plan,
         relative,
+        key,
     )
 
 

@@ -127,21 +127,23 @@ def evaluated(
     objective: Objective,
     plan: Float[Array | np.ndarray, "tasks n 6"],
     relative: Int[Array | np.ndarray, " tasks"],
+    keys: Shaped[PRNGKeyArray, " tasks"],
 ) -> Found:
     """Plans that nobody searched for as a search would return them, found in the labels of their states.
 
-    `relative` are the relabellings of the goals that their losses refer to.
+    `relative` are the relabellings of the goals that their losses refer to. `keys` are those of the searches that the
+    plans are compared with, so that a term that is posed with plans is posed with the same ones.
     """
 
-    def one(problem: Problem, plan: Array, relative: Array) -> Found:
+    def one(problem: Problem, plan: Array, relative: Array, key: PRNGKeyArray) -> Found:
         problem = jax.tree.map(jnp.asarray, problem)
         fixed, common = fix(model, representation, nets, problem), jnp.zeros((), jnp.int32)
-        posed = posed_objective(objective, model, representation, nets, problem, plan.shape[0], jax.random.key(0))
+        posed = posed_objective(objective, model, representation, nets, problem, plan.shape[0], key)
         found = objectives.evaluate(posed, model, representation, nets, fixed, plan[None], common[None], relative[None])
         loss, terms = found.loss[0], {name: term[0] for name, term in found.terms.items()}
         return Found(plan, loss, terms, common, relative, found.loss[None])
 
-    return jax.vmap(one)(problems, jnp.asarray(plan), jnp.asarray(relative, jnp.int32))
+    return jax.vmap(one)(problems, jnp.asarray(plan), jnp.asarray(relative, jnp.int32), keys)
 
 
 def space_of(representation: Representation, problem: Problem, length: int, *, fold: bool, edge: float = 0.0) -> Space:

@@ -36,7 +36,8 @@ class Signs(NamedTuple):
     model_error: Float[np.ndarray, " task"]
     """Expected error of the predicted outcome; NaN where the planner has no such measure."""
     sigma: Float[np.ndarray, " task"]
-    """How unsure the perception is of the first state; 0 where it is known."""
+    """How unsure the perception is of the state that the plan starts from, with what was predicted of it taken into
+    account; 0 where it is known."""
 
 
 class Trusted(NamedTuple):

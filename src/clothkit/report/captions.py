@@ -190,7 +190,8 @@ DOUBT_MEASURES = (
 DOUBT_TABLE = (
     "*wrong*: area under the ROC curve for telling errors above 0.08 from those below; *off_support*: for telling "
     "probes from recorded manipulations and the first ones of random plans; *rank*: Spearman's correlation with the "
-    "error. Measures: u of eq. (15) in *deviations*; the *distance* of the nets' predictions; their *sigma*; the "
+    "error. Measures: u of eq. (15) in *deviations*; the same in deviations of plans on the support of the very state, "
+    "in logarithms (*conditional*); the *distance* of the nets' predictions; their *sigma*; the "
     "*surprise* of the support model, which tells recorded manipulations from random ones; and the *expected* error, a "
     "map from distance, sigma and surprise that was fitted to the other sequences' probes. Intervals: "
     "[doubt_intervals.csv](tables/doubt_intervals.csv).\n"
@@ -198,7 +199,8 @@ DOUBT_TABLE = (
 TRUST_PICTURED = (
     "Expected against real errors, in lengths of the cloth's side: at the left those of the probes' predictions, at "
     "the right the distances of plans' outcomes from their goals, of validation plans that were executed to their end. "
-    "Each is expected by a map that was fitted to the other sequences."
+    "Each is expected by a map that was fitted to the other sequences. The band is the interval that is told, in the "
+    "median."
 )
 TRUST = (
     "Validation plans by their *trust*: the share of plans with such an expectation that end at most 0.05 lengths of "

@@ -58,8 +58,6 @@ PLAN_WAYS = ("split", "measure", "column", "sequences", "own", "cut", "differenc
 REACH = ("region", "size", "way", "tasks", "inside", "turned", "searched", "error", "error_inside", "error_free_inside")
 """Columns of the study of reach that its table is made of."""
 
-CLOTH_LENGTHS = "lengths of the cloth's side"
-VOXEL_DIFFERENCE = "mean voxel value difference"
 
 STATISTICS = ("mean", "std", "median")
 NO_ACTION = "no action"
