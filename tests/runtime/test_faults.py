@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from dvc.exceptions import DvcException
 from dvc.repo import Repo
 from tqdm import tqdm
 
@@ -238,7 +239,11 @@ def test_the_cache_may_be_on_another_file_system(tmp_path: Path, request: pytest
         (tmp_path / "toy.py").unlink()
         for given in ("two", "one"):
             (tmp_path / "given.txt").write_text(given)
-            # As after a kill while DVC wrote its lock, which it does not replace as a whole.
-            (tmp_path / "dvc.lock").unlink()
+            # As after a kill while DVC wrote files of its own, which it does not replace as a whole.
+            for own in ("dvc.lock", ".dvc/tmp/rwlock"):
+                (tmp_path / own).write_text((tmp_path / own).read_text()[:12] or "{")
+                with pytest.raises(DvcException):
+                    repo.reproduce()
+                (tmp_path / own).unlink()
             repo.reproduce()
             assert outputs(tmp_path) == expected[given]

@@ -208,7 +208,7 @@ class SimulateConfig:
     # The next four are those of INDIFFERENT.
     block: Annotated[int, Gt(0), Le(4096)] = 4  # attempts per job of a worker
     workers: Annotated[int, Ge(0), Le(1024)] = 0  # processes, 0 for one per core
-    executor: Literal["processes", "dask"] = "processes"  # who makes the blocks
+    executor: Literal["processes", "dask"] = "processes"  # who simulates, in every stage that does
     # with executor dask: the scheduler's address, or its file; empty: DASK_SCHEDULER_ADDRESS, or a cluster of this
     # machine's own, of `workers` processes
     scheduler: str = ""
