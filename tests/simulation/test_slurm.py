@@ -39,7 +39,8 @@ SIMULATE = {
 
 SBATCH = """#!/bin/bash
 cp "$1" "{folder}/job.sh"  # It is deleted when this program ends.
-cd / && env -i HOME="$HOME" PATH=/usr/bin:/bin setsid bash "{folder}/job.sh" >"{folder}/job.log" 2>&1 </dev/null &
+cd /
+env -i HOME="$HOME" PATH=/usr/bin:/bin setsid bash "{folder}/job.sh" >"{folder}/job.log" 2>&1 </dev/null &
 echo $! >"{folder}/4711.pid"
 echo Submitted batch job 4711
 """
