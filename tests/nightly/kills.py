@@ -176,6 +176,7 @@ class Broken:
                 if not run.ended(max(0.0, begun + after - time.monotonic())):
                     run.kill()
                     self.kills[run.stages[-1][0]] += 1
+                    self.just_mended = False
                     print(f"kill {self.kills.total()}: {run.stages[-1][0]}, {after:.1f} s after {name}", flush=True)
                     return
         finally:
