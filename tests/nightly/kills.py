@@ -67,11 +67,12 @@ class Run:
 
     def _read(self) -> None:
         assert self.process.stdout is not None
-        for line in self.process.stdout:
-            self.said.append(line)
-            if line.startswith("Running stage '"):
-                self.stages.append((line.split("'")[1], time.monotonic()))
-                self.began.set()
+        with self.process.stdout:
+            for line in self.process.stdout:
+                self.said.append(line)
+                if line.startswith("Running stage '"):
+                    self.stages.append((line.split("'")[1], time.monotonic()))
+                    self.began.set()
         self.began.set()
 
     def ended(self, within: float | None = None) -> bool:

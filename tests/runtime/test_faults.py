@@ -211,6 +211,9 @@ def test_a_clock_that_jumps_changes_nothing(here: Path, jumped: Callable[[Path],
     assert 0 <= json.loads((WORK / "timings/regularise.json").read_text())["seconds"] < 10**6
 
 
+# Of DVC's own libraries.
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
 @pytest.mark.parametrize("links", ["copy", "symlink"])
 def test_the_cache_may_be_on_another_file_system(tmp_path: Path, request: pytest.FixtureRequest, links: str) -> None:
     """Stages publish over what DVC copied or linked from there, and it takes the new outputs there."""
