@@ -1,6 +1,5 @@
 """Executes validation plans, and learns how far their expectation can be trusted: `python stages/calibrate.py`."""
 
-import hashlib
 from pathlib import Path
 
 from clothkit.dataset import store
@@ -24,8 +23,7 @@ def main() -> None:
         plan, simulate = s.shared.stages.plan, s.shared.stages.simulate
         work = s.work(inputs=[MESHES, *artifacts(system, DATA, members, plan.uncertainty.measure).values()])
         weights = Weights(s.shared.alpha, s.shared.beta, s.shared.gamma)
-        # The name contains a hash, so that pieces of a run with other weights or another simulator are not reused.
-        pieces = work / hashlib.sha256(repr((weights, plan, simulate)).encode()).hexdigest()[:16]
+        pieces = s.pieces(work, weights, plan, simulate.decisive)
         planner = assemble(system, DATA, weights, plan, simulate.candidates, members)
         simulator = make_simulator(simulate)
         planned = execute_planned(store.load(MESHES), s.params, planner, simulator, work=pieces)

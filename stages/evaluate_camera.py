@@ -1,6 +1,5 @@
 """Evaluates estimates and plans from depth pictures of the test cloths: `python stages/evaluate_camera.py`."""
 
-import hashlib
 from pathlib import Path
 
 from clothkit.dataset import store
@@ -33,8 +32,7 @@ def main() -> None:
         dataset = store.load(MESHES)
         vtm = load(found["vtm"], "vtm")
         alarms = load_alarms(ALARMS, units=vtm.config.hidden)
-        # The name contains a hash, so that pieces of a run with other weights or another simulator are not reused.
-        pieces = work / hashlib.sha256(repr((weights, plan, simulate)).encode()).hexdigest()[:16]
+        pieces = s.pieces(work, weights, plan, simulate.decisive)
         estimation = camera.estimation(dataset, vtm, s.params, plan.refine, alarms, work=pieces / "states")
         planner = assemble(system, DATA, weights, plan, simulate.candidates, members)
         simulator = make_simulator(simulate)

@@ -1,6 +1,5 @@
 """Plans for named goals, from true meshes and before a depth camera: `python stages/evaluate_goals.py`."""
 
-import hashlib
 from pathlib import Path
 
 from clothkit.dataset.rows import write_rows
@@ -32,8 +31,7 @@ def main() -> None:
         work = s.work(inputs=list(artifacts(SYSTEMS["main"], DATA, members, stages.plan.uncertainty.measure).values()))
         weights = Weights(s.shared.alpha, s.shared.beta, s.shared.gamma)
         simulate, camera = stages.simulate, stages.evaluate_camera
-        # The name contains a hash, so that pieces of a run with other weights or another simulator are not reused.
-        pieces = work / hashlib.sha256(repr((weights, stages.plan, simulate, camera)).encode()).hexdigest()[:16]
+        pieces = s.pieces(work, weights, stages.plan, simulate.decisive, camera)
         main_planner, mesh_planner = (
             assemble(SYSTEMS[name], DATA, weights, stages.plan, simulate.candidates, members) for name in ("main", "b1")
         )

@@ -1,6 +1,5 @@
 """Plans and executes all tasks with one of the systems: `python stages/plan.py main` (or b1, b2, ..)."""
 
-import hashlib
 import sys
 from functools import partial
 from pathlib import Path
@@ -36,9 +35,7 @@ def main(name: str) -> None:
         weights = Weights(s.shared.alpha, s.shared.beta, s.shared.gamma)
         simulate = s.shared.stages.simulate
         planner = assemble(system, DATA, weights, s.params, simulate.candidates, members)
-        # The name contains a hash, so that pieces of a run with other weights or another simulator are not reused.
-        settings = (planner.weights, planner.grasping, simulate.simulation)
-        pieces = work / hashlib.sha256(repr(settings).encode()).hexdigest()[:16]
+        pieces = s.pieces(work, planner.weights, planner.grasping, simulate.simulation)
         simulator = make_simulator(simulate)
         annotate = partial(diagnosed, planner=planner)
         sessions, times = evaluate(store.load(MESHES), planner, simulator, work=pieces, annotate=annotate)

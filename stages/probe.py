@@ -1,6 +1,5 @@
 """Executes probes of the forward models, and learns what tells their errors: `python stages/probe.py`."""
 
-import hashlib
 from pathlib import Path
 
 from clothkit.dataset import store
@@ -26,8 +25,7 @@ def main() -> None:
         dataset, ensemble = store.load(MESHES), load(DATA / "nets", "pemd", members)
         width = support_model.width_of(ensemble.model, ensemble.best_net.params, dataset.vertices[0, 0])
         support = support_model.load(DATA / SUPPORT, width=width)
-        # The name contains a hash, so that pieces of a run with another simulator are not reused.
-        pieces = work / hashlib.sha256(repr(simulate).encode()).hexdigest()[:16]
+        pieces = s.pieces(work, simulate.decisive)
         probes = execute_probes(dataset, s.params, simulate.candidates, make_simulator(simulate), work=pieces)
         end_workers()
         reference = normalisation.load(REFERENCE)

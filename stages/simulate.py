@@ -19,13 +19,10 @@ def main() -> None:
         work = s.work(inputs=files(sequences))
         raw = work / "raw"
         shutil.rmtree(raw, ignore_errors=True)
-        attributes = s.attributes
-        for indifferent in ("block", "workers", "executor", "scheduler"):
-            del attributes["params"][indifferent]
         if sequences:
-            print(import_runs(raw, sequences, work=work, attributes=attributes))
+            print(import_runs(raw, sequences, work=work, attributes=s.attributes))
         else:
-            print(generate(raw, s.params, work=work, attributes=attributes))
+            print(generate(raw, s.params, work=work, attributes=s.attributes))
         for part in PARTS:
             s.publish(raw / part, RAW / part)
 

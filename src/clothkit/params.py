@@ -33,7 +33,7 @@ from clothkit.prebuilt.settings import PrebuildConfig
 from clothkit.report.card.settings import CardConfig
 from clothkit.report.settings import ReportConfig
 from clothkit.runtime.errors import InputError, system_error
-from clothkit.simulation.settings import SimulateConfig
+from clothkit.simulation.settings import INDIFFERENT, SimulateConfig
 from clothkit.training.settings import SupportTrainingConfig, TrainEMDVoxelConfig, TrainPEMDConfig, TrainVtMConfig
 
 Scale = Literal["smoke", "laptop", "overnight", "paper", "household"]
@@ -103,6 +103,11 @@ class Params(pydantic.BaseModel, frozen=True, extra="forbid", allow_inf_nan=Fals
     def section(self, stage: str) -> dict[str, Any]:
         """One stage's settings as JSON types, with defaults filled in."""
         return pydantic.TypeAdapter(StageParams).dump_python(self.stages, mode="json")[stage]
+
+    def decisive_section(self, stage: str) -> dict[str, Any]:
+        """The same without settings that change no outcome: what results are told to depend on."""
+        left_out = INDIFFERENT if stage == "simulate" else ()
+        return {name: value for name, value in self.section(stage).items() if name not in left_out}
 
 
 def load_params(path: Path) -> Params:

@@ -219,7 +219,7 @@ def test_goals_that_a_cloth_can_not_have_are_left_out_and_told(
     monkeypatch.setattr(
         problems_module,
         "made_all",
-        lambda wanted, folder: [exact(name, SQUARE) if name != "eighth" else refused for name, _, _ in wanted],
+        lambda wanted, folder, **_: [exact(name, SQUARE) if name != "eighth" else refused for name, _, _ in wanted],
     )
     settings = EvaluateGoalsConfig(goals=("half", "eighth"), starts=("flat", "crumpled"), repeats=2)
     simulate = SimulateConfig(sequences=1)

@@ -1,6 +1,7 @@
 """Goals are kept by what they depend on, and made once."""
 
 import dataclasses
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,14 @@ from clothkit.simulation.material import Material
 from clothkit.simulation.settings import SimulationConfig
 
 SIMULATION = SimulationConfig()
+
+
+# Closed clusters leave sockets and tasks of their event loops to the garbage collector.
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::ResourceWarning"),
+    pytest.mark.filterwarnings("ignore::DeprecationWarning"),
+    pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
+]
 
 
 @pytest.fixture
@@ -66,6 +75,29 @@ def test_several_are_made_and_what_can_not_be_is_told(tmp_path: Path, calls: lis
     again = made_all(wanted, folder=tmp_path, workers=1)
     assert calls == ["half", "eighth", "thirds", "eighth"]
     np.testing.assert_array_equal(again[2].states, found[2].states)
+
+
+def test_a_cluster_makes_goals_that_are_stored_here(
+    tmp_path: Path, calls: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What can't be made is told as it is on this machine."""
+    distributed = pytest.importorskip("distributed")
+    threads, make, unfinished = [], store.make, store.unfinished
+    monkeypatch.setattr(store, "make", lambda *given: (threads.append(threading.current_thread()), make(*given))[1])
+    writers = []
+    monkeypatch.setattr(
+        store, "unfinished", lambda path: (writers.append(threading.current_thread()), unfinished(path))[1]
+    )
+    wanted = [(name, SQUARE, SIMULATION) for name in ("half", "eighth", "thirds")]
+    with distributed.LocalCluster(
+        n_workers=1, processes=False, protocol="tcp", dashboard_address="127.0.0.1:0", silence_logs=50
+    ) as made_cluster:
+        found = made_all(wanted, folder=tmp_path, executor="dask", scheduler=made_cluster.scheduler_address)
+    assert sorted(calls) == ["eighth", "half", "thirds"]
+    assert [isinstance(one, InputError) for one in found] == [False, True, False]
+    assert threading.current_thread() not in threads
+    assert set(writers) == {threading.current_thread()}
+    assert len(list(tmp_path.glob("*.npz"))) == 2
 
 
 def test_a_damaged_file_is_told(tmp_path: Path, calls: list[str]) -> None:

@@ -198,6 +198,22 @@ def test_the_job_script_of_the_page_starts_workers_of_this_checkout(tmp_path: Pa
     assert "--nthreads 1" in script
 
 
+def test_the_fingerprint_is_taken_before_sources_can_be_edited(tmp_path: Path) -> None:
+    """Minutes may pass between the import of the simulator and the first piece of a plan."""
+    shutil.copytree(ROOT / "src/clothkit", tmp_path / "clothkit", ignore=shutil.ignore_patterns("__pycache__"))
+    before = fingerprint(tmp_path / "clothkit")
+    program = (
+        "import sys; from clothkit.runtime import dask_pool\n"
+        "open('clothkit/simulation/quality.py', 'a').write('# Edited.')\n"
+        "from clothkit.runtime import remote; print(remote.LOADED, 'distributed' in sys.modules)"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    command = [sys.executable, "-c", program]
+    ended = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+    assert ended.stdout.split() == [before, "False"]
+    assert fingerprint(tmp_path / "clothkit") != before
+
+
 def test_the_fingerprint_is_of_every_source(tmp_path: Path) -> None:
     (tmp_path / "inner").mkdir()
     (tmp_path / "a.py").write_text("a = 1\n")

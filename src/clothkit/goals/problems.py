@@ -2,7 +2,7 @@
 
 import sys
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -90,7 +90,8 @@ def problems(settings: EvaluateGoalsConfig, simulate: SimulateConfig, *, work: P
     chosen = [(repeat, name) for repeat in repeats for name in settings.goals]
     wanted = [(name, drawn[repeat].topology, drawn[repeat].simulation) for repeat, name in chosen]
     found = []
-    for (repeat, name), made in zip(chosen, made_all(wanted, folder=goals), strict=True):
+    who: Any = {"workers": simulate.workers, "executor": simulate.executor, "scheduler": simulate.scheduler}
+    for (repeat, name), made in zip(chosen, made_all(wanted, folder=goals, **who), strict=True):
         if isinstance(made, InputError):
             print(f"notice: repeat {repeat}: {made}; left out", file=sys.stderr)
             continue

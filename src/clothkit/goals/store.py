@@ -4,6 +4,7 @@ import functools
 import hashlib
 import os
 from collections.abc import Iterable, Sequence
+from concurrent.futures import Future, as_completed
 from pathlib import Path
 from typing import TypeVar
 
@@ -17,10 +18,12 @@ from clothkit.runtime.cache import writable
 from clothkit.runtime.errors import InputError
 from clothkit.runtime.publish import unfinished
 from clothkit.runtime.resumable import array_storage, load_piece
-from clothkit.simulation.processes import cores, make_pool
+from clothkit.simulation.processes import Kind, cores, open_pool
 from clothkit.simulation.settings import SimulationConfig
 
 T = TypeVar("T")
+Wanted = tuple[str, Topology, SimulationConfig]
+"""A goal's name, and the cloth and the world that it is made of."""
 
 WORK = Path(".work/goals")
 """Where stages keep goals."""
@@ -54,41 +57,62 @@ def made(name: str, topology: Topology, simulation: SimulationConfig, *, folder:
     if path.exists():
         return load_piece(path, STORAGE)
     found = make(goal, topology, simulation)
-    folder.mkdir(parents=True, exist_ok=True)
-    with unfinished(path) as part:
-        STORAGE.save(part, found)
+    _keep(found, path)
     return found
 
 
 def made_all(
-    wanted: Sequence[tuple[str, Topology, SimulationConfig]], *, folder: Path, workers: int = 0
+    wanted: Sequence[Wanted],
+    *,
+    folder: Path,
+    workers: int = 0,
+    executor: Kind = "processes",
+    scheduler: str = "",
 ) -> list[Made | InputError]:
-    """Several goals of several cloths, made on `workers` processes (0: all cores), in order.
+    """Several goals of several cloths, made on `workers` processes (0: all cores) or by a cluster, in order.
 
-    In place of a goal that can't be made there is the error that says why. Raises InputError for unknown names.
+    `executor` and `scheduler` are as in `open_pool`. Goals are stored by this process, as they come. In place of a goal
+    that can't be made there is the error that says why. Raises InputError for unknown names, and for a cluster that
+    can't be reached or is lost.
     """
-    missing = [one for one in wanted if not (folder / f"{key(named(one[0]), *one[1:])}{STORAGE.suffix}").exists()]
+    paths = {one: folder / f"{key(named(one[0]), *one[1:])}{STORAGE.suffix}" for one in wanted}
+    missing = [one for one, path in paths.items() if not path.exists()]
     count = min(workers or cores(), len(missing))
-    if count > 1:
-        with make_pool(count) as pool:
-            jobs = [pool.submit(_tried, *one, folder) for one in missing]
-            failed = {one: job.result() for one, job in zip(missing, _bar(jobs), strict=True)}
+    failed: dict[Wanted, InputError] = {}
+
+    def take(one: Wanted, found: Made | InputError) -> None:
+        if isinstance(found, InputError):
+            failed[one] = found
+        else:
+            _keep(found, paths[one])
+
+    if missing and (executor == "dask" or count > 1):
+        with open_pool(executor, workers=count, scheduler=scheduler) as pool:
+            jobs: dict[Future[Made | InputError], Wanted] = {pool.submit(_tried, *one): one for one in missing}
+            for job in _bar(as_completed(jobs), len(jobs)):
+                take(jobs[job], job.result())
     else:
-        failed = {one: _tried(*one, folder) for one in _bar(missing)}
+        for one in _bar(missing, len(missing)):
+            take(one, _tried(*one))
     return [failed.get(one) or made(*one, folder=folder) for one in wanted]
 
 
-def _tried(name: str, topology: Topology, simulation: SimulationConfig, folder: Path) -> InputError | None:
-    """Make and keep a goal; the error if it can't be made."""
+def _keep(found: Made, path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with unfinished(path) as part:
+        STORAGE.save(part, found)
+
+
+def _tried(name: str, topology: Topology, simulation: SimulationConfig) -> Made | InputError:
+    """A goal, or the error if it can't be made."""
     try:
-        made(name, topology, simulation, folder=folder)
+        return make(named(name), topology, simulation)
     except InputError as error:
         return error
-    return None
 
 
-def _bar(items: list[T]) -> Iterable[T]:
-    found: Iterable[T] = tqdm(items, desc="goals", unit="goal", disable=not items)
+def _bar(items: Iterable[T], count: int) -> Iterable[T]:
+    found: Iterable[T] = tqdm(items, desc="goals", unit="goal", total=count, disable=not count)
     return found
 
 

@@ -12,10 +12,15 @@ from concurrent.futures import CancelledError, Executor, Future
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
+from clothkit.runtime import remote  # here, not in open_dask: see `fingerprint` of that module
 from clothkit.runtime.errors import InputError
 
 TRIES = 3
-"""Number of workers that a piece may lose before it is given up: the piece itself may end them."""
+"""Number of workers that a piece may lose before it is given up: the piece itself may end them.
+
+It holds for clusters of this machine's own. A scheduler that was started elsewhere has its own limit, of all its users:
+`distributed.scheduler.allowed-failures` in its configuration, which is one less (Dask's default is 3).
+"""
 
 _SECONDS = 60  # for which a scheduler's answer is awaited
 
@@ -24,7 +29,7 @@ class DaskPool(Executor):
     """Runs functions on the workers of a cluster. Arguments and results must be picklable.
 
     The result of a future raises InputError if the scheduler was lost, if a worker has other code, and if the piece
-    ended TRIES workers one after another.
+    ended as many workers, one after another, as the scheduler allows (see TRIES).
     """
 
     def __init__(self, client: Any, expected: str) -> None:
@@ -88,8 +93,6 @@ def open_dask(address: str, *, workers: int) -> Iterator[DaskPool]:
         from distributed import Client, LocalCluster
     except ImportError as error:
         raise InputError(f"executor dask needs the package distributed: install clothkit[dask] ({error})") from error
-    from clothkit.runtime import remote
-
     address = address or dask.config.get("scheduler-address", "") or ""
     with ExitStack() as stack:
         stack.enter_context(dask.config.set({"distributed.scheduler.allowed-failures": TRIES - 1}))

@@ -3,6 +3,7 @@
 import errno
 import os
 import sys
+from concurrent.futures import BrokenExecutor
 from pathlib import Path
 from typing import Literal
 
@@ -60,7 +61,8 @@ def untold_error(error: Exception) -> InputError | None:
     """Convert an error that no inner handler has converted; None if the error is a bug in the program.
 
     For the outermost handler of a command or stage. Converts operating system errors that name a file, errors of a full
-    or broken disk (a failed write names no file), and errors of JAX when the device that was asked for is missing.
+    or broken disk (a failed write names no file), the end of a worker process, and errors of JAX when the device that
+    was asked for is missing.
     """
     if isinstance(error, OSError):
         named = error.filename2 or error.filename
@@ -70,6 +72,11 @@ def untold_error(error: Exception) -> InputError | None:
             return system_error(error, named, action="read" if error.errno == errno.ENOENT else "opened")
         if error.errno in _OF_DISKS:
             return InputError(f"a file can't be written: {_REMEDIES[error.errno]}")
+    if isinstance(error, BrokenExecutor):
+        return InputError(
+            "a worker process ended abruptly (was it killed, or memory short?); free some memory, or set fewer workers "
+            "(simulate.workers), and run again"
+        )
     return _missing_device() if isinstance(error, RuntimeError | AssertionError) else None
 
 

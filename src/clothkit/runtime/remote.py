@@ -1,7 +1,8 @@
 """What a worker of a cluster runs: pieces one at a time, by the code that it loaded, whose fingerprint it tells.
 
 A worker may have been started long ago, and its code changed on disk since. So the fingerprint is taken once, when this
-module is imported, which happens before any other module of clothkit runs there.
+module is imported, which happens before any other module of clothkit runs there. Where pieces are given out, it is
+imported together with the simulator, not once the first piece is there: sources may be edited in between.
 """
 
 import hashlib

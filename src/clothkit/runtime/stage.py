@@ -12,7 +12,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import clothkit
 from clothkit.params import Params, load_params
@@ -46,30 +46,39 @@ class Stage:
 
     @property
     def attributes(self) -> dict[str, Any]:
-        """Provenance that is stored in artifacts: stage, scale and params, JSON types only."""
+        """Provenance that is stored in artifacts: stage, scale and params that decide outcomes, JSON types only."""
         return {"stage": self.name, "scale": self.shared.scale, "params": self._section()}
 
     def _section(self) -> dict[str, Any]:
-        return {} if self.params is None else self.shared.section(self.name.split("@")[0])
+        return {} if self.params is None else self.shared.decisive_section(self.name.split("@")[0])
 
     def work(self, *, inputs: list[Path]) -> Path:
         """Create and lock a directory for partial results: `.work/<stage>/<hash of params, inputs and code>/`.
 
         A killed run leaves it; the next run with the same params, inputs and code gets the same directory and resumes.
+        Params that change no outcome do not count: work goes on from one executor to another.
         Raises InputError when an input is missing or another process holds the lock.
         """
         digest = hashlib.sha256(json.dumps(self.attributes, sort_keys=True).encode())
         for path in [*_own_code(), *inputs]:
             _hash_into(digest, path)
         directory = WORK / self.name / digest.hexdigest()[:16]
-        directory.mkdir(parents=True, exist_ok=True)
-        lock = (directory.parent / f"{directory.name}.lock").open("w")
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise InputError(f"{directory}: another run of stage {self.name} is at work here; wait for it") from error
+        directory.parent.mkdir(parents=True, exist_ok=True)
+        lock = _locked(directory.parent / f"{directory.name}.lock")
+        if lock is None:
+            raise InputError(f"{directory}: another run of stage {self.name} is at work here; wait for it")
+        directory.mkdir(exist_ok=True)
         self._work.append((directory, lock))
         return directory
+
+    @staticmethod
+    def pieces(work: Path, *settings: Any) -> Path:
+        """A folder in a work directory whose name is a hash of settings of other stages, by their reprs.
+
+        Pieces that were made with other weights or another simulator are thus not reused. Of the stage `simulate`, hand
+        over `SimulateConfig.decisive`.
+        """
+        return work / hashlib.sha256(repr(settings).encode()).hexdigest()[:16]
 
     def publish(self, source: Path, target: Path | str) -> None:
         """Move a finished file or directory to its place under data/ or reports/, replacing what was there as a whole.
@@ -158,6 +167,26 @@ def stage(name: str, variant: str | None = None) -> Iterator[Stage]:
     finally:
         if run is not None:
             run.release()
+
+
+def _locked(path: Path) -> TextIO | None:
+    """A lock file, opened and locked; None if another process holds it.
+
+    A run deletes its lock file when it has ended. Another run that had opened it before then locks a file that nobody
+    else can find, and a third run would make a new one: so what is locked must be what is at `path`.
+    """
+    while True:
+        file = path.open("w")
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if os.path.samestat(os.fstat(file.fileno()), os.stat(path)):
+                return file
+        except BlockingIOError:
+            file.close()
+            return None
+        except FileNotFoundError:
+            pass
+        file.close()
 
 
 def _own_code() -> list[Path]:

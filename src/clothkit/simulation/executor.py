@@ -7,6 +7,7 @@ gives the recorded outcome to the last bit.
 import atexit
 import functools
 from collections.abc import Callable
+from concurrent.futures import BrokenExecutor
 from contextlib import ExitStack
 from typing import NamedTuple
 
@@ -145,13 +146,17 @@ def execute(
         # Interleaved, so that the parts cost about the same.
         indices = [np.arange(part, len(states), parts) for part in range(parts)]
         parts_of = [None if cloths is None else Cloths(*(part[i] for part in cloths)) for i in indices]
-        jobs = [
-            pool.submit(_run, settings, topology, own, states[i], grasps[i], moves[i], single[i])
-            for i, own in zip(indices, parts_of, strict=True)
-        ]
         final = np.empty_like(states)
-        for index, job in zip(indices, jobs, strict=True):
-            final[index] = job.result()
+        try:
+            jobs = [
+                pool.submit(_run, settings, topology, own, states[i], grasps[i], moves[i], single[i])
+                for i, own in zip(indices, parts_of, strict=True)
+            ]
+            for index, job in zip(indices, jobs, strict=True):
+                final[index] = job.result()
+        except BrokenExecutor:
+            end_workers()  # A pool that has lost a process takes no more work: the next call needs another one.
+            raise
     return (final.astype(np.float64) / scale).astype(np.float32)
 
 

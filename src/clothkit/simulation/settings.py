@@ -1,6 +1,6 @@
 """Settings of the simulation: solver and limits of acceptance, in SI units unless said otherwise."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Annotated, Literal
 
 import pydantic
@@ -191,6 +191,10 @@ class VariationConfig:
         return self
 
 
+INDIFFERENT = ("block", "workers", "executor", "scheduler")
+"""Settings of the stage `simulate` that say who makes what at a time, and change no outcome."""
+
+
 @config
 class SimulateConfig:
     """Settings of the stage that records sequences.
@@ -203,9 +207,10 @@ class SimulateConfig:
     source: Literal["own", "arcsim"] = "own"  # our solver, or existing ARCSim runs
     runs: str = ""  # with source arcsim: the folder that holds runs.csv, from the repository's root
     seed: Annotated[int, Ge(0)] = 0
-    block: Annotated[int, Gt(0), Le(4096)] = 4  # attempts per job of a worker; changes no outcome
-    workers: Annotated[int, Ge(0), Le(1024)] = 0  # processes, 0 for one per core; changes no outcome
-    executor: Literal["processes", "dask"] = "processes"  # who makes the blocks; changes no outcome
+    # The next four are those of INDIFFERENT.
+    block: Annotated[int, Gt(0), Le(4096)] = 4  # attempts per job of a worker
+    workers: Annotated[int, Ge(0), Le(1024)] = 0  # processes, 0 for one per core
+    executor: Literal["processes", "dask"] = "processes"  # who simulates, in every stage that does
     # with executor dask: the scheduler's address, or its file; empty: DASK_SCHEDULER_ADDRESS, or a cluster of this
     # machine's own, of `workers` processes
     scheduler: str = ""
@@ -220,3 +225,8 @@ class SimulateConfig:
         if self.scheduler and self.executor != "dask":
             raise ValueError(f"scheduler is {self.scheduler}, expected executor: dask with it, found {self.executor}")
         return self
+
+    @property
+    def decisive(self) -> "SimulateConfig":
+        """The same with INDIFFERENT settings at their defaults; runs with equal ones have equal outcomes."""
+        return replace(self, **{each.name: each.default for each in fields(self) if each.name in INDIFFERENT})
