@@ -10,7 +10,7 @@ import pandas as pd
 from jaxtyping import Float, Int
 
 from clothkit.dataset.store import STATES, STEPS
-from clothkit.dataset.tables import Column, Complete, Table, check, read
+from clothkit.dataset.tables import Column, Complete, Table, check, read, read_groups
 from clothkit.runtime.errors import InputError
 from clothkit.simulation.settings import DRAWN, STARTS
 
@@ -184,7 +184,10 @@ class Topologies:
 
     def __init__(self, raw: Path) -> None:
         self.path = raw / "topologies.parquet"
-        self.rows = read(self.path, TOPOLOGIES).set_index("topology")
+        shared: dict[bytes, np.ndarray] = {}
+        rows = pd.concat([_alike(part, shared) for part in read_groups(self.path, TOPOLOGIES)])
+        check(self.path, TOPOLOGIES, rows)
+        self.rows = rows.set_index("topology")
 
     def __call__(self, where: str, number: int, vertices: np.ndarray) -> tuple[Triangulation, np.ndarray]:
         """The topology of that number, and a state's flat list of coordinates as an array, float32 [vertices 3].
@@ -226,6 +229,12 @@ class Topologies:
                 f"{name}: material spans {sides[0]:.3g} x {sides[1]:.3g}, expected {_SIDES[0]:g} to {_SIDES[1]:g} m"
             )
         return Triangulation(material.reshape(-1, 2), triangles.astype(np.int32).reshape(-1, 3))
+
+
+def _alike(rows: pd.DataFrame, shared: dict[bytes, np.ndarray]) -> pd.DataFrame:
+    """Rows whose equal lists of triangles are one array: there may be a million rectangles, all of one grid."""
+    kept = [shared.setdefault(own.tobytes(), own.copy()) for own in rows["triangles"]]
+    return rows.assign(triangles=pd.Series(kept, index=rows.index, dtype=object))
 
 
 def _edge_length(points: Float[np.ndarray, "vertices axes"], triangles: Int[np.ndarray, "triangles 3"]) -> float:
