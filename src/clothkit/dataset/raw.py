@@ -137,6 +137,31 @@ def read_states(
     return states
 
 
+class StateFiles:
+    """The states of a folder of raw artifacts, read for some sequences at a time, since all may not fit into memory.
+
+    Raises InputError for a file that does not match its schema, and for a sequence with missing or duplicate states; a
+    fault of the vertices is told when they are read.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        found = {file: read(file, STATES_TABLE, ("sequence", "state")) for file in state_files(folder)}
+        self._spans = {file: (rows["sequence"].min(), rows["sequence"].max()) for file, rows in found.items()}
+        states = pd.concat(found.values()).sort_values(["sequence", "state"], kind="stable").reset_index(drop=True)
+        check(folder, _ALL_STATES, states)
+        self.index = states
+        """Sequence and number of each state, sorted."""
+
+    def read(self, sequences: Collection[int]) -> pd.DataFrame:
+        """The STATE_COLUMNS of these sequences, sorted by sequence and state; only the files that may have them are
+        opened."""
+        least, most = min(sequences), max(sequences)
+        files = [file for file, (first, last) in self._spans.items() if first <= most and last >= least]
+        found = [read(file, STATES_TABLE, STATE_COLUMNS, sequences=sequences) for file in files]
+        return pd.concat(found).sort_values(["sequence", "state"], kind="stable").reset_index(drop=True)
+
+
 def read_manipulations(raw: Path, states: pd.DataFrame, columns: Sequence[str] = MANIPULATION_COLUMNS) -> pd.DataFrame:
     """Read the manipulations of a folder of raw artifacts, sorted by sequence and step.
 
