@@ -41,7 +41,7 @@ from clothkit.simulation.records import SHARD
 from clothkit.simulation.settings import SimulateConfig
 
 CORES = (1, 16, 256)
-MADE = 8  # attempts that are really simulated
+MADE = 2  # attempts that are really simulated
 REPORT = Path("reports/laptop")
 
 

@@ -133,8 +133,11 @@ def regularised(raw: Path, settings: RegulariseConfig, topology: Topology = SQUA
             f"{raw}: holds {len(sequences)} sequences, params ask for {wanted} (train + validation + test); raise "
             "simulate.sequences, add runs if they are ARCSim's, or lower regularise"
         )
-    of_all = _steps(manipulations, {sequence: row for row, sequence in enumerate(sequences)})
-    of_all += (*assign_splits(settings), *_cloths(read_cloths(raw, sequences)))
+    of_all: tuple[np.ndarray, ...] = (
+        *_steps(manipulations, {sequence: row for row, sequence in enumerate(sequences)}),
+        *assign_splits(settings),
+        *_cloths(read_cloths(raw, sequences)),
+    )
     mesher = Mesher(Topologies(raw), topology)
 
     def each() -> Iterator[Dataset]:

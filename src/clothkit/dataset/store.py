@@ -134,7 +134,7 @@ class Parts(NamedTuple):
 
 def in_parts(dataset: Dataset) -> Parts:
     """The parts of a dataset."""
-    firsts = range(0, len(dataset), SHARD)
+    firsts = range(0, max(1, len(dataset)), SHARD)
     return Parts(len(dataset), (dataset.take(slice(first, first + SHARD)) for first in firsts))
 
 

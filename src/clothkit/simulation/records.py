@@ -5,7 +5,7 @@ Both sources of sequences, our solver and ARCSim's runs, use the schemas declare
 
 import itertools
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -120,7 +120,7 @@ def _shards(pieces: Iterable[np.ndarray], count: int) -> Iterator[tuple[int, np.
 def write_tables(
     folder: Path,
     states: Iterable[pa.Table],
-    others: dict[str, pa.Table | Iterable[pa.Table]],
+    others: Mapping[str, pa.Table | Iterable[pa.Table]],
     attributes: dict[str, Any],
 ) -> None:
     """Write `states/0000.parquet` ... and one file per other table; `attributes` go into each file's metadata.
