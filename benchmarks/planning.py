@@ -17,7 +17,7 @@ untrained, since the values of the weights do not affect the time.
 
 import argparse
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from tables import show
+from tables import show, write
 from timed import device, least
 
 from clothkit.cloth.silhouette import silhouette
@@ -121,15 +121,14 @@ def passes(optimiser: Any, length: int) -> float:
     return with_gradient + (every - with_gradient) / 2
 
 
-def measure(system: System, stages: Any, settings: SearchConfig, batch: int, rounds: int) -> list[dict]:
-    """Return a row of the table for each plan length."""
+def measure(system: System, stages: Any, settings: SearchConfig, batch: int, rounds: int) -> Iterator[dict]:
+    """Yield a row of the table for each plan length."""
     net: Any = stages.train_emd_voxel if system.voxels else stages.train_pemd
     build: Any = emd_voxel.initial if system.voxels else pemd.initial
     count = 1 if system.single else 2
     nets = tuple(build(net.net, key=jax.random.key(seed)) for seed in range(count))
     kind = (forward_model(net.net), VOXEL if system.voxels else MESH)
     explicit = system.alpha is None and not system.single
-    found = []
     for length in LENGTHS:
         strains = settings.optimiser.shape(length)[1]
         asked = problems(*kind, nets, length, batch)
@@ -154,8 +153,7 @@ def measure(system: System, stages: Any, settings: SearchConfig, batch: int, rou
                 "GF/s of the search": round(flops * evaluations / seconds / 1e9),
                 "fraction": f"{alone * evaluations / seconds:.0%}",
             }
-        found.append(row)
-    return found
+        yield row
 
 
 def published(system: str, length: int) -> float | None:
@@ -196,7 +194,8 @@ def main() -> None:
     asked = parser.parse_args()
     params = load_params(Path("params.yaml"))
     stages: Any = params.scales[asked.scale or params.scale]
-    rows, names = [], asked.systems or ("main", "b2", "b3")
+    rows: list[dict] = []
+    names, title = asked.systems or ("main", "b2", "b3"), f"planning: {asked.scale or params.scale}"
     for name in names:
         plan = stages.plan.of(SYSTEMS[name])
         settings = plan.search
@@ -206,8 +205,10 @@ def main() -> None:
             optimiser: Any = settings.optimiser
             fewer = dataclasses.replace(optimiser, strains=asked.strains)
             settings = dataclasses.replace(settings, optimiser=fewer)
-        rows += measure(SYSTEMS[name], stages, settings, asked.batch or plan.batch, asked.rounds)
-    show(f"planning: {asked.scale or params.scale}", rows, csv=asked.csv)
+        for row in measure(SYSTEMS[name], stages, settings, asked.batch or plan.batch, asked.rounds):
+            rows.append(row)
+            write(title, rows, asked.csv)
+    show(title, rows, csv=asked.csv)
     if "main" in names:
         seconds = estimates(stages, asked.batch or stages.plan.batch, asked.rounds)
         show(f"estimates: {asked.scale or params.scale}", seconds, csv=asked.csv)
