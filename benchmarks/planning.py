@@ -8,7 +8,7 @@ also prints the time of the search's matrix products alone, with the same shapes
 the search's time. Counted are, for every weight matrix in the loss, the forward product and, in evaluations with a
 gradient, the backward product for its input, since weights need no gradient. Exact evaluations count like others. The
 encoder, which runs once, is not counted. For `main`, the script also prints the seconds per estimate of a mesh, without
-and with refinement, beside those of section 6.1.
+and with refinement, beside those of section 6.1. Rows of systems that plan in voxels are a table of their own.
 
 `--scale NAME` selects the sizes of a scale (default: that of params.yaml); `--strains`, `--batch` and `--stride` change
 its settings; `--rounds N` (default: 3) is the number of repetitions, of which the shortest time counts. The nets are
@@ -194,8 +194,8 @@ def main() -> None:
     asked = parser.parse_args()
     params = load_params(Path("params.yaml"))
     stages: Any = params.scales[asked.scale or params.scale]
-    rows: list[dict] = []
-    names, title = asked.systems or ("main", "b2", "b3"), f"planning: {asked.scale or params.scale}"
+    tables: dict[str, list[dict]] = {}
+    names, scale = asked.systems or ("main", "b2", "b3"), asked.scale or params.scale
     for name in names:
         plan = stages.plan.of(SYSTEMS[name])
         settings = plan.search
@@ -205,13 +205,16 @@ def main() -> None:
             optimiser: Any = settings.optimiser
             fewer = dataclasses.replace(optimiser, strains=asked.strains)
             settings = dataclasses.replace(settings, optimiser=fewer)
+        title = f"planning{' voxels' if SYSTEMS[name].voxels else ''}: {scale}"
+        rows = tables.setdefault(title, [])
         for row in measure(SYSTEMS[name], stages, settings, asked.batch or plan.batch, asked.rounds):
             rows.append(row)
             write(title, rows, asked.csv)
-    show(title, rows, csv=asked.csv)
+    for title, rows in tables.items():
+        show(title, rows, csv=asked.csv)
     if "main" in names:
         seconds = estimates(stages, asked.batch or stages.plan.batch, asked.rounds)
-        show(f"estimates: {asked.scale or params.scale}", seconds, csv=asked.csv)
+        show(f"estimates: {scale}", seconds, csv=asked.csv)
 
 
 if __name__ == "__main__":

@@ -145,6 +145,16 @@ def test_a_camera_gives_the_voxels_and_shifts_of_its_pictures(net: Net) -> None:
     np.testing.assert_array_equal(first.observation.voxels, [voxels.observe(SQUARE.flat())] * 2)
 
 
+def test_cloths_that_lie_alike_share_a_picture(net: Net) -> None:
+    truth, pictures = np.stack([folded(), folded(along=0.0)]), []
+    with mock.patch("clothkit.episodes.depth_camera.take", lambda *given: pictures.append(given) or take(*given)):
+        sensed = depth_camera(PICTURE, Estimation(net, REFINE))(truth[[0, 1, 0, 1, 1]], None)
+    assert len(pictures) == 2
+    of_each = [take(mesh, PICTURE) for mesh in truth[[0, 1, 0, 1, 1]]]
+    np.testing.assert_array_equal(sensed.shift, [picture.shift for picture in of_each])
+    np.testing.assert_array_equal(sensed.observation.voxels, [picture.observation.voxels for picture in of_each])
+
+
 def test_sensors_see_as_high_as_the_net_knows(net: Net) -> None:
     perception = Estimation(Net(VtMConfig(hidden=16, viewport=Viewport(height=0.25)), net.params), REFINE)
     truth = folded()[None] * np.array([1, 1, 4], np.float32)
