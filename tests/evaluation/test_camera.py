@@ -101,7 +101,8 @@ def test_states_are_seen_and_estimated_under_every_condition(dataset: Dataset, n
 
 def test_an_interrupted_estimation_goes_on_with_the_next_condition(dataset: Dataset, net: Net, tmp_path: Path) -> None:
     whole = camera.estimation(dataset, net, SETTINGS, REFINE, ALARMS, work=tmp_path / "whole")
-    count = len(whole.rows) // 3
+    # Of five states, the second sequence's first one lies as that of the first does, and no figure shows it.
+    count = 4
 
     def stopped(*arguments: object) -> Picture:
         pictures.append(arguments)
