@@ -6,7 +6,7 @@ Each row is a command in a process of its own, with its wall seconds and the CPU
 imports of clothkit, JAX and Warp; stage `simulate` at scale smoke for a single sequence; and README's first command,
 `clothkit plan` with the prebuilt nets. All but the imports run with several contents of the folder of caches: `empty`,
 as on a new machine, `full`, as left by the row before, and `full` without one of its parts: JAX's compiled programs,
-Warp's compiled kernels, or the named goals that were made. The folder is a new one, so yours is neither used nor
+Warp's compiled kernels, the named goals that were made, or the prebuilt nets that were unpacked. The folder is a new one, so yours is neither used nor
 changed.
 """
 
@@ -32,7 +32,12 @@ STAGE = "stages/simulate.py"
 PLAN = shlex.split(
     "-m clothkit plan --state examples/towel.ply --goal half --sides 0.5 0.3 --thickness 0.005 --table 0 0 -1 -0.8"
 )
-PARTS = {"JAX's programs": "clothkit/compiled", "Warp's kernels": "warp", "named goals": "clothkit/goals"}
+PARTS = {
+    "JAX's programs": "clothkit/compiled",
+    "Warp's kernels": "warp",
+    "named goals": "clothkit/goals",
+    "unpacked nets": "clothkit/prebuilt",
+}
 """Parts of the folder of caches, as commands fill it."""
 
 
