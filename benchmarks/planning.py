@@ -8,7 +8,7 @@ also prints the time of the search's matrix products alone, with the same shapes
 the search's time. Counted are, for every weight matrix in the loss, the forward product and, in evaluations with a
 gradient, the backward product for its input, since weights need no gradient. Exact evaluations count like others. The
 encoder, which runs once, is not counted. For `main`, the script also prints the seconds per estimate of a mesh, without
-and with refinement, beside those of section 6.1.
+and with refinement, beside those of section 6.1. Rows of systems that plan in voxels are a table of their own.
 
 The objective is the one in force: the system's, with the measure of uncertainty that the scale plans with. Where b3 is
 among the systems, the column "of b3's" tells how many times as long a plan takes as without the uncertainty term.
@@ -20,7 +20,7 @@ untrained, as what measures uncertainty is, since the values of the weights do n
 
 import argparse
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -29,7 +29,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from tables import show
+from tables import show, write
 from timed import device, least
 
 from clothkit.cloth.silhouette import silhouette
@@ -177,15 +177,14 @@ def in_force(system: System, ensemble: Ensemble, plan: PlanConfig, alpha: float,
 
 def measure(
     system: System, stages: Any, settings: SearchConfig, batch: int, rounds: int, alpha: float = 1.0
-) -> list[dict]:
-    """Return a row of the table for each plan length."""
+) -> Iterator[dict]:
+    """Yield a row of the table for each plan length."""
     net: Any = stages.train_emd_voxel if system.voxels else stages.train_pemd
     build: Any = emd_voxel.initial if system.voxels else pemd.initial
     count = 1 if system.single else 2
     members = tuple(range(count))
     ensemble = Ensemble(members, tuple(Net(net.net, build(net.net, key=jax.random.key(seed))) for seed in members))
     nets, kind = ensemble.params, (ensemble.model, VOXEL if system.voxels else MESH)
-    found = []
     for length in LENGTHS:
         strains = settings.optimiser.shape(length)[1]
         asked = problems(*kind, nets, length, batch)
@@ -210,8 +209,15 @@ def measure(
                 "GF/s of the search": round(flops * evaluations / seconds / 1e9),
                 "fraction": f"{alone * evaluations / seconds:.0%}",
             }
-        found.append(row)
-    return found
+        yield row
+
+
+def with_ratios(rows: list[dict]) -> list[dict]:
+    """Return the rows with their seconds as a multiple of b3's of the same length, if b3 is among them."""
+    undoubted = {row["length"]: row["s a plan"] for row in rows if row["system"] == "b3"}
+    if not undoubted:
+        return rows
+    return [row | {"of b3's": round(row["s a plan"] / max(undoubted[row["length"]], 1e-3), 2)} for row in rows]
 
 
 def published(system: str, length: int) -> float | None:
@@ -252,8 +258,8 @@ def main() -> None:
     asked = parser.parse_args()
     params = load_params(Path("params.yaml"))
     stages: Any = params.scales[asked.scale or params.scale]
-    rows: list[dict] = []
-    names = asked.systems or ("main", "b2", "b3")
+    tables: dict[str, list[dict]] = {}
+    names, scale = asked.systems or ("main", "b2", "b3"), asked.scale or params.scale
     for name in names:
         plan = stages.plan.of(SYSTEMS[name])
         settings = plan.search
@@ -263,14 +269,16 @@ def main() -> None:
             optimiser: Any = settings.optimiser
             fewer = dataclasses.replace(optimiser, strains=asked.strains)
             settings = dataclasses.replace(settings, optimiser=fewer)
-        rows += measure(SYSTEMS[name], stages, settings, asked.batch or plan.batch, asked.rounds, params.alpha)
-    undoubted = {row["length"]: row["s a plan"] for row in rows if row["system"] == "b3"}
-    if undoubted:
-        rows = [row | {"of b3's": round(row["s a plan"] / max(undoubted[row["length"]], 1e-3), 2)} for row in rows]
-    show(f"planning: {asked.scale or params.scale}", rows, csv=asked.csv)
+        title = f"planning{' voxels' if SYSTEMS[name].voxels else ''}: {scale}"
+        rows = tables.setdefault(title, [])
+        for row in measure(SYSTEMS[name], stages, settings, asked.batch or plan.batch, asked.rounds, params.alpha):
+            rows.append(row)
+            write(title, rows, asked.csv)
+    for title, rows in tables.items():
+        show(title, with_ratios(rows), csv=asked.csv)
     if "main" in names:
         seconds = estimates(stages, asked.batch or stages.plan.batch, asked.rounds)
-        show(f"estimates: {asked.scale or params.scale}", seconds, csv=asked.csv)
+        show(f"estimates: {scale}", seconds, csv=asked.csv)
 
 
 if __name__ == "__main__":

@@ -42,12 +42,15 @@ def run_sessions(
     sensor: Sensor | None = None,
     length: LengthConfig | None = None,
     trust: ErrorMap | None = None,
+    refined: bool = True,
 ) -> Sessions:
     """Run the sessions of a batch of tasks in parallel, and return their record.
 
     With `length`, the agent chooses how many manipulations are worth it, as many as a task's length at most, and ends a
     session when nothing is, by what became of such plans, too, if `trust` tells it (`planning.agent.decide`). The
     record then repeats its last step, in which nothing was done.
+
+    Without `refined`, predictions are not refined to meshes, which only figures of sessions show.
 
     At each step, the manipulations of all sessions are passed to `execute` in one call. Without a `sensor`, the planner
     observes exactly. Raises InputError if an outcome is not finite.
@@ -81,8 +84,8 @@ def run_sessions(
             planner,
             execute,
         )
-        refined = _refined(planner, plan, memory.cloth)
-        steps.append(Step(acting, plan, refined, state, centre, error_otherwise))
+        plausible = _refined(planner, plan, memory.cloth) if refined else None
+        steps.append(Step(acting, plan, plausible, state, centre, error_otherwise))
     return record(tasks, _to_the_end(steps, lengths), sizes_of(planner))
 
 
