@@ -25,6 +25,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 import numpy as np
@@ -82,7 +83,11 @@ class Cluster:
 def cluster(folder: Path, workers: int) -> Iterator[Cluster]:
     """Start a cluster, and end it afterwards."""
     place = folder / "scheduler.json"
-    quiet = {"cwd": folder, "env": {**os.environ, "PYTHONPATH": os.path.abspath("src")}, "stderr": subprocess.DEVNULL}
+    quiet: dict[str, Any] = {
+        "cwd": folder,
+        "env": {**os.environ, "PYTHONPATH": os.path.abspath("src")},
+        "stderr": subprocess.DEVNULL,
+    }
     cli = [sys.executable, "-m", "distributed.cli.dask_"]
     scheduler = ["--scheduler-file", str(place), "--port", "0", "--dashboard-address", "127.0.0.1:0"]
     worker = ["--scheduler-file", str(place), "--no-nanny", "--no-dashboard", "--nthreads", "1"]
@@ -100,7 +105,7 @@ def cluster(folder: Path, workers: int) -> Iterator[Cluster]:
 
 def run(sequences: int, asked: argparse.Namespace, made: Path, topology: Topology, dask: Cluster | None) -> dict:
     """Record sequences that are copies, and return the row of the table."""
-    chosen = {} if dask is None else {"executor": "dask", "scheduler": dask.address}
+    chosen: dict[str, Any] = {} if dask is None else {"executor": "dask", "scheduler": dask.address}
     settings = SimulateConfig(sequences=sequences, block=asked.block, workers=1, **chosen)
     stub = functools.partial(copies, made, variation=asked.variation)
     with (
@@ -188,7 +193,8 @@ def measured(report: Path) -> float:
     """Return CPU seconds of stage simulate for an accepted sequence, in a report."""
     params = YAML(typ="safe").load(report / "params.yaml")
     stages = pd.read_csv(report / "timings.csv").set_index("stage")
-    return float(stages.at["simulate", "cpu_seconds"]) / params["scales"][params["scale"]]["simulate"]["sequences"]
+    seconds: Any = stages.at["simulate", "cpu_seconds"]
+    return float(seconds) / params["scales"][params["scale"]]["simulate"]["sequences"]
 
 
 def main() -> None:

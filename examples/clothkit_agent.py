@@ -52,8 +52,9 @@ if __name__ == "__main__":
     name = sys.argv[1] if len(sys.argv) > 1 else "half"
     agent = clothkit.Agent("data")
     # The nets tell heights by the voxels' viewport.
-    world = {"start": "dragged", "observation": "voxels", "viewport": agent.viewport}
-    env = gymnasium.make(clothkit.environment.ID, goal=name, **world)
+    env = gymnasium.make(
+        clothkit.environment.ID, goal=name, start="dragged", observation="voxels", viewport=agent.viewport
+    )
     for seed in range(3):
         error, start = play(env, agent, seed=seed)
         print(f"episode {seed}: error {error:.3f}, {start:.3f} at first")

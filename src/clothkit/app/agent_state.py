@@ -25,7 +25,7 @@ from clothkit.estimation.estimate import estimate_probabilistic
 from clothkit.manipulation.vector import is_null
 from clothkit.planning import agent
 from clothkit.planning.lengths import LengthConfig
-from clothkit.planning.perception import Estimation, Expected, KnownMeshes, sigma_of
+from clothkit.planning.perception import Estimation, KnownMeshes
 from clothkit.planning.planner import Planner
 from clothkit.planning.reach import Limits
 from clothkit.planning.types import UNKNOWN, Memory, Observation, Plan
@@ -104,10 +104,7 @@ def observe(now: AgentState, source: Input) -> AgentState:
     """
     observation = observation_of(now.planner, source, now.settings.data, now.settings)
     states, candidates = agent.perceive(now.planner, observation, now.memory)
-    # What the state is estimated with, too.
-    moved = bool(now.memory.planned[0]) and not now.memory.still[0]
-    expected = Expected(now.memory.expected, now.memory.unsure) if moved else None
-    sigma = float(sigma_of(now.planner.perception, observation, expected, now.memory.cloth)[0])
+    sigma = float(agent.unsure(now.planner, observation, now.memory)[0])
     std = _std_of(now.planner, observation, states[0], now.memory)
     perceived = Perceived(source, observation, states[0], candidates[0], sigma, std)
     return dataclasses.replace(now, perceived=perceived, planned=None)

@@ -63,7 +63,9 @@ def _knowing(data: Path, told: Mapping[str, Any]) -> tuple[Path, Settings] | Non
     if not (PREBUILT / FIRST / MANIFEST).exists():
         return None
     own = load_settings(data)
-    options = observation_options(own.app, **{name: told.get(name) for name in ("side", "sides", "thickness")})
+    options = observation_options(
+        own.app, side=told.get("side"), sides=told.get("sides"), thickness=told.get("thickness")
+    )
     if own.alarms is None or own.alarms.knows(options.cloth):
         return None
     folder, settings = _unpacked(PREBUILT / FIRST)

@@ -103,7 +103,7 @@ def decide(
         plan = _planned(planner, state, candidates, memory, key)
     else:
         if sigma is None and trust is not None:
-            sigma = sigma_of(planner.perception, observation, memory.cloth)
+            sigma = unsure(planner, observation, memory)
         plan = _chosen(planner, state, candidates, memory, key, length, trust, sigma)
     return plan, remember(planner, memory, plan, executed=~plan.null)
 
@@ -265,6 +265,21 @@ def perceive(
             candidates[row] = np.nan
             candidates[row, : len(points)] = points
     return state, candidates
+
+
+def unsure(planner: Planner, observation: Observation, memory: Memory) -> Float[np.ndarray, " task"]:
+    """How unsure the perception is of the states that `perceive` gives [cloth length]; 0 if it does not tell.
+
+    Where a state was predicted, this is the doubt that is left when the prediction counts, too.
+    """
+    sigma = np.zeros(len(memory.cloth), np.float32)
+    predicted = memory.planned & ~memory.still
+    for rows, expected in ((~predicted, None), (predicted, Expected(memory.expected, memory.unsure))):
+        rows = np.flatnonzero(rows)
+        if len(rows):
+            known = None if expected is None else take(expected, rows)
+            sigma[rows] = sigma_of(planner.perception, take(observation, rows), known, memory.cloth[rows])
+    return sigma
 
 
 def pose(

@@ -105,7 +105,8 @@ def _claim(study: pd.DataFrame) -> str:
             continue
         shown = [f"{_apart(rows.loc[column])} in {plans}" for column, plans in LENGTHS.items() if column in rows.index]
         told.append(f"Mean error of *main* beside {short} ({what}; {count} test sequences): {', '.join(shown)}.")
-        met = {c: rows.loc[c, "difference"] < 0 and rows.loc[c, "p"] < CLAIM for c in AIMED if c in rows.index}
+        difference, p = rows["difference"].to_dict(), rows["p"].to_dict()
+        met = {column: difference[column] < 0 and p[column] < CLAIM for column in AIMED if column in p}
         for word, wanted in (("confirmed", True), ("not confirmed", False)):
             if columns := [LENGTHS[column] for column, found in met.items() if found == wanted]:
                 verdicts.append(f"{word} against {short} for {' and '.join(columns)}")

@@ -6,6 +6,9 @@ SPLITS = {"test": "Test set", "train": "Training set"}
 CLOTH_LENGTHS = "lengths of the cloth's side"
 """Unit of errors."""
 
+VOXEL_DIFFERENCE = "mean voxel value difference"
+"""Unit of errors in voxels."""
+
 TASKS = ("1/0", "1/1", "1/2", "1/all", "2/0", "2/1", "2/all", "3/all")
 """Columns of tables 3, 4, 6 and 7: length / start."""
 
@@ -57,7 +60,6 @@ PLAN_WAYS = ("split", "measure", "column", "sequences", "own", "cut", "differenc
 
 REACH = ("region", "size", "way", "tasks", "inside", "turned", "searched", "error", "error_inside", "error_free_inside")
 """Columns of the study of reach that its table is made of."""
-
 
 STATISTICS = ("mean", "std", "median")
 NO_ACTION = "no action"
