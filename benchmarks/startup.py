@@ -6,8 +6,8 @@ Each row is a command in a process of its own, with its wall seconds and the CPU
 imports of clothkit, JAX and Warp; stage `simulate` at scale smoke for a single sequence; and README's first command,
 `clothkit plan` with the prebuilt nets. All but the imports run with several contents of the folder of caches: `empty`,
 as on a new machine, `full`, as left by the row before, and `full` without one of its parts: JAX's compiled programs,
-Warp's compiled kernels, the named goals that were made, or the prebuilt nets that were unpacked. The folder is a new one, so yours is neither used nor
-changed.
+Warp's compiled kernels, the named goals that were made, or the prebuilt nets that were unpacked. The folder is a new
+one, so yours is neither used nor changed.
 """
 
 import argparse
