@@ -4,6 +4,7 @@ import dataclasses
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from clothkit.cloth.topology import SQUARE
 from clothkit.cloth.voxels import Viewport, observe
@@ -42,7 +43,7 @@ class DepthCamera:
             shift[number] = seen[1]
         return Sensed(Observation(voxels=np.stack(voxels)), shift)
 
-    def _seen(self, mesh: Meshes) -> tuple[np.ndarray, np.ndarray] | None:
+    def _seen(self, mesh: Float[np.ndarray, "u v 3"]) -> tuple[np.ndarray, np.ndarray] | None:
         """The voxels of a mesh's picture and the shift of the observed centre; None if it shows no cloth."""
         try:
             picture = take(mesh, self.picture)
