@@ -3,6 +3,8 @@
 The words are made from the paired comparisons of planners, so that they stay true when a chain is run again.
 """
 
+from typing import Any
+
 import pandas as pd
 
 from clothkit.report.formatting import LEAST, number
@@ -118,7 +120,7 @@ def _claim(study: pd.DataFrame) -> str:
     )
 
 
-def _apart(row: pd.Series) -> str:
+def _apart(row: Any) -> str:
     return f"{number(abs(row['difference']))} {'smaller' if row['difference'] < 0 else 'larger'} (p {row['p']:.2g})"
 
 
