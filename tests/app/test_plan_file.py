@@ -375,10 +375,15 @@ def test_turned_plans_keep_their_decision_and_equal_errors_leave_either() -> Non
 
 def test_a_plan_that_no_file_may_hold_is_not_written(tmp_path: Path) -> None:
     plan = plan_of(PLANS["b1"])
-    expected = {"sides_m": None, "thickness_m": None, "limits": None, **PLANS["b1"]}
-    expected |= {part: {**PLANS["b1"][part], "named": None} for part in ("state", "goal")}
+    expected = {"sides_m": None, "thickness_m": None, "limits": None, "table_in_camera": None, **PLANS["b1"]}
+    expected |= {part: {**PLANS["b1"][part], "named": None, "unsure": None} for part in ("state", "goal")}
     unknown = dict.fromkeys(("outcome_error_m", "outcome_error_low_m", "outcome_error_high_m", "trust"))
-    expected["expected"] = {"error_without_limits_m": None, **unknown, **PLANS["b1"]["expected"]}
+    expected["expected"] = {
+        "error_without_limits_m": None,
+        "prediction_error_m": None,
+        **unknown,
+        **PLANS["b1"]["expected"],
+    }
     assert json.loads(plan.model_dump_json()) == json.loads(json.dumps(expected))
     # As files were before hands were told apart.
     assert plan_of(changed(PLANS["b1"], "steps.0.hands.0.hand", ...)) == plan
