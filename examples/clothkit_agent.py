@@ -5,6 +5,7 @@
 """
 
 import sys
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -52,7 +53,7 @@ if __name__ == "__main__":
     name = sys.argv[1] if len(sys.argv) > 1 else "half"
     agent = clothkit.Agent("data")
     # The nets tell heights by the voxels' viewport.
-    world = {"start": "dragged", "observation": "voxels", "viewport": agent.viewport}
+    world: dict[str, Any] = {"start": "dragged", "observation": "voxels", "viewport": agent.viewport}
     env = gymnasium.make(clothkit.environment.ID, goal=name, **world)
     for seed in range(3):
         error, start = play(env, agent, seed=seed)
