@@ -151,20 +151,6 @@ def regularised(raw: Path, settings: RegulariseConfig, topology: Topology = SQUA
     return Parts(wanted, each())
 
 
-def _meshes(
-    raw: Path, states: pd.DataFrame, sequences: Sequence[int], mesher: Mesher, bar: tqdm
-) -> tuple[np.ndarray, np.ndarray]:
-    """The centred meshes [sequence state u v 3] of sequences, and their centres [sequence state 2]."""
-    vertices = np.full((len(sequences), STATES, *mesher.topology.shape, 3), np.nan, np.float32)
-    centres = np.full((len(sequences), STATES, 2), np.nan, np.float32)
-    row_of = {sequence: row for row, sequence in enumerate(sequences)}
-    for sequence, state, number, positions in zip(*(states[name] for name in STATE_COLUMNS), strict=True):
-        mesh = mesher(f"{raw}: sequence {sequence}, state {state}", number, positions)
-        vertices[row_of[sequence], state], centres[row_of[sequence], state] = centred(mesh)
-        bar.update(int(state == 0))
-    return vertices, centres
-
-
 def _cloths(table: pd.DataFrame) -> Cloths:
     """The cloths of sequences. A thickness that a simulator did not tell is taken to be that of PAPERS_CLOTH."""
     metres = table[["side_u", "side_v", "thickness"]].to_numpy(float)
@@ -223,3 +209,17 @@ def _steps(table: pd.DataFrame, row_of: dict[int, int]) -> tuple[np.ndarray, np.
     manipulation[rows, steps] = table[["u1", "v1", "u2", "v2", "dx", "dy"]].to_numpy(np.float32)
     hands[rows, steps] = table["hands"].to_numpy(np.int8)
     return manipulation, hands, (hands > 0).sum(-1).astype(np.int8)
+
+
+def _meshes(
+    raw: Path, states: pd.DataFrame, sequences: Sequence[int], mesher: Mesher, bar: tqdm
+) -> tuple[np.ndarray, np.ndarray]:
+    """The centred meshes [sequence state u v 3] of sequences, and their centres [sequence state 2]."""
+    vertices = np.full((len(sequences), STATES, *mesher.topology.shape, 3), np.nan, np.float32)
+    centres = np.full((len(sequences), STATES, 2), np.nan, np.float32)
+    row_of = {sequence: row for row, sequence in enumerate(sequences)}
+    for sequence, state, number, positions in zip(*(states[name] for name in STATE_COLUMNS), strict=True):
+        mesh = mesher(f"{raw}: sequence {sequence}, state {state}", number, positions)
+        vertices[row_of[sequence], state], centres[row_of[sequence], state] = centred(mesh)
+        bar.update(int(state == 0))
+    return vertices, centres
