@@ -1,7 +1,7 @@
 """Settings of the simulation: solver and limits of acceptance, in SI units unless said otherwise."""
 
 from dataclasses import fields, replace
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import pydantic
 from annotated_types import Ge, Gt, Le
@@ -227,4 +227,5 @@ class SimulateConfig:
     @property
     def decisive(self) -> "SimulateConfig":
         """The same with INDIFFERENT settings at their defaults; runs with equal ones have equal outcomes."""
-        return replace(self, **{each.name: each.default for each in fields(self) if each.name in INDIFFERENT})
+        usual: dict[str, Any] = {each.name: each.default for each in fields(self) if each.name in INDIFFERENT}
+        return replace(self, **usual)
