@@ -8,43 +8,58 @@ also prints the time of the search's matrix products alone, with the same shapes
 the search's time. Counted are, for every weight matrix in the loss, the forward product and, in evaluations with a
 gradient, the backward product for its input, since weights need no gradient. Exact evaluations count like others. The
 encoder, which runs once, is not counted. For `main`, the script also prints the seconds per estimate of a mesh, without
-and with refinement, beside those of section 6.1.
+and with refinement, beside those of section 6.1. Rows of systems that plan in voxels are a table of their own.
+
+The objective is the one in force: the system's, with the measure of uncertainty that the scale plans with. Where b3 is
+among the systems, the column "of b3's" tells how many times as long a plan takes as without the uncertainty term.
 
 `--scale NAME` selects the sizes of a scale (default: that of params.yaml); `--strains`, `--batch` and `--stride` change
 its settings; `--rounds N` (default: 3) is the number of repetitions, of which the shortest time counts. The nets are
-untrained, since the values of the weights do not affect the time.
+untrained, as what measures uncertainty is, since the values of the weights do not affect the time.
 """
 
 import argparse
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from tables import show
+from tables import show, write
 from timed import device, least
 
 from clothkit.cloth.silhouette import silhouette
 from clothkit.cloth.topology import SQUARE
 from clothkit.cloth.voxels import observe
+from clothkit.dataset.store import STEPS
 from clothkit.estimation.estimate import estimate, estimate_unrefined
-from clothkit.models import emd_voxel, pemd, vtm
-from clothkit.models.forward import ForwardModel, forward_model
+from clothkit.manipulation.candidates import CandidateConfig
+from clothkit.models import emd_voxel, pemd, support_model, vtm
+from clothkit.models.ensemble import Ensemble
+from clothkit.models.forward import ForwardModel
 from clothkit.models.net import Net
+from clothkit.models.settings import SupportModelConfig
 from clothkit.params import load_params
+from clothkit.planning import error_map
+from clothkit.planning.error_map import ErrorMap
 from clothkit.planning.initial import EXTENT, RASTER
 from clothkit.planning.mesh_representation import CORNERS, MESH
-from clothkit.planning.objective import Range, Reference, Weights, objective_of
+from clothkit.planning.model_error import LEAST, SIGNS
+from clothkit.planning.normalisation import Normalisation
+from clothkit.planning.objective import Objective, Weights
 from clothkit.planning.optimisers.gradient import GradientConfig
+from clothkit.planning.perception import KnownMeshes
+from clothkit.planning.planner import Planner
 from clothkit.planning.representation import Representation
 from clothkit.planning.search import SearchConfig, search
+from clothkit.planning.settings import PlanConfig
 from clothkit.planning.systems import SYSTEMS, System
 from clothkit.planning.types import UNKNOWN, Candidates, Problem
-from clothkit.planning.uncertainty import Spread
+from clothkit.planning.uncertainty_terms import EXPECTED_ERROR, SUPPORT, terms_of
 from clothkit.planning.voxel_representation import VOXEL
 from clothkit.report import paper
 
@@ -121,22 +136,62 @@ def passes(optimiser: Any, length: int) -> float:
     return with_gradient + (every - with_gradient) / 2
 
 
-def measure(system: System, stages: Any, settings: SearchConfig, batch: int, rounds: int) -> list[dict]:
-    """Return a row of the table for each plan length."""
+def in_force(system: System, ensemble: Ensemble, plan: PlanConfig, alpha: float, length: int) -> Objective:
+    """Return the objective of a system as `planner.assemble` makes it, of artifacts with any values."""
+    settings = plan.uncertainty
+    if system.voxels:
+        settings = dataclasses.replace(settings, measure="paper")
+    weights = Weights(alpha if system.doubts else 0.0, 5.0, 1.25)
+    with TemporaryDirectory() as folder:
+        data = Path(folder)
+        if not system.voxels:
+            width = support_model.width_of(ensemble.model, ensemble.best_net.params, SQUARE.flat())
+            shown = np.random.default_rng(0).normal(size=(4, width)).astype(np.float32)
+            error = ErrorMap(SIGNS, np.array(LEAST), np.zeros(STEPS), np.full(len(SIGNS), 0.5), np.ones(2))
+            for place in (SUPPORT, EXPECTED_ERROR):
+                (data / place).parent.mkdir(parents=True)
+            support_model.save(
+                data / SUPPORT, support_model.initial(SupportModelConfig(), shown, key=jax.random.key(0))
+            )
+            error_map.save(data / EXPECTED_ERROR, error, {})
+        accuracy, terms = terms_of(settings, weights.alpha, ensemble, data)
+    count, ones = len(ensemble.nets), (1.0,) * length
+    spread = ones if count > 1 else ()
+    planner = Planner(
+        system,
+        representation=VOXEL if system.voxels else MESH,
+        model=ensemble.model,
+        members=ensemble.members,
+        nets=ensemble.params,
+        best=0,
+        perception=KnownMeshes(),
+        normalisation=Normalisation(((0.0,) * length,) * count, (ones,) * count, spread, spread),
+        weights=weights,
+        settings=plan,
+        grasping=CandidateConfig(),
+        accuracy=accuracy,
+        terms=terms,
+    )
+    return planner.objective(length)
+
+
+def measure(
+    system: System, stages: Any, settings: SearchConfig, batch: int, rounds: int, alpha: float = 1.0
+) -> Iterator[dict]:
+    """Yield a row of the table for each plan length."""
     net: Any = stages.train_emd_voxel if system.voxels else stages.train_pemd
     build: Any = emd_voxel.initial if system.voxels else pemd.initial
     count = 1 if system.single else 2
-    nets = tuple(build(net.net, key=jax.random.key(seed)) for seed in range(count))
-    kind = (forward_model(net.net), VOXEL if system.voxels else MESH)
-    explicit = system.alpha is None and not system.single
-    found = []
+    members = tuple(range(count))
+    ensemble = Ensemble(members, tuple(Net(net.net, build(net.net, key=jax.random.key(seed))) for seed in members))
+    nets, kind = ensemble.params, (ensemble.model, VOXEL if system.voxels else MESH)
     for length in LENGTHS:
         strains = settings.optimiser.shape(length)[1]
         asked = problems(*kind, nets, length, batch)
         keys = jax.random.split(jax.random.key(0), batch)
-        ones = np.ones(length, np.float32)
-        reference = Reference((Range(0 * ones, ones),) * 2, Spread(ones, ones))
-        objective = objective_of(len(nets), reference, Weights(float(explicit), 5.0, 1.25))
+        objective = in_force(system, ensemble, stages.plan.of(system), alpha, length)
+        # States before the outcome are decoded if a term needs them.
+        explicit = any(term.every_step for term in objective.terms.values())
         inputs = (nets, asked, objective)
         # Compiled ahead of time, without a first run: at table 1's sizes one search takes minutes on a CPU.
         program = search.lower(*kind, *inputs, length=length, settings=settings, keys=keys).compile()
@@ -154,8 +209,15 @@ def measure(system: System, stages: Any, settings: SearchConfig, batch: int, rou
                 "GF/s of the search": round(flops * evaluations / seconds / 1e9),
                 "fraction": f"{alone * evaluations / seconds:.0%}",
             }
-        found.append(row)
-    return found
+        yield row
+
+
+def with_ratios(rows: list[dict]) -> list[dict]:
+    """Return the rows with their seconds as a multiple of b3's of the same length, if b3 is among them."""
+    undoubted = {row["length"]: row["s a plan"] for row in rows if row["system"] == "b3"}
+    if not undoubted:
+        return rows
+    return [row | {"of b3's": round(row["s a plan"] / max(undoubted[row["length"]], 1e-3), 2)} for row in rows]
 
 
 def published(system: str, length: int) -> float | None:
@@ -196,7 +258,8 @@ def main() -> None:
     asked = parser.parse_args()
     params = load_params(Path("params.yaml"))
     stages: Any = params.scales[asked.scale or params.scale]
-    rows, names = [], asked.systems or ("main", "b2", "b3")
+    tables: dict[str, list[dict]] = {}
+    names, scale = asked.systems or ("main", "b2", "b3"), asked.scale or params.scale
     for name in names:
         plan = stages.plan.of(SYSTEMS[name])
         settings = plan.search
@@ -206,11 +269,16 @@ def main() -> None:
             optimiser: Any = settings.optimiser
             fewer = dataclasses.replace(optimiser, strains=asked.strains)
             settings = dataclasses.replace(settings, optimiser=fewer)
-        rows += measure(SYSTEMS[name], stages, settings, asked.batch or plan.batch, asked.rounds)
-    show(f"planning: {asked.scale or params.scale}", rows, csv=asked.csv)
+        title = f"planning{' voxels' if SYSTEMS[name].voxels else ''}: {scale}"
+        rows = tables.setdefault(title, [])
+        for row in measure(SYSTEMS[name], stages, settings, asked.batch or plan.batch, asked.rounds, params.alpha):
+            rows.append(row)
+            write(title, rows, asked.csv)
+    for title, rows in tables.items():
+        show(title, with_ratios(rows), csv=asked.csv)
     if "main" in names:
         seconds = estimates(stages, asked.batch or stages.plan.batch, asked.rounds)
-        show(f"estimates: {asked.scale or params.scale}", seconds, csv=asked.csv)
+        show(f"estimates: {scale}", seconds, csv=asked.csv)
 
 
 if __name__ == "__main__":

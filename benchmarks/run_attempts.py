@@ -1,11 +1,12 @@
 """Runs attempts at sequences with the clothkit on PYTHONPATH, without rejecting states; used by simulation.py.
 
     PYTHONPATH=CHECKOUT/src python benchmarks/run_attempts.py OUT.npz [--count 16] [--first 0] [--workers 1] [--side 32]
-        [--block 4]
+        [--block 4] [--executor processes]
 
 The script runs attempts of seed 0 with the checkout's default settings, and writes their states, their settling times,
 whether they came to rest, CPU and wall seconds (without compilation) and peak memory. It uses only functions that
-exist in every version of the simulation.
+exist in every version of the simulation, but with `--executor dask`, which gives the blocks to a Dask cluster of
+`--workers` processes on this machine.
 """
 
 import argparse
@@ -14,7 +15,9 @@ import json
 import os
 import resource
 import time
+from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -90,23 +93,33 @@ def warm_up(side: int, changes: str) -> None:
     attempts.attempt_sequences(range(WARM_UP, WARM_UP + 1), settings(side, changes))
 
 
+def open_workers(executor: str, workers: int) -> AbstractContextManager[Any]:
+    """Return a pool of processes of this machine, or of workers of a Dask cluster that is started on it."""
+    if executor == "processes":
+        return make_pool(workers)
+    from clothkit.simulation.processes import open_pool
+
+    return open_pool("dask", workers=workers)
+
+
 def main() -> None:
     """Run the attempts and write their arrays."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=Path)
     for name, default in (("first", 0), ("count", 16), ("workers", 1), ("side", 32), ("block", 4)):
         parser.add_argument(f"--{name}", type=int, default=default)
+    parser.add_argument("--executor", choices=("processes", "dask"), default="processes")
     parser.add_argument("--material", default="", help='JSON: {"shear_stiffness": 20.0}')
     options = parser.parse_args()
     last = options.first + options.count
     same = (options.side, options.material)
     jobs = [(at, min(options.block, last - at), *same) for at in range(options.first, last, options.block)]
-    if options.workers == 1:
+    if options.workers == 1 and options.executor == "processes":
         warm_up(*same)
         started = time.perf_counter()
         blocks = [run_block(*job) for job in jobs]
     else:
-        with make_pool(options.workers) as pool:
+        with open_workers(options.executor, options.workers) as pool:
             for warm in [pool.submit(warm_up, *same) for _ in range(options.workers)]:
                 warm.result()
             started = time.perf_counter()

@@ -1,12 +1,14 @@
 """How long does the simulation take, and how good are its states?  python benchmarks/simulation.py [WHAT ..] [options]
 
-WHAT is `vertices` (cost against vertices per side), `sequences` (cost against their number, with one worker and two) or
-`steps` (cost and quality of steps 1, 2, 3); default: all of them. Options:
+WHAT is `vertices` (cost against vertices per side), `sequences` (cost against their number, with one worker, two, and
+two of a Dask cluster on this machine), `blocks` (cost against the number of attempts that a process runs at a time, in
+one launch) or `steps` (cost and quality of steps 1, 2, 3); default: all of them. Options:
 
 `--against PATH` compares this checkout with another checkout of this repository on the same attempts.
-`--count N` is the number of attempts (default: 16) for `steps` and `--against`, `--sizes 16 64 1024` those for
-`sequences`. `--csv FOLDER` writes CSV files. `--material '{"shear_stiffness": 20.0}'` changes this checkout's material.
-`--block N` is the number of attempts that a process runs at a time (default: 4).
+`--count N` is the number of attempts (default: 16) for `steps`, `blocks` and `--against`, `--sizes 16 64 1024` those
+for `sequences`. `--csv FOLDER` writes CSV files.
+`--material '{"shear_stiffness": 20.0}'` changes this checkout's material. `--block N` is the number of attempts that a
+process runs at a time (default: 4).
 
 The same checks are applied to both checkouts, and no state is rejected, so step 3 starts from bad states, too. A
 sequence is `sound` if its states have no intersection, nothing below the table, a gap of at least half the thickness,
@@ -20,10 +22,11 @@ import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
-from tables import show
+from tables import show, write
 
 import clothkit
 from clothkit.simulation.quality import measure
@@ -35,6 +38,8 @@ VIEWPORT = 0.125  # normalised
 STRAIN_P99, STRAIN_WORST, RESIDUAL_SPEED = 0.03, 0.1, 0.01
 SIDES = (16, 32, 48, 64)
 ON_EACH_SIDE = 4  # attempts per grid side; few, since a side of 64 takes minutes
+BLOCKS = (1, 4, 16)  # attempts that a process runs at a time
+EXECUTORS = (("processes", 1), ("processes", 2), ("dask", 2))
 FAULTS = ("crossed", "high", "p99", "worst", "thin", "below", "restless")
 
 
@@ -123,44 +128,59 @@ def quality_rows(name: str, got: dict, side: int = 32) -> list[dict]:
     return [*rows, whole | {"CPU s each": round(spent / manipulations(got), 3), "CPU s a sound sequence": per_sound}]
 
 
-def vertices_rows(how: dict) -> list[dict]:
-    """Return a row per number of vertices."""
-    rows = []
+def vertices_rows(how: dict) -> Iterator[dict]:
+    """Yield a row per number of vertices."""
     for side in SIDES:
         got = run(ON_EACH_SIDE, side=side, how=how)
         judged = judge(got, side)
         per = float(got["cpu_seconds"].sum()) / manipulations(got)
-        rows.append(
-            {
-                "side": side,
-                "vertices": side**2,
-                "CPU s each": round(per, 3),
-                "us a vertex": round(per / side**2 * 1e6, 0),
-                "median settle s": [round(float(t), 2) for t in np.median(got["settle_time"], axis=0)],
-                "intersecting": f"{judged['crossed'].mean():.0%}",
-                "over viewport": f"{judged['high'].mean():.0%}",
-                "strain p99 > 3%": f"{judged['p99'].mean():.0%}",
-                "sound sequences": f"{1 - judged['bad'].any(1).mean():.0%}",
-            }
-        )
-    return rows
+        yield {
+            "side": side,
+            "vertices": side**2,
+            "CPU s each": round(per, 3),
+            "us a vertex": round(per / side**2 * 1e6, 0),
+            "median settle s": [round(float(t), 2) for t in np.median(got["settle_time"], axis=0)],
+            "intersecting": f"{judged['crossed'].mean():.0%}",
+            "over viewport": f"{judged['high'].mean():.0%}",
+            "strain p99 > 3%": f"{judged['p99'].mean():.0%}",
+            "sound sequences": f"{1 - judged['bad'].any(1).mean():.0%}",
+        }
 
 
-def sequences_rows(sizes: list[int], how: dict) -> list[dict]:
-    """Return a row per number of sequences and workers."""
-    rows = []
+def sequences_rows(sizes: list[int], how: dict) -> Iterator[dict]:
+    """Yield a row per number of sequences and workers."""
     for count in sizes:
-        for workers in (1, 2):
-            got = run(count, workers=workers, how=how)
-            done = manipulations(got)
-            wall = float(got["wall_seconds"])
-            row = {"sequences": count, "workers": workers, "manipulations": done, "wall s": round(wall, 1)}
-            row |= {
-                "wall s each": round(wall / done, 3),
-                "CPU s each": round(float(got["cpu_seconds"].sum()) / done, 3),
-            }
-            rows.append(row | {"peak MiB, all processes": round(peak_mib(got))})
-    return rows
+        for executor, workers in EXECUTORS:
+            got = run(count, workers=workers, how=how | {"executor": executor})
+            yield {"sequences": count, "executor": executor, "workers": workers} | costs(got)
+
+
+def blocks_rows(count: int, how: dict) -> Iterator[dict]:
+    """Yield a row per number of attempts in a block, for two processes."""
+    for block in BLOCKS:
+        got = run(count, workers=2, how=how | {"block": block})
+        yield {"block": block, "attempts": count, "workers": 2} | costs(got)
+
+
+def costs(got: dict) -> dict:
+    """Return how many manipulations there were, and what they took."""
+    done, wall = manipulations(got), float(got["wall_seconds"])
+    return {
+        "manipulations": done,
+        "wall s": round(wall, 1),
+        "wall s each": round(wall / done, 3),
+        "CPU s each": round(float(got["cpu_seconds"].sum()) / done, 3),
+        "peak MiB, all processes": round(peak_mib(got)),
+    }
+
+
+def collect(title: str, found: Iterable[dict], csv: Path | None) -> None:
+    """Show the rows of a table, each of which is written as soon as it is found."""
+    rows: list[dict] = []
+    for row in found:
+        rows.append(row)
+        write(title, rows, csv)
+    show(title, rows, csv=csv)
 
 
 def main() -> None:
@@ -174,16 +194,17 @@ def main() -> None:
     parser.add_argument("--block", type=int, default=4)
     parser.add_argument("--csv", type=Path)
     options = parser.parse_args()
-    tables = ["vertices", "sequences", "steps"]
+    tables = ["vertices", "sequences", "blocks", "steps"]
     if unknown := set(options.what) - set(tables):
         parser.error(f"{' '.join(sorted(unknown))}: expected some of {', '.join(tables)}")
     how = {name: getattr(options, name) for name in ("material", "block")}
     what = options.what or ([] if options.against else tables)
     if "vertices" in what:
-        show("simulation vertices: cost against vertices a side", vertices_rows(how), csv=options.csv)
+        collect("simulation vertices: cost against vertices a side", vertices_rows(how), options.csv)
     if "sequences" in what:
-        rows = sequences_rows(options.sizes, how)
-        show("simulation sequences: cost against their number", rows, csv=options.csv)
+        collect("simulation sequences: cost against their number", sequences_rows(options.sizes, how), options.csv)
+    if "blocks" in what:
+        collect("simulation blocks: cost against attempts at a time", blocks_rows(options.count, how), options.csv)
     if "steps" in what or options.against:
         rows = quality_rows("this", run(options.count, how=how))
         if options.against:

@@ -21,7 +21,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from tables import show
+from tables import show, write
 from timed import device, in_a_row, least
 
 from clothkit.cloth.topology import SQUARE
@@ -191,13 +191,15 @@ def main() -> None:
     asked = parser.parse_args()
     params = load_params(Path("params.yaml"))
     stages = params.scales[asked.scale or params.scale]
-    rows = []
+    rows: list[dict] = []
+    title = f"training: {asked.scale or params.scale}"
     for name in asked.nets or ("pemd", "vtm"):
         settings: Any = {"pemd": stages.train_pemd, "vtm": stages.train_vtm}[name]
         changed = {k: getattr(asked, k) for k in ("recipe", "batch") if getattr(asked, k) is not None}
         settings = dataclasses.replace(settings, training=dataclasses.replace(settings.training, **changed))
         rows.append(measure(name, settings, asked.rounds, asked.steps))
-    show(f"training: {asked.scale or params.scale}", rows, csv=asked.csv)
+        write(title, rows, asked.csv)
+    show(title, rows, csv=asked.csv)
 
 
 if __name__ == "__main__":

@@ -1,22 +1,32 @@
 """`clothkit.Agent` in `clothkit/Fold-v0`: it sees voxels of the cloth, plans, and has its plans executed.
 
-./run python examples/clothkit_agent.py      # with nets under data/
+./run python examples/clothkit_agent.py                # half; with nets under data/, or the prebuilt ones
+./run python examples/clothkit_agent.py corners-in     # needs more manipulations than are planned at once
 """
+
+import sys
 
 import gymnasium
 import numpy as np
 
 import clothkit
 import clothkit.environment
+from clothkit.dataset.store import STEPS
 
 
 def play(env: gymnasium.Env, agent: clothkit.Agent, *, seed: int) -> tuple[float, float]:
     """The errors in the end and at first of an episode [cloth length]."""
+    if env.get_wrapper_attr("viewport") != agent.viewport:
+        raise clothkit.InputError("play: the agent's nets read voxels of another viewport than the environment's")
     seen, info = env.reset(seed=seed)
     # The agent knows named goals; of another one it gets voxels, too.
-    agent.begin(info["goal_name"] or seen["goal"].astype(bool), steps=int(seen["left"][0]))
+    goal = info["goal_name"] or seen["goal"].astype(bool)
+    agent.begin(goal, steps=min(int(seen["left"][0]), STEPS))
     over = False
     while not over:
+        if not agent.left:
+            # More manipulations than are planned at once: another session, for the goal as it was laid at first.
+            agent.begin(agent.state.goal, steps=min(int(seen["left"][0]), STEPS))
         agent.observe(seen["cloth"].astype(bool))
         plan = agent.plan(seed=seed)
         action = action_of(plan, seen["centre"]) if plan.expected.improves else np.zeros(6, np.float32)
@@ -39,8 +49,12 @@ def action_of(plan: clothkit.Plan, centre: np.ndarray) -> np.ndarray:
 
 
 if __name__ == "__main__":
-    env = gymnasium.make(clothkit.environment.ID, goal="half", start="dragged", observation="voxels")
+    name = sys.argv[1] if len(sys.argv) > 1 else "half"
     agent = clothkit.Agent("data")
+    # The nets tell heights by the voxels' viewport.
+    env = gymnasium.make(
+        clothkit.environment.ID, goal=name, start="dragged", observation="voxels", viewport=agent.viewport
+    )
     for seed in range(3):
         error, start = play(env, agent, seed=seed)
         print(f"episode {seed}: error {error:.3f}, {start:.3f} at first")

@@ -2,13 +2,13 @@
 
 from pathlib import Path
 
-from clothkit.dataset.augment import augment
-from clothkit.dataset.store import load, save
+from clothkit.dataset.augment import augmented
+from clothkit.dataset.store import save_parts
 from clothkit.runtime.stage import stage
 
 MESHES = Path("data/meshes.zarr")
 
 with stage("augment") as run:
     work = run.work(inputs=[MESHES])
-    save(work / "augmented.zarr", augment(load(MESHES).of_split("train"), run.params), run.attributes)
+    save_parts(work / "augmented.zarr", augmented(MESHES, run.params), run.attributes)
     run.publish(work / "augmented.zarr", "data/augmented.zarr")

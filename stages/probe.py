@@ -30,7 +30,8 @@ def main() -> None:
         end_workers()
         reference = normalisation.load(REFERENCE)
         spread = reference.reference(reference.longest).spread
-        rows = table(probes, predicted(ensemble, support, probes, dataset.cloth[probes.sequence]), spread)
+        cloth, seed = dataset.cloth[probes.sequence], s.params.seed
+        rows = table(probes, predicted(ensemble, support, probes, cloth, simulate.candidates, seed=seed), spread)
         write_rows(work / "probe.parquet", rows, s.attributes)
         error_map.save(work / "expected_error.json", fitted_to(rows), s.attributes)
         s.publish(work / "probe.parquet", DATA / "evaluation/probe.parquet")

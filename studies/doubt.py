@@ -116,7 +116,7 @@ def summary(table: pd.DataFrame, against: tuple[str, Any, float] = AGAINST) -> p
     for keys, own in table.groupby(VARIANT, sort=False):
         variant = Variant(*keys)
         reference = Variant(*against, variant.fold)
-        failures = own.groupby("length")["search_failure"].mean()
+        failures = {part.column: part.mean for part in totals(own, "search_failure")}
         apart = pd.DataFrame()
         if variant != reference and (named["system"] == reference.name).any():
             apart = compare(named, "error", variant.name, reference.name).set_index("column")
@@ -129,7 +129,7 @@ def summary(table: pd.DataFrame, against: tuple[str, Any, float] = AGAINST) -> p
                 "error": part.mean,
                 "low": low,
                 "high": high,
-                "search_failures": failures[int(part.column[0])],
+                "search_failures": failures[part.column],
             }
             if part.column in apart.index:
                 pair = apart.loc[part.column]
@@ -146,7 +146,8 @@ def compared(table: pd.DataFrame, params: Params) -> pd.DataFrame:
     """Return the comparisons that the report tells.
 
     They are of the planner in force (main) with those that the report calls b3 and b2, which have its accuracy term,
-    and with eq. (13) without doubt (eq13); and of eq. (13) with the doubt of eq. (15) (eq15) with the latter.
+    and with eq. (13) without doubt (eq13); and of eq. (13) with the doubt of eq. (15) (eq15) with the latter. Pairs
+    without rows of both are left out, and named in print.
     """
     plan = params.stages.plan
     measure, fold = plan.uncertainty.measure, plan.search.fold
@@ -162,7 +163,12 @@ def compared(table: pd.DataFrame, params: Params) -> pd.DataFrame:
         [table[(table[VARIANT] == list(variant)).all(axis=1)].assign(system=name) for name, variant in variants.items()]
     )
     pairs = [("main", "b3"), ("main", "b2"), ("main", "eq13"), ("eq15", "eq13")]
-    found = [compare(named, "error", *pair) for pair in pairs if set(pair) <= set(named["system"])]
+    found = []
+    for pair in pairs:
+        if absent := [variants[name].name for name in pair if name not in set(named["system"])]:
+            print(f"{' and '.join(pair)} are not compared: no rows of {' and '.join(absent)}")
+        else:
+            found.append(compare(named, "error", *pair))
     return pd.concat(found) if found else pd.DataFrame(columns=list(COLUMNS))
 
 

@@ -20,7 +20,8 @@ dataset and the probes' settings (`dvc repro probe`).
 """
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,14 +36,17 @@ from optimisers import KEYS, free_programs
 from clothkit.dataset import store
 from clothkit.dataset.augment import augment
 from clothkit.dataset.store import STEPS, Dataset
+from clothkit.episodes.sessions import Execute
 from clothkit.evaluation import probes
 from clothkit.evaluation.doubt import WRONG, auroc, rank_correlation
 from clothkit.evaluation.probes import Probes, execute_probes, fitted_to, predicted, table
 from clothkit.models import ensemble, support_model
+from clothkit.models.ensemble import Ensemble
+from clothkit.models.support_model import SupportModel
 from clothkit.params import Params, load_params
 from clothkit.planning import error_map, normalisation
 from clothkit.planning.mesh_representation import MESH
-from clothkit.planning.normalisation import normalise
+from clothkit.planning.normalisation import Normalisation, normalise
 from clothkit.planning.planner import artifacts
 from clothkit.planning.systems import SYSTEMS
 from clothkit.planning.uncertainty_terms import EXPECTED_ERROR, SUPPORT
@@ -112,18 +116,35 @@ def train(setting: Setting, params: Params, dataset: Dataset) -> None:
         link.symlink_to(place.resolve(), target_is_directory=True)
 
 
+class Learned(NamedTuple):
+    """What an ensemble tells of probes, and what that takes."""
+
+    reference: Normalisation
+    support: SupportModel
+    rows: pd.DataFrame
+    """Those of `probes.table`."""
+
+
+def learned(nets: Ensemble, part: Dataset, params: Params, dataset: Dataset, executed: Probes) -> Learned:
+    """Return the reference values of an ensemble, a support model of `part` and the rows of the executed probes."""
+    stages = params.stages
+    reference = normalise(nets.model, MESH, nets.params, dataset.of_split("validation"), stages.normalise)
+    support = support_training.train(nets.model, nets.best_net.params, part, stages.train_support)
+    spread = reference.reference(reference.longest).spread
+    cloth, seed = dataset.cloth[executed.sequence], stages.probe.seed
+    found = predicted(nets, support, executed, cloth, stages.simulate.candidates, seed=seed)
+    return Learned(reference, support, table(executed, found, spread))
+
+
 def learn(setting: Setting, params: Params, dataset: Dataset, executed: Probes) -> dict[str, float]:
     """Write the reference values, the support model and the map of expected errors of an ensemble.
 
     Returns how well the map tells the true errors of probes: their rank correlation (`rank`) and AUROC (`auroc`).
     """
-    stages, data = params.stages, setting.data
+    data = setting.data
     nets = ensemble.load(data / "nets", "pemd", setting.members)
-    reference = normalise(nets.model, MESH, nets.params, dataset.of_split("validation"), stages.normalise)
     part = first_sequences(dataset.of_split("train"), setting.amount)
-    support = support_training.train(nets.model, nets.best_net.params, part, stages.train_support)
-    spread = reference.reference(reference.longest).spread
-    rows = table(executed, predicted(nets, support, executed, dataset.cloth[executed.sequence]), spread)
+    reference, support, rows = learned(nets, part, params, dataset, executed)
     (data / "normalisation").mkdir(exist_ok=True)
     normalisation.save(data / "normalisation/mesh.json", reference, {})
     support_model.save(data / SUPPORT, support)
@@ -131,6 +152,30 @@ def learn(setting: Setting, params: Params, dataset: Dataset, executed: Probes) 
     rows = rows[rows["expected"].notna()]
     expected, error = rows["expected"].to_numpy(), rows["error"].to_numpy()
     return {"rank": rank_correlation(expected, error), "auroc": auroc(expected, error > WRONG)}
+
+
+def probes_of(params: Params, dataset: Dataset, simulator: Execute) -> Probes:
+    """Return the probes of the stage `probe`, executed once for all studies."""
+    simulate, settings = params.stages.simulate, params.stages.probe
+    current = fingerprint([MESHES, Path(str(probes.__file__))], simulate, settings)
+    pieces = Path(".work/studies/doubt_amount") / current
+    return execute_probes(dataset, settings, simulate.candidates, simulator, work=pieces)
+
+
+def kept(path: Path, current: Mapping[Setting, str]) -> pd.DataFrame:
+    """Return the stored rows of these ensembles that have their fingerprints.
+
+    All are read before the first is computed, since what is written replaces the file.
+    """
+    parts = [read(path, [*SETTING, *VARIANT, *KEYS, "error"], each) for each in current.values()]
+    chosen = [part[(part[SETTING] == list(setting)).all(axis=1)] for setting, part in zip(current, parts, strict=True)]
+    return pd.concat([part for part in chosen if len(part)] or parts[:1], ignore_index=True)
+
+
+def missing_of(table: pd.DataFrame, setting: Setting, variant: Variant, sequences: list[int]) -> list[int]:
+    """Return the sequences of which there are no rows of this ensemble and variant."""
+    own = (table[[*SETTING, *VARIANT]] == [*setting, *variant]).all(axis=1)
+    return np.setdiff1d(sequences, table.loc[own, "sequence"]).tolist()
 
 
 def summary(rows: pd.DataFrame) -> pd.DataFrame:
@@ -180,32 +225,26 @@ def main() -> None:
     folder.mkdir(parents=True, exist_ok=True)
     simulate = stages.simulate
     simulator = make_simulator(simulate)
-    pieces = Path(".work/studies/doubt_amount") / fingerprint(
-        [MESHES, Path(str(probes.__file__))], simulate, stages.probe
-    )
-    executed = execute_probes(dataset, stages.probe, simulate.candidates, simulator, work=pieces)
+    executed = probes_of(params, dataset, simulator)
     sequences = dataset.indices("validation")[: asked.sequences].tolist()
     folds = [bool(fold) for fold in asked.folds or [stages.plan.search.fold]]
-    parts: list[pd.DataFrame] = []
+    told, current = {}, {}
     for setting in settings:
-        told = learn(setting, params, dataset, executed)
+        told[setting] = learn(setting, params, dataset, executed)
         inputs = [MESHES, *artifacts(MAIN, setting.data, setting.members, "expected").values()]
-        current = fingerprint([each.resolve() for each in inputs], in_force(params), simulate)
-        rows = read(path, [*SETTING, *VARIANT, *KEYS, "error"], current)
-        rows = rows[(rows[SETTING] == list(setting)).all(axis=1)] if len(rows) else rows
-        for variant in (Variant(MAIN.name, *each, fold) for each in VARIANTS for fold in folds):
-            own = rows[(rows[VARIANT] == list(variant)).all(axis=1)] if len(rows) else rows
-            missing = np.setdiff1d(sequences, own["sequence"]).tolist()
-            free_programs()
-            for first in range(0, len(missing), TOGETHER):
-                planner = planner_of(variant, params, setting.data, setting.members)
-                name = f"{setting.amount} sequences, {setting.nets} nets, {variant.name}"
-                found = planned(planner, dataset, missing[first : first + TOGETHER], simulator, name)
-                columns = {**setting._asdict(), **variant._asdict(), **told, COLUMN: current}
-                rows = append(rows, found.assign(**columns))
-                write(pd.concat([*parts, rows]), path)
-        parts.append(rows)
-    conclude(pd.concat(parts, ignore_index=True), folder)
+        current[setting] = fingerprint([each.resolve() for each in inputs], in_force(params), simulate)
+    table = kept(path, current)
+    for setting, variant in product(settings, [Variant(MAIN.name, *each, fold) for each in VARIANTS for fold in folds]):
+        free_programs()
+        missing = missing_of(table, setting, variant, sequences)
+        for first in range(0, len(missing), TOGETHER):
+            planner = planner_of(variant, params, setting.data, setting.members)
+            name = f"{setting.amount} sequences, {setting.nets} nets, {variant.name}"
+            found = planned(planner, dataset, missing[first : first + TOGETHER], simulator, name)
+            columns = {**setting._asdict(), **variant._asdict(), **told[setting], COLUMN: current[setting]}
+            table = append(table, found.assign(**columns))
+            write(table.sort_values(SETTING, kind="stable"), path)
+    conclude(table, folder)
 
 
 if __name__ == "__main__":

@@ -237,7 +237,7 @@ def pose(planner: Planner, dataset: Dataset, sequences: list[int], split: str = 
         keys = search_keys(tasks, np.arange(len(chosen)), 0, planner.settings.seed)
         labels = labels_of_estimates(representation, state, tasks.start, tasks.cloths.cloth)
         recorded = recorded_plans(representation, tasks.recorded or [], labels)
-        loss = planning_losses(planner, state, goals, recorded, tasks.cloths.cloth, candidates)
+        loss = planning_losses(planner, state, goals, recorded, tasks.cloths.cloth, candidates, keys)
         found.append(Posed(length, tasks, candidates, problems, keys, loss))
     return found
 

@@ -9,7 +9,8 @@ side                x is at least -size, for sizes of 0.21 to 0 m: what arms at 
 Half of the cloth's side is 0.2 m. Two ways are compared:
 
 turning             the plan as it is, or turned by a symmetry of the cloth; else there is none
-terms               as `clothkit plan --reach`: likewise, but else another search has reach as a term of its objective
+terms               as `clothkit plan --reach`: likewise, but else another search has reach as a term of its objective,
+                    for the goal as it is or turned
 
 Plans are executed to their end without a look in between, even if nothing is expected to come of them; the error is
 that of the outcome against the goal, which is turned with the plan, and that of the cloth as it lies where there is no
@@ -104,9 +105,11 @@ def kept_within(limits: Limits, now: AgentState) -> Kept:
         kept = agent_state.kept_within(limits, now, seed=SEED)
     except InputError:
         return Kept("none", now)
+    assert kept.planned is not None
     if kept.planned is now.planned:
         return Kept("found", now)
-    return Kept("searched" if kept.matrix is now.matrix else "turned", kept)
+    # The goal of a plan that was searched for may be turned, too.
+    return Kept("searched" if np.isfinite(kept.planned.without_limits) else "turned", kept)
 
 
 def planned_for(planner: Planner, settings: Settings, options: ObservationOptions, tasks: Tasks) -> AgentState:

@@ -3,7 +3,10 @@
 FOLDER holds depth images from above as TRTM (Wang, Li, Zamora, Coros, ICRA 2024) publishes them: `real/NAME.png`, some
 with NAME.json, in which `corner_markers_m` has the visible corner markers' positions; and `simulated/NN.png` with
 NN.txt, the true mesh of 21 x 21 vertices. Every image is converted to points, observed and estimated as
-`clothkit estimate` does. A row per image goes to reports/<scale>/studies/real_cloths.csv:
+`clothkit estimate` does. Other cloths are read from `clouds/NAME.ply` (or another file that holds a point cloud, in
+metres, the table at z = 0, the cloth's points alone or with a mask) with NAME.json: `sides` [m], `thickness` [m], and
+`corner_markers_m` or `mesh`, the path of a mesh file in the cloud's frame. A row per image or cloud goes to
+reports/<scale>/studies/real_cloths.csv, with a hash of net and settings, and means to real_cloths_summary.csv:
 
 - corners_cm: mean distance of the visible markers to the estimate's corners, matched at least cost; markers lie 1.4 to
   1.8 cm inside the corners.
@@ -34,14 +37,14 @@ from typing import NamedTuple
 import matplotlib
 import numpy as np
 import pandas as pd
-from fingerprint import fingerprint
+from fingerprint import COLUMN, fingerprint
 from jaxtyping import Float
 from scipy.ndimage import map_coordinates
 from scipy.optimize import linear_sum_assignment
 from trained import train_estimator
 
 from clothkit.cloth.symmetry import equivalents
-from clothkit.cloth.topology import CLOTH_LENGTH
+from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE, rectangle
 from clothkit.dataset.store import Dataset, load
 from clothkit.estimation.agreement import agreement
 from clothkit.estimation.estimate import estimate
@@ -49,11 +52,13 @@ from clothkit.models import store
 from clothkit.models.net import Net
 from clothkit.observation.cloud import Observation, observe_cloud
 from clothkit.observation.coverage import goal_iou
+from clothkit.observation.files import read
 from clothkit.observation.plane import LEVEL
 from clothkit.observation.settings import CloudConfig
-from clothkit.observation.states import PointCloud
+from clothkit.observation.states import MeshState, PointCloud
 from clothkit.params import Params, load_params
 from clothkit.runtime.errors import InputError
+from clothkit.runtime.json_file import read_json
 from clothkit.training.settings import TrainVtMConfig
 
 matplotlib.use("Agg")
@@ -103,8 +108,10 @@ class Picture(NamedTuple):
 def pictures(folder: Path) -> Iterator[Picture]:
     """Read the images. Raises InputError if there are none."""
     files = [*sorted((folder / "real").glob("*.png")), *sorted((folder / "simulated").glob("*.png"))]
-    if not files:
-        raise InputError(f"{folder}: holds neither real/*.png nor simulated/*.png")
+    clouds = sorted((folder / "clouds").glob("*.json"))
+    if not files and not clouds:
+        raise InputError(f"{folder}: holds neither real/*.png nor simulated/*.png nor clouds/*.json")
+    yield from map(cloud, clouds)
     for file in files:
         values = np.asarray(plt.imread(file), float) * 255
         values = values[..., 0] if values.ndim == 3 else values
@@ -112,6 +119,8 @@ def pictures(folder: Path) -> Iterator[Picture]:
         seen = values[row, column]
         if file.parent.name == "real":
             kind = file.stem.rsplit("_", 1)[0]
+            if kind not in THICKNESS:
+                raise InputError(f"{file}: expected a name that begins with one of {', '.join(THICKNESS)}")
             xy = np.stack([column - MIDDLE, MIDDLE - row], axis=-1) * PIXEL
             points = np.column_stack([xy, (TABLE - seen) / PER_METRE])
             notes = file.with_suffix(".json")
@@ -122,6 +131,28 @@ def pictures(folder: Path) -> Iterator[Picture]:
             points = np.column_stack([xy, (UNIT_TABLE - seen) / PER_UNIT]) * UNIT
             mesh = np.loadtxt(file.with_suffix(".txt")).reshape(21, 21, 3) * UNIT
             yield Picture(f"simulated_{file.stem}", points, (SIDE, SIDE), THICKNESS["simulated"], mesh=mesh)
+
+
+def cloud(notes: Path) -> Picture:
+    """Read a cloud and what its notes tell. Raises InputError if a file is missing or tells something else."""
+    told = read_json(notes, expected="what is known of a cloth")
+    files = [file for file in sorted(notes.parent.glob(f"{notes.stem}.*")) if file != notes]
+    if len(files) != 1 or not {"sides", "thickness"} <= set(told):
+        raise InputError(f"{notes}: expected one file of points beside it, and sides and thickness in it")
+    state = read(files[0])
+    if not isinstance(state, PointCloud):
+        raise InputError(f"{files[0]}: expected a point cloud")
+    points = state.points if state.cloth is None else state.points[state.cloth]
+    side_u, side_v = map(float, told["sides"])
+    markers, mesh = (told.get(name) for name in ("corner_markers_m", "mesh"))
+    if mesh is not None:
+        topology = SQUARE if side_u == side_v else rectangle(side_u / side_v)
+        found = read(notes.parent / mesh, cloth_side=max(side_u, side_v), topology=topology)
+        if not isinstance(found, MeshState):
+            raise InputError(f"{notes}: {mesh} is no mesh")
+        mesh = found.pose.normalised_to_table(found.mesh.astype(float))
+    markers = None if markers is None else np.array(markers, float)
+    return Picture(notes.stem, points, (side_u, side_v), float(told["thickness"]), markers, mesh)
 
 
 def observed(picture: Picture, settings: CloudConfig) -> Observation:
@@ -193,10 +224,10 @@ def draw(path: Path, picture: Picture, observation: Observation, mesh: Float[np.
 
 def nets(
     data: Path, seeds: list[int], ways: list[str], also: Path | None, params: Params
-) -> Iterator[tuple[str, int, Net]]:
-    """The net of the chain and those with other seeds or trained in other ways, each with way and seed."""
+) -> Iterator[tuple[str, int, Path, Net]]:
+    """The net of the chain and those with other seeds or trained in other ways, each with way, seed and folder."""
     own = params.stages.train_vtm.training.seed
-    yield CHAIN, own, store.load(data / "nets/vtm")
+    yield CHAIN, own, data / "nets/vtm", store.load(data / "nets/vtm")
     for way, seed in [*((CHAIN, seed) for seed in seeds if seed != own), *((way, own) for way in ways)]:
         used = [data / "meshes.zarr", *([also / "meshes.zarr"] if also and way == MORE else [])]
         varied = params if way == CHAIN else with_training(params, WAYS[way](params.stages.train_vtm))
@@ -204,7 +235,8 @@ def nets(
         training = joined([dataset.of_split("train") for dataset in sets])
         folder = data / "studies/real_cloths" / (str(seed) if way == CHAIN else way.replace(" ", "_"))
         current = fingerprint(used, varied.stages.train_vtm)
-        yield way, seed, train_estimator(folder, seed, varied, training, sets[0].of_split("validation"), current)
+        net = train_estimator(folder, seed, varied, training, sets[0].of_split("validation"), current)
+        yield way, seed, folder, net
 
 
 def with_training(params: Params, training: TrainVtMConfig) -> Params:
@@ -235,12 +267,13 @@ def main() -> None:
     if asked.pictures:
         asked.pictures.mkdir(parents=True, exist_ok=True)
     rows = []
-    for way, seed, net in nets(asked.data, asked.seeds, asked.ways, asked.also, params):
+    for way, seed, where, net in nets(asked.data, asked.seeds, asked.ways, asked.also, params):
         settings = dataclasses.replace(params.app.cloud, viewport=net.config.viewport)
+        made = fingerprint([where], settings, params.stages.plan.refine)
         for picture in pictures(asked.folder):
             observation = observed(picture, settings)
             mesh = estimated(picture, observation, net, params.stages.plan.refine)
-            rows.append({"way": way, "seed": seed, **row_of(picture, observation, mesh, net)})
+            rows.append({"way": way, "seed": seed, **row_of(picture, observation, mesh, net), COLUMN: made})
             if asked.pictures:
                 told = ", ".join(f"{name} {value:.2f}" for name, value in list(rows[-1].items())[3:] if value == value)
                 path = asked.pictures / f"{picture.name}_{way}_{seed}.png"
@@ -251,8 +284,10 @@ def main() -> None:
     kept = [pd.read_csv(file)] if file.exists() else []
     found = pd.concat([*kept, pd.DataFrame(rows)]).drop_duplicates(KEYS, keep="last").round(4)
     kind = found["image"].str.replace(r"_\d+$", "", regex=True).rename("kind")
-    print(found.drop(columns="image").groupby([kind, "way", "seed"], sort=False).mean().round(3).to_string())
+    means = found.drop(columns=["image", COLUMN]).groupby([kind, "way", "seed"], sort=False).mean().round(3)
+    print(means.to_string())
     found.to_csv(file, index=False)
+    means.reset_index().to_csv(folder / "real_cloths_summary.csv", index=False)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,9 @@
 """Can the household nets fold a towel before a depth camera?  python studies/towel.py [REPEATS] [options]
 
-A towel (--sides, --thickness; default 0.5 x 0.3 m, 5 mm, fabric `towel`) lies flat on the table, REPEATS times
-(default: 10) at another angle, before the depth camera of params.yaml (evaluate_camera.picture, condition `noise x1`).
-Hands that take all layers fold it in half and in quarters: these are the goals. System main plans and executes
+A towel (--sides, --thickness; default 0.5 x 0.3 m, 5 mm, fabric `towel` at that size) lies flat on the table, REPEATS
+times (default: 10) at another angle, before the depth camera of params.yaml (evaluate_camera.picture, condition
+`noise x1`). Hands that take all layers fold it in half and in quarters: these are the goals. System main plans and
+executes
 
 half             the half fold, from the flat towel
 half to quarter  the second fold, from the half-folded towel
@@ -10,7 +11,8 @@ quarter          both, from the flat towel, with a look in between
 
 A row per repeat and task goes to reports/<scale>/studies/towel.csv: error of the outcome [cloth length] and that of no
 action, and the intersection over union of the silhouettes of outcome and goal, and of start and goal. The means with
-95 % bootstrap intervals over repeats are printed. The nets are those in `--data` (default: data).
+95 % bootstrap intervals over repeats are printed. The nets are those in `--data` (default: data), the settings those of
+the scale at which they were made.
 """
 
 import argparse
@@ -31,7 +33,8 @@ from clothkit.episodes.sessions import run_sessions
 from clothkit.evaluation.camera import picture_settings
 from clothkit.evaluation.comparisons import interval
 from clothkit.evaluation.errors import errors
-from clothkit.params import load_params
+from clothkit.models import store
+from clothkit.params import Params, load_params
 from clothkit.planning.objective import Weights
 from clothkit.planning.planner import Planner, assemble
 from clothkit.planning.systems import SYSTEMS
@@ -40,6 +43,7 @@ from clothkit.simulation.cloths import Cloths
 from clothkit.simulation.executor import end_workers, execute, make_simulator
 from clothkit.simulation.material import FABRICS, Material
 from clothkit.simulation.settings import DRAWN, SimulationConfig
+from clothkit.simulation.similarity import resized
 
 TASKS = {(0, 1): "half", (1, 1): "half to quarter", (0, 2): "quarter"}
 """Names of the tasks by start and length."""
@@ -58,7 +62,8 @@ def towels(
     longer, shorter = max(sides), min(sides)
     topology = rectangle(longer / shorter, shape=simulation.topology.shape)
     scale = CLOTH_LENGTH / longer
-    material = dataclasses.replace(FABRICS["towel"], thickness=thickness * simulation.cloth_side / longer)
+    size = longer / simulation.cloth_side
+    material = dataclasses.replace(resized(FABRICS["towel"], size), thickness=thickness / size)
     cloths = cloths_of(repeats, (CLOTH_LENGTH, shorter * scale, thickness * scale), material)
     angles = np.random.default_rng(seed).uniform(0, 2 * np.pi, repeats)
     states, manipulations = [flat_towels(topology, thickness * scale, angles)], []
@@ -155,6 +160,15 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(found)
 
 
+def params_of(data: Path) -> Params:
+    """Return the params at the scale at which the nets in `data` were made; if they do not say, at the selected one."""
+    params = load_params(Path("params.yaml"))
+    scale = store.description(data / "nets/vtm").get("scale", params.scale)
+    if scale not in params.scales:
+        raise InputError(f"{data}/nets/vtm: was made at scale {scale}, of which params.yaml has no block")
+    return params.model_copy(update={"scale": scale})
+
+
 def main() -> None:
     """Run the study and print the summary."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -163,7 +177,7 @@ def main() -> None:
     parser.add_argument("--thickness", type=float, default=0.005, metavar="METRES")
     parser.add_argument("--data", type=Path, default=Path("data"))
     asked = parser.parse_args()
-    params = load_params(Path("params.yaml"))
+    params = params_of(asked.data)
     stages = params.stages
     simulation = dataclasses.replace(stages.simulate.simulation, grasp="all")
     simulator = make_simulator(dataclasses.replace(stages.simulate, simulation=simulation))

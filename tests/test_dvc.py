@@ -19,8 +19,14 @@ from ruamel.yaml import YAML
 
 from clothkit.dataset import store
 from clothkit.evaluation import planning
+from clothkit.params import load_params
+from clothkit.planning import trust
+from clothkit.planning.planner import artifacts
+from clothkit.planning.systems import system
+from clothkit.prebuilt.files import ALARMS
 from clothkit.report import planning_tables, tables
 from clothkit.report.plots import plots
+from tests.documents import blocks, commands
 from tests.evaluation.planning_rows import planning_rows
 from tests.report.contents import dataset, tidy_tasks
 
@@ -284,6 +290,20 @@ def test_every_member_is_trained_for_what_needs_the_ensemble(tmp_path: Path, mem
         "evaluate_prediction": every,
     }.items():
         assert before[name] & every == needed, name
+
+
+def test_what_plans_are_made_with_can_be_pulled() -> None:
+    """The artifacts by name, and the paths that the docs list, are what the planner of system main reads."""
+    params = load_params(ROOT / "params.yaml")
+    measure = params.stages.plan.uncertainty.measure
+    needed = artifacts(system("main"), Path("data"), params.ensemble.members, measure).values()
+    # What is read where it is there.
+    every = {path.as_posix() for path in needed} | {f"data/{ALARMS}", f"data/{trust.PLACE}"}
+    named = {artifact["path"] for artifact in PIPELINE["artifacts"].values()}
+    assert named == every | {"data/meshes.zarr", "prebuilt/household"}
+    told = blocks(ROOT / "docs/gpu-and-cluster.md")
+    pulled = [words[3:] for block in told for words in commands(block.code) if words[1:3] == ["dvc", "pull"]]
+    assert [set(paths) for paths in pulled if paths] == [every]
 
 
 def test_the_lock_is_kept_without_its_own_stage(tmp_path: Path) -> None:

@@ -75,6 +75,10 @@ def test_an_ensemble_is_the_papers_two_nets_unless_told(tmp_path: Path) -> None:
         ({"scales.paper.plan.systems": ["b9"]}, "systems has 'b9', expected some of main, b1"),
         ({"scales.paper.plan.systems": ["main"]}, "evaluate_planning.systems has b1, which plan.systems leaves out"),
         ({"scales.paper.train_emd_voxel": None}, "plan.systems has b4, which plans in voxels, but train_emd_voxel is"),
+        (
+            {"scales.laptop.simulate.limits": {"height": 0.2}},
+            "train_vtm.net.viewport.height is 0.125, but simulate.limits.height lets states be 0.2 high",
+        ),
         ({"scales.paper.train_vtm": None}, "scales.paper.train_vtm: is empty, expected a value"),
     ],
 )

@@ -14,6 +14,7 @@ from ruamel.yaml import YAML
 from clothkit.app.output import write_mesh
 from clothkit.cloth import voxels
 from clothkit.cloth.topology import PAPERS_CLOTH, SQUARE
+from clothkit.cloth.voxels import VIEWPORT, Viewport
 from clothkit.dataset import store as meshes
 from clothkit.dataset.augment import augment
 from clothkit.dataset.regularise import regularise
@@ -57,12 +58,15 @@ def write_params(path: Path) -> None:
     path.write_text(json.dumps(params))
 
 
-def write_nets(folder: Path, members: Sequence[int] = MEMBERS) -> None:
-    """Nets of an ensemble's members, of which the one of the lowest number is the best, and reference values."""
+def write_nets(folder: Path, members: Sequence[int] = MEMBERS, *, viewport: Viewport = VIEWPORT) -> None:
+    """Nets of an ensemble's members, of which the one of the lowest number is the best, and reference values.
+
+    `viewport` is that of the net that estimates meshes.
+    """
     history = pd.DataFrame({"iteration": [1], "score": [0.1]})
     small = PEMDConfig(latent=8, encoder=(16,), manipulation=8, decoder=(16,))
     coarse = EMDVoxelConfig(latent=8, manipulation=8, width=0.05)
-    seer = VtMConfig(hidden=16)
+    seer = VtMConfig(hidden=16, viewport=viewport)
     # One program each: op by op takes much longer.
     of_meshes = jax.jit(lambda key: pemd.initial(small, key=key))
     of_voxels = jax.jit(lambda key: emd_voxel.initial(coarse, key=key))

@@ -75,6 +75,11 @@ class StageParams(pydantic.BaseModel, frozen=True, extra="forbid", allow_inf_nan
             raise ValueError(f"plan.systems has {voxels[0]}, which plans in voxels, but train_emd_voxel is null")
         if self.evaluate_goals is None and self.report.goals:
             raise ValueError("report.goals is true, but evaluate_goals is null")
+        highest, seen = self.simulate.limits.height, self.train_vtm.net.viewport.height
+        if seen < highest:
+            raise ValueError(
+                f"train_vtm.net.viewport.height is {seen:g}, but simulate.limits.height lets states be {highest:g} high"
+            )
         return self
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
+from clothkit.app import confirm
 from clothkit.app import plan as plan_command
 from clothkit.app.cli import cli
 from clothkit.cloth.topology import SQUARE
@@ -54,6 +55,26 @@ def test_what_is_shown_is_what_was_seen(here: Path, wanted: tuple[str, ...]) -> 
     dark = (left.max(axis=2) < 215).mean()
     assert 0.1 < dark < 0.4
     assert right.std() > 5
+
+
+def test_a_goal_that_a_camera_saw_is_asked_about_on_a_terminal(
+    here: Path, files: Path, wanted: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    unsaid = wanted[:-1]
+    result = called(unsaid, "")
+    assert result.exit_code == 0, result.output
+    assert "notice: goal.npz: what it is taken for is not confirmed (--confirm shows it, and asks)" in result.stderr
+    monkeypatch.setattr(confirm, "on_terminal", lambda: True)
+    (here / "plan.json").unlink()
+    assert "Is this the goal? [y/N]" in called(unsaid, "n\n").stderr
+    assert not (here / "plan.json").exists()
+    quiet = called((*unsaid, "--no-confirm"), "")
+    assert quiet.exit_code == 0, quiet.output
+    assert "confirm" not in quiet.stderr
+    # A mesh is what it is.
+    known = called(tuple(str(files / "goal.glb") if word == "goal.npz" else word for word in unsaid), "")
+    assert known.exit_code == 0, known.output
+    assert "confirm" not in known.stderr
 
 
 def test_a_named_or_a_known_goal_is_shown_too(here: Path, files: Path, wanted: tuple[str, ...]) -> None:

@@ -7,21 +7,29 @@ import numpy as np
 import pytest
 
 from clothkit.app.describe import PlanRequest, covered, describe, expected, frame_of, heights, paths_of, poses_of
-from clothkit.app.inputs import Input
+from clothkit.app.inputs import Input, Settings
+from clothkit.app.plan import summary
 from clothkit.app.plan_file import UNLIKELY, Plan, read_plan, write_plan
 from clothkit.app.planner import Planned
+from clothkit.app.settings import AppConfig
 from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.cloth.silhouette import centred, iou, silhouette
 from clothkit.cloth.symmetry import relabel
 from clothkit.cloth.topology import PAPERS_CLOTH, SQUARE
+from clothkit.manipulation.candidates import CandidateConfig
 from clothkit.observation.observe import observe
 from clothkit.observation.pose import Pose
 from clothkit.observation.states import MeshState, PointCloud
 from clothkit.observation.waypoints import MotionConfig
+from clothkit.planning import trust
+from clothkit.planning.error_map import ErrorMap
 from clothkit.planning.mesh_representation import MESH
 from clothkit.planning.planner import Planner
+from clothkit.planning.settings import PlanConfig
 from clothkit.planning.systems import system
+from clothkit.planning.uncertainty_terms import UncertaintyConfig
 from clothkit.planning.voxel_representation import VOXEL
+from clothkit.simulation.settings import SimulationConfig
 from tests.observation.scenes import motion
 from tests.planning import toy
 
@@ -32,6 +40,14 @@ POSE = Pose(AXES, ORIGIN, CENTRE, SCALE)
 PLAN = np.array([[-1, -1, 1, -1, 0.1, 0.7], [1, 1, 1, 1, -0.6, -0.4]], np.float32)
 SHIFTS = np.array([[0.2, -0.1], [-0.05, 0.4]])
 PAIRS = ((0, 1), (0, 2), (1, 2))
+TRUST = ErrorMap(trust.Signs._fields, np.full(3, 0.002), np.zeros(3), np.ones(3) / 3, np.linspace(0.5, 1.5, 21))
+
+
+def settings_with(known: ErrorMap | None) -> Settings:
+    defaults = AppConfig(), PlanConfig(), toy.WEIGHTS, CandidateConfig(), SimulationConfig(), (0, 1)
+    return Settings(*defaults, trust=known)
+
+
 ENDS = (np.arange(32) % 2 * 2 - 1)[:, None] * np.float32([0, 0, 0.07])
 """Every other row of vertices too high, the others too low."""
 
@@ -168,6 +184,66 @@ def test_errors_are_those_that_the_agent_found_and_all_else_is_of_the_nets_mean(
         exponents.append(5 * ((((six[0] - six[1]) ** 2).mean() - 0.3) / 0.2 - 1.25))
     assert found.epistemic_uncertainty == pytest.approx(np.mean(np.exp(exponents)), rel=2e-3)
     assert found.epistemic_uncertainty > 1
+
+
+def test_what_the_search_weighed_is_told_and_nothing_else() -> None:
+    plans, of = planner(), planned()._replace(model_error=0.03)
+    config = dataclasses.replace(plans.settings, uncertainty=UncertaintyConfig(measure="expected"))
+    other = dataclasses.replace(plans, settings=config)
+    with_u = expected(plans, of._replace(model_error=np.nan), request(toy.bent()))
+    with_error = expected(other, of, request(toy.bent()))
+    assert with_u["epistemic_uncertainty"] > 1
+    assert with_u["prediction_error_m"] is None
+    assert with_error["epistemic_uncertainty"] is None
+    assert with_error["prediction_error_m"] == pytest.approx(0.03 * 0.42)
+    # Without alpha a search weighs none; and what a null manipulation comes to need not be predicted.
+    free = dataclasses.replace(plans, weights=plans.weights._replace(alpha=0.0))
+    assert expected(free, of, request(toy.bent()))["epistemic_uncertainty"] is None
+    idle = of._replace(plan=PLAN * np.float32([1, 1, 1, 1, 0.3, 0.3]))
+    assert expected(other, idle, request(toy.bent()))["prediction_error_m"] is None
+
+
+def test_where_the_estimate_is_poor_is_in_the_plans_frame() -> None:
+    std = np.full((32, 32, 3), 0.02, np.float32)
+    std[:8, 24:] = 0.06
+    plans, of = planner(), planned()
+    asked = request(toy.bent())._replace(std=std)
+    plan = describe(plans, of, paths_of(plans, of, POSE, MotionConfig()), asked)
+    np.testing.assert_allclose(plan.start.state.sigma_m, std * 0.3, atol=1e-6)
+    unsure = plan.state.unsure
+    assert unsure is not None
+    # 0.02 and 0.06 along each axis are 0.025 and 0.074 cloth lengths of 1.4.
+    assert (unsure.threshold_m, unsure.share, unsure.part) == (pytest.approx(0.021), 64 / 1024, "corner")
+    corner = in_metres(SQUARE.flat(), np.zeros(2), "camera")[:8, 24:].mean((0, 1))
+    np.testing.assert_allclose(unsure.centre_m, corner, atol=1e-6)
+    (told,) = [notice for notice in plan.notices if "is unsure" in notice]
+    where = ", ".join(f"{value:.3f}" for value in corner)
+    assert told == f"where 6 % of the cloth lies is unsure (sigma above 21 mm): a corner, around ({where}) m"
+    assert told in summary(plan, Path("plan.json"))
+    sure = describe(plans, of, paths_of(plans, of, POSE, MotionConfig()), asked._replace(std=np.full_like(std, 0.02)))
+    assert sure.state.unsure is not None
+    assert (sure.state.unsure.share, sure.state.unsure.part) == (0, None)
+    assert "sigma is nowhere above 21 mm" in summary(sure, Path("plan.json"))
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "says"),
+    [
+        ("b1", settings_with(TRUST), "known of system main alone, and system b1 planned from a mesh that is taken as"),
+        ("b1", settings_with(None), "these nets come without it; the stage calibrate makes it"),
+        ("main", settings_with(TRUST), "the measure of uncertainty that its search weighed is not the one"),
+        ("b1", None, None),
+    ],
+)
+def test_why_a_plan_has_no_trust(name: str, settings: Settings | None, says: str | None) -> None:
+    plans, of = planner(name), planned()
+    plan = describe(
+        plans, of, paths_of(plans, of, POSE, MotionConfig()), request(toy.bent())._replace(settings=settings)
+    )
+    told = [notice for notice in plan.notices if "the plan's trust" in notice]
+    assert len(told) == (says is not None)
+    assert says is None or says in told[0]
+    assert plan.expected.trust is None
 
 
 def test_a_plan_is_warned_of_that_brings_nothing_nearer() -> None:

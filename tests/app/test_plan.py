@@ -88,6 +88,8 @@ def test_hands_start_at_the_grasp_points_in_the_plans_frame(
     told = plan.expected.trust, plan.expected.outcome_error_m
     assert (None not in told) == (plan.system == "main")
     assert ("trust" in said) == (plan.system == "main")
+    assert any("plan's trust" in notice for notice in plan.notices) == (plan.system != "main")
+    assert (plan.state.unsure is None) == (plan.start.state.sigma_m is None) == (plan.system == "b1")
     as_it_is = state == "bent.obj" and not options
     assert (plan.state.taken, plan.goal.taken) == ("as it is" if as_it_is else "estimated", "as it is")
     assert (
@@ -105,6 +107,12 @@ def test_hands_start_at_the_grasp_points_in_the_plans_frame(
             times = [point.time_s for point in hand.waypoints]
             assert times[0] == 0
             assert times == sorted(times)
+    # From the frame of the points to the plan's, where these differ.
+    placed = plan.table_in_camera
+    assert (placed is not None) == ("--frame" in options)
+    if placed is not None:
+        down = np.array(placed.axes) @ (np.array([0.0, 0.0, CameraConfig().height]) - placed.origin_m)
+        np.testing.assert_allclose(down, np.zeros(3), atol=0.005)
     # Where the cloth lies, seen by whatever.
     centre = plan.pose(plan.start.centre_m).centre
     np.testing.assert_allclose(centre, AT, atol=0.005)
@@ -145,7 +153,9 @@ def test_goals_of_every_kind_and_plans_in_voxels(here: Path, files: Path, goal: 
     plan = read_plan(here / "plan.json")
     assert plan.state.agreement is None
     assert plan.goal.agreement is None
-    assert not plan.notices
+    assert any("the plan's trust, how often such plans came true, is not known" in told for told in plan.notices)
+    assert all("trust" in told or told.startswith("advice: ") for told in plan.notices)
+    assert plan.state.unsure is None
     assert plan.expected.error_m is None
     assert plan.expected.voxel_error is not None
     assert plan.start.state.kind == "voxels"

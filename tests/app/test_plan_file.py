@@ -10,7 +10,8 @@ import pytest
 
 from clothkit.app import predict as predict_command
 from clothkit.app import simulate as simulate_command
-from clothkit.app.plan_file import LONGEST, plan_of, read_plan
+from clothkit.app.plan_file import plan_of, read_plan
+from clothkit.app.plan_parts import LONGEST
 from clothkit.planning.systems import SYSTEMS
 from clothkit.runtime.errors import InputError
 from clothkit.simulation.world import Worlds
@@ -21,6 +22,14 @@ PLANS = {name: content(name) for name in ("b1", "b2", "b4", "main")}
 HAND = PLANS["b1"]["steps"][0]["hands"][0]
 MESH = PLANS["b1"]["start"]["state"]
 VOXELS = PLANS["b4"]["start"]["state"]
+UNSURE = {
+    "threshold_m": 0.02,
+    "share": 0.25,
+    "part": "quarter",
+    "centre_m": [0.05, -0.03, 0.0],
+    "hidden": 0.5,
+    "unseen": 0.0,
+}
 ELSEWHERE = {**MESH, "vertices_m": np.add(MESH["vertices_m"], [1, 0, 0]).tolist()}
 
 
@@ -120,6 +129,14 @@ ABSURD: list[tuple[str, str, object, str]] = [
     ("b1", "expected.error_m", None, "expected.error_m: expected a number"),
     ("b4", "expected.error_m", 0.1, "expected.error_m: expected null"),
     ("b2", "expected.epistemic_uncertainty", 1, "expected.epistemic_uncertainty: expected null"),
+    ("b4", "expected.prediction_error_m", 0.1, "expected.prediction_error_m: expected null for system b4"),
+    ("b1", "table_in_camera", PLANS["b1"]["table"], "table_in_camera: expected null, unless frame is table and the"),
+    ("main", "state.unsure", UNSURE, "state.unsure: expected null, since start.state has no standard deviations"),
+    ("b4", "state.unsure", UNSURE, "state.unsure: expected null, since start.state has no standard deviations"),
+    ("main", "goal.unsure", UNSURE, "goal.unsure: expected null, since start.state alone has standard deviations"),
+    ("main", "state.unsure", {**UNSURE, "part": None}, "state.unsure.part: expected one, by share"),
+    ("main", "state.unsure", {**UNSURE, "share": 0.0}, "state.unsure.part: expected null, by share"),
+    ("main", "state.unsure", {**UNSURE, "unseen": 0.6}, "state.unsure.unseen: expected at most what hidden leaves"),
     ("b1", "expected.improves", False, "expected.improves: expected true"),
     ("b4", "memory.common", 3, "memory.common: expected at most 0"),
     ("b2", "memory.best", 1, "memory.best: expected at most 0 for 1 net of system b2, found 1"),

@@ -102,9 +102,49 @@ def test_nets_of_another_scale_tell_of_prebuilt_ones(
     assert not capsys.readouterr().err
 
 
+def test_prebuilt_nets_are_taken_for_a_cloth_that_the_trained_ones_do_not_know(
+    fresh: Path, nets: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(nets / "data", fresh / "data", dirs_exist_ok=True)
+    # Prebuilt nets know cloths of about 2 mm, these of about 5 mm.
+    thick = alarms_of(strangest=1e9)._replace(cloths=np.float32([[1.4, 1.4, 0.0175], [1.4, 1.4, 0.0175]]))
+    alarms.save(fresh / "data/nets/alarms.npz", thick)
+    towel = {"sides": (0.5, 0.4), "thickness": 0.0025}
+    for told in (None, {"side": 0.4, "thickness": 0.005}, {"side": 0.4, "thickness": 0.05}):
+        assert load_nets(Path("data"), told)[0] == Path("data")
+        assert "are used" not in capsys.readouterr().err
+    folder, settings = load_nets(Path("data"), towel)
+    assert folder.is_relative_to(fresh / "cache")
+    assert settings.plan == load_params(Path("params.yaml")).scales["household"].plan
+    told = (
+        "the nets in data/nets know no cloth of 0.5 x 0.4 m that is 2.5 mm thick: those of prebuilt/household are used"
+    )
+    assert told in capsys.readouterr().err
+    # The folder that is asked for is taken, whatever its nets know.
+    shutil.copytree(fresh / "data", fresh / "mine")
+    assert load_nets(Path("mine"), towel)[0] == Path("mine")
+
+
 def test_nets_of_an_interrupted_chain_are_not_taken(fresh: Path, nets: Path) -> None:
     shutil.copytree(nets / "data/nets/pemd", fresh / "data/nets/pemd")
     assert load_nets(Path("data"))[0].is_relative_to(fresh / "cache")
+
+
+def test_a_chain_that_stopped_before_its_reference_values_uses_the_prebuilt_nets(
+    fresh: Path, nets: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(nets / "data", fresh / "data", dirs_exist_ok=True)
+    (fresh / "data/normalisation/mesh.json").unlink()
+    assert load_nets(Path("data"))[0].is_relative_to(fresh / "cache")
+    told = "notice: the nets in data lack normalisation/mesh.json: those of prebuilt/household are used"
+    assert told in capsys.readouterr().err
+    # Nets of other members than those that plan are none.
+    shutil.copytree(nets / "data/normalisation", fresh / "data/normalisation", dirs_exist_ok=True)
+    (fresh / "data/nets/pemd/1").rename(fresh / "data/nets/pemd/7")
+    assert load_nets(Path("data"))[0].is_relative_to(fresh / "cache")
+    # Without prebuilt nets, what is missing is told when it is needed.
+    shutil.rmtree("prebuilt")
+    assert load_nets(Path("data"))[0] == Path("data")
 
 
 def test_which_of_several(fresh: Path) -> None:

@@ -11,8 +11,9 @@ from clothkit.app.options import observation_options
 from clothkit.app.output import write_mesh
 from clothkit.app.plan_file import read_plan
 from clothkit.app.settings import AppConfig
-from clothkit.app.simulate import score
+from clothkit.app.simulate import score, simulated_material
 from clothkit.observation.files import read
+from clothkit.simulation.settings import SimulationConfig
 from tests.app.conftest import AT, run, succeed
 from tests.app.plans import content, write
 from tests.observation.scenes import SMALL
@@ -45,6 +46,23 @@ def test_a_rectangle_is_simulated_as_one(here: Path) -> None:
     outcome = trimesh.load_mesh(here / "mesh.obj", process=False).vertices
     assert np.ptp(outcome[:, 1]) == pytest.approx(0.24, abs=0.01)
     assert np.ptp(outcome[:, 0]) < 0.3
+
+
+def test_the_cloth_is_as_thick_as_the_grid_allows_and_a_notice_says_so() -> None:
+    own = SimulationConfig()
+    for sides, thickness, told in (
+        ((0.4, 0.4), 0.002, ()),
+        ((0.5, 0.28), 0.006, ()),
+        ((0.5, 0.28), 0.009, ("9.0", "6.0")),
+    ):
+        options = observation_options(AppConfig(), side=None, sides=sides, thickness=thickness)
+        found, notices = simulated_material(own, options.cloth, side=options.side)
+        # Vertices that are 0.28 m / 31 apart allow two thirds of it.
+        wanted = [f"a cloth of {asked} mm is simulated {able} mm thick" for asked, able in ([told] if told else [])]
+        assert [notice.split(",")[0] for notice in notices] == wanted
+        # A cloth of 0.5 m bends like one of 0.4 m that is softer by (4 / 5)^3.
+        softer = (0.4 / sides[0]) ** 3
+        assert found.material.bending_stiffness == pytest.approx(own.material.bending_stiffness * softer)
 
 
 def test_a_rectangle_across_its_goal_is_far_from_it() -> None:

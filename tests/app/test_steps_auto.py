@@ -6,16 +6,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from clothkit.app import agent_state
 from clothkit.app import plan as plan_command
 from clothkit.app.agent import Agent
-from clothkit.app.inputs import load_settings
+from clothkit.app.inputs import Settings, load_settings
 from clothkit.app.lengths import choice_in_words
 from clothkit.app.options import observation_options
 from clothkit.app.output import write_mesh
 from clothkit.app.plan_file import UNLIKELY, read_plan
 from clothkit.cloth.topology import SQUARE
-from clothkit.planning.trust import Trusted
+from clothkit.planning.error_map import ErrorMap
 from clothkit.planning.types import Choice
 from tests.app.conftest import AT, run, succeed
 from tests.app.test_plan import FOUND, toy_planner
@@ -99,8 +98,9 @@ def test_numbers_without_a_plan_are_left_out() -> None:
 
 
 def test_nothing_is_done_where_such_plans_made_things_worse(goals: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    bad = Trusted(*(np.array([value]) for value in (9.0, 8.0, 10.0, 0.01)))
-    monkeypatch.setattr(agent_state, "trusted_of", lambda *_: bad)
+    # Such plans ended nine cloth lengths from their goals, whatever was expected of them.
+    bad = ErrorMap(("expected",), np.ones(1), np.log(np.full(3, 9.0)), np.zeros(1), np.ones(3))
+    monkeypatch.setattr(Settings, "trust_in", lambda *_: bad)
     with finding({n: FOLDS[:n] for n in (1, 2, 3)}):
         said = succeed("plan", "--state", "goal_0.obj", "--goal", "goal_2.obj", "--steps", "auto")
     plan = read_plan(goals / "plan.json")

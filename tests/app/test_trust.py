@@ -63,11 +63,17 @@ def test_by_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_it_is_told_in_millimetres() -> None:
-    given = content()
+    given = content("main")
     assert "trust" not in summary(plan_of(given), Path("plan.json"))
     lengths = {"outcome_error_m": 0.012, "outcome_error_low_m": 0.004, "outcome_error_high_m": 0.025, "trust": 0.875}
     told = summary(plan_of({**given, "expected": {**given["expected"], **lengths}}), Path("plan.json"))
     assert "such plans ended 12 mm from their goals, 80 % of them 4 to 25 mm; trust 0.88" in told
+    assert "u = 0.1, the nets differ by 0, 0 mm" in told
+    # A search weighs one of both measures; where none is told, how far the nets differ still is.
+    other = {"prediction_error_m": 0.0314, "epistemic_uncertainty": None}
+    told = summary(plan_of({**given, "expected": {**given["expected"], **other}}), Path("plan.json"))
+    assert "the predicted outcome is expected to be 31 mm off, the nets differ by 0, 0 mm" in told
+    assert "u =" not in told
 
 
 def test_a_plan_whose_like_made_things_worse_is_warned_of() -> None:

@@ -16,6 +16,7 @@ import pytest
 import trimesh
 import zarr
 
+from clothkit.app import named_goals
 from clothkit.app.inputs import load_settings, read_input
 from clothkit.app.options import observation_options
 from clothkit.app.plan_file import UNLIKELY
@@ -24,6 +25,7 @@ from clothkit.app.settings import BallConfig
 from clothkit.app.viewer import colours, live
 from clothkit.app.viewer.canvas import finer, two_sided
 from clothkit.app.viewer.colours import Scale, legend, round_up
+from clothkit.app.viewer.live_panel import goal_of_form
 from clothkit.app.viewer.recorded import entries, session_of, systems_in
 from clothkit.app.viewer.scene import Cloth, View, cubes, hand_paths, scale_of, scene_of, to_show
 from clothkit.app.viewer.search_progress import STRAINS_PER_BATCH, OnProgress, Progress, search_in_batches
@@ -184,6 +186,16 @@ def test_facts_say_what_is_expected_and_when_nothing_good_is() -> None:
     assert UNLIKELY not in first
     assert "expected error **0.020** after the plan, 0.300 if nothing is done" in first
     assert "epistemic uncertainty u = 0.1" in first
+    plan = session.steps[0].plan
+    assert plan is not None
+    for measure, says in (
+        ("expected", "the predicted outcome is expected to be off by 0.100"),
+        ("support", "surprise of the manipulations 0.1"),
+        (None, "uncertainty term 0.1, of a measure that the record does not name"),
+    ):
+        said = facts(session._replace(steps=(session.steps[0]._replace(plan=plan._replace(measure=measure)),)), 0)
+        assert says in said
+        assert "u =" not in said
     # Its only manipulation is too short to be one.
     assert UNLIKELY in second
     assert "error **0.000**" in facts(session, 2)
@@ -262,6 +274,39 @@ def test_nets_of_a_record_have_the_numbers_of_its_members(folder: Path, tmp_path
         plan = session_of(tmp_path, "main", entries(tmp_path, "main")[0]).steps[0].plan
         assert plan is not None
         assert plan.members == shown
+
+
+def test_a_record_tells_which_measure_its_search_weighed(folder: Path, tmp_path: Path) -> None:
+    shutil.copytree(folder / "evaluation", tmp_path / "evaluation")
+    store = tmp_path / "evaluation/planning/sessions_main.zarr"
+    for told, measure in ((None, None), ("expected", "expected"), ("paper", "paper"), ("new", None)):
+        if told is not None:
+            zarr.open_group(store).attrs["params"] = {"uncertainty": {"measure": told}}
+        plan = session_of(tmp_path, "main", entries(tmp_path, "main")[0]).steps[0].plan
+        assert plan is not None
+        assert (plan.measure, plan.uncertainty) == (measure, 0.25)
+    # System b3 minds no uncertainty, and its record has zeros.
+    store.rename(store.with_name("sessions_b3.zarr"))
+    plan = session_of(tmp_path, "b3", entries(tmp_path, "b3")[0]).steps[0].plan
+    assert plan is not None
+    assert plan.uncertainty is None
+
+
+def test_a_named_goal_of_a_live_session_has_the_form_that_is_chosen(folder: Path, tmp_path: Path) -> None:
+    settings = load_settings(folder)
+    options = observation_options(settings.app, side=None, table=None)
+    np.save(tmp_path / "flat.npy", SQUARE.flat())
+    start = read_input(str(tmp_path / "flat.npy"), options)
+    with mock.patch.object(named_goals, "goal_mesh", return_value=SQUARE.flat()):
+        found = goal_of_form(start, "half", 90, True, options, settings)
+        plain = goal_of_form(start, "half", None, None, options, settings)
+    assert found.variant is not None
+    assert plain.variant is not None
+    assert (found.variant.turn, found.variant.mirror) == (90, True)
+    assert (plain.variant.turn, plain.variant.mirror) == (0, False)
+    with pytest.raises(InputError, match="--turn: is for named goals, but the goal is"):
+        goal_of_form(start, str(tmp_path / "flat.npy"), 90, None, options, settings)
+    assert goal_of_form(start, str(tmp_path / "flat.npy"), None, None, options, settings).variant is None
 
 
 def test_a_record_that_leads_nowhere_is_told_and_not_left_out(tmp_path: Path) -> None:

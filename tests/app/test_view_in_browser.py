@@ -143,7 +143,7 @@ def test_sessions_are_played_planned_and_executed(page: Page, tmp_path: Path) ->
     expect(execute).to_be_disabled()
     plan.click()
     expect(execute).to_be_enabled(timeout=PATIENCE)
-    expect(page.get_by_text("epistemic uncertainty")).to_be_visible()
+    expect(page.get_by_text("the nets differ by")).to_be_visible()
     expect(page.get_by_text("lowest loss against plans tried")).to_be_visible()
     execute.click()
     expect(page.get_by_text("the session is over")).to_be_visible(timeout=PATIENCE)

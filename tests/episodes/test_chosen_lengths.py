@@ -6,6 +6,7 @@ import pytest
 from clothkit.dataset.tasks import Task
 from clothkit.episodes.sessions import run_sessions
 from clothkit.evaluation.session_rows import rows
+from clothkit.planning.error_map import ErrorMap
 from clothkit.planning.lengths import LengthConfig
 from tests.episodes.test_sessions import MANIPULATIONS, tasks
 from tests.planning import toy
@@ -46,6 +47,17 @@ def test_a_session_ends_when_nothing_more_is_worth_it() -> None:
     assert tidy["nulls"].tolist()[0] == 2
     assert tidy["nulls"].tolist()[2] == 3
     assert np.isfinite(tidy[["error", "loss", "expected"]]).all(axis=None)
+
+
+def test_a_session_ends_where_such_plans_made_things_worse() -> None:
+    given = tasks(Task(0, 0, 1), Task(0, 0, 2))
+    worse = ErrorMap(("expected",), np.ones(1), np.log(np.full(3, 9.0)), np.zeros(1), np.ones(3))
+    with finding({n: MANIPULATIONS[:n] for n in (1, 2, 3)}):
+        sessions = run_sessions(given, toy.planner("b1"), toy.execute, length=LengthConfig(), trust=worse)
+        free = run_sessions(given, toy.planner("b1"), toy.execute, length=LengthConfig())
+    assert not free.null[:, 0].any()
+    assert sessions.null[:, 0].all()
+    np.testing.assert_array_equal(sessions.state[:, 1], sessions.state[:, 0])
 
 
 def test_told_lengths_are_kept() -> None:

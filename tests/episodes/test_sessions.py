@@ -254,6 +254,17 @@ def test_the_next_state_is_expected_after_the_manipulation_that_is_executed() ->
     np.testing.assert_allclose(told[1].std[0], np.sqrt((own**2).mean(0) + each.var(0)), rtol=2e-3)
 
 
+def test_a_record_without_refined_predictions_lacks_nothing_else() -> None:
+    with finding(MANIPULATIONS[:1]):
+        whole, without = (
+            run_sessions(tasks(Task(0, 0, 1)), toy.planner("b1"), toy.execute, refined=asked) for asked in (True, False)
+        )
+    assert np.isfinite(whole.refined[:, 0]).all()
+    assert np.isnan(without.refined).all()
+    for name in set(vars(whole)) - {"refined"}:
+        np.testing.assert_array_equal(getattr(whole, name), getattr(without, name), err_msg=name)
+
+
 def test_a_broken_simulation_is_told() -> None:
     with finding(MANIPULATIONS[:1]), pytest.raises(InputError, match="not finite"):
         run_sessions(tasks(Task(0, 0, 1)), toy.planner("b1"), lambda meshes, *_: meshes * np.nan)

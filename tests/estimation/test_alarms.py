@@ -60,6 +60,14 @@ def test_known_cloths_are_those_within_a_margin() -> None:
     np.testing.assert_array_equal(alarms.knows(cloths), [True, True, False, False, True, False])
 
 
+def test_narrow_cloths_are_known_up_to_a_smaller_thickness() -> None:
+    alarms = Alarms(AgreementConfig(), 2.0, SUPPORT, CLOTHS)
+    # At 1.4 : 0.78, vertices are 0.78 / 31 apart, which allows two thirds of it: 0.0168. The margin makes it 0.0252.
+    cloths = np.array([[1.4, 0.78, 0.025], [0.78, 1.4, 0.026], [1.4, 1.4, 0.026]])
+    np.testing.assert_array_equal(alarms.knows(cloths), [True, False, True])
+    np.testing.assert_allclose(alarms.thickest(cloths), [0.0252, 0.0252, 0.042], atol=5e-5)
+
+
 def test_what_is_read_is_what_was_written(tmp_path: Path) -> None:
     support = fit(np.random.default_rng(1).normal(size=(9, 3)))
     alarms = Alarms(AgreementConfig(silhouette=0.8, heights=0.6), 2.5, support, CLOTHS)

@@ -56,6 +56,17 @@ def test_meshes_without_overlap_and_layers_that_are_apart_stay_as_they_are() -> 
     np.testing.assert_allclose(lift(clear, thickness=THICKNESS, sides=SIDES), clear, atol=1e-9)
 
 
+@settings(max_examples=5)
+@given(st.floats(0, 6.28), st.floats(0.15, 0.35))
+def test_an_overlap_has_one_order_though_the_layers_are_exchanged_over_a_part_of_it(turned: float, part: float) -> None:
+    mesh = in_half(turned)
+    # The flap is as far below the other layer as it was above, from v = 1 on inwards.
+    exchanged = 32 - round(32 * part)
+    mesh[:, exchanged:, 2] = 2 * THICKNESS - mesh[:, exchanged:, 2]
+    apart = lift(mesh.astype(np.float32), thickness=THICKNESS, sides=SIDES)
+    assert (apart[20:, :, 2] > apart[11::-1, :, 2]).mean() > 0.99
+
+
 def test_no_vertex_goes_below_the_table() -> None:
     low = roughened(in_half() * [1, 1, 0.1], 0.001, 1)
     low[..., 2] = np.maximum(low[..., 2], THICKNESS / 2)

@@ -29,6 +29,7 @@ def probe_rows(sequences: int = 6, seed: int = 0) -> pd.DataFrame:
                             "error_1": 1.2 * error,
                             "difference": rng.uniform(0.1, 0.2),
                             "deviations": rng.normal(),
+                            "conditional": np.log(error) + 0.3 * rng.normal(),
                             "distance": error * rng.uniform(0.8, 1.2),
                             "sigma": rng.uniform(0.02, 0.03),
                             "surprise": 3 * unlike + rng.uniform(0, 2),

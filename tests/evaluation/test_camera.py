@@ -101,7 +101,8 @@ def test_states_are_seen_and_estimated_under_every_condition(dataset: Dataset, n
 
 def test_an_interrupted_estimation_goes_on_with_the_next_condition(dataset: Dataset, net: Net, tmp_path: Path) -> None:
     whole = camera.estimation(dataset, net, SETTINGS, REFINE, ALARMS, work=tmp_path / "whole")
-    count = len(whole.rows) // 3
+    # Of five states, the second sequence's first one lies as that of the first does, and no figure shows it.
+    count = 4
 
     def stopped(*arguments: object) -> Picture:
         pictures.append(arguments)
@@ -143,6 +144,16 @@ def test_a_camera_gives_the_voxels_and_shifts_of_its_pictures(net: Net) -> None:
     assert not blind.shift.any()
     np.testing.assert_array_equal(blind.observation.voxels, voxels.observe(truth[::-1]))
     np.testing.assert_array_equal(first.observation.voxels, [voxels.observe(SQUARE.flat())] * 2)
+
+
+def test_cloths_that_lie_alike_share_a_picture(net: Net) -> None:
+    truth, pictures = np.stack([folded(), folded(along=0.0)]), []
+    with mock.patch("clothkit.episodes.depth_camera.take", lambda *given: pictures.append(given) or take(*given)):
+        sensed = depth_camera(PICTURE, Estimation(net, REFINE))(truth[[0, 1, 0, 1, 1]], None)
+    assert len(pictures) == 2
+    of_each = [take(mesh, PICTURE) for mesh in truth[[0, 1, 0, 1, 1]]]
+    np.testing.assert_array_equal(sensed.shift, [picture.shift for picture in of_each])
+    np.testing.assert_array_equal(sensed.observation.voxels, [picture.observation.voxels for picture in of_each])
 
 
 def test_sensors_see_as_high_as_the_net_knows(net: Net) -> None:

@@ -33,7 +33,7 @@ def probes(seed: int = 0, sequences: int = 12) -> pd.DataFrame:
                 :count
             ],
             "error": error,
-            "deviations": np.nan,
+            **dict.fromkeys(("deviations", "conditional"), np.nan),
             "distance": error**2,
             "sigma": rng.uniform(size=count),
             "surprise": rng.uniform(size=count),

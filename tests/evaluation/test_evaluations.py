@@ -12,12 +12,14 @@ from clothkit.cloth.symmetry import relabel
 from clothkit.cloth.topology import SQUARE
 from clothkit.dataset.store import Dataset, papers_cloths
 from clothkit.dataset.tasks import TASKS
+from clothkit.estimation.estimate import Alternatives
 from clothkit.estimation.refine import RefineConfig
 from clothkit.evaluation import arrays, estimation, prediction
 from clothkit.evaluation.occupancy import TALL, occluded_occupancy, occupancy
 from clothkit.evaluation.settings import EvaluateEstimationConfig, EvaluatePredictionConfig
 from clothkit.models import pemd, vtm
 from clothkit.models.ensemble import Ensemble
+from clothkit.models.hypotheses import Hypotheses
 from clothkit.models.net import Net
 from clothkit.models.settings import PEMDConfig, VtMConfig
 from clothkit.runtime.errors import InputError
@@ -85,6 +87,21 @@ def test_estimation_rows_of_known_estimates(dataset: Dataset, estimates: estimat
     assert by_kind["pmr"] == pytest.approx(0, abs=1e-6)
     assert by_kind["dmr"] == pytest.approx(0.01, abs=1e-6)
     assert (tidy["error_labelled"] > 0.1).all()
+
+
+def test_the_best_of_several_hypotheses_is_told(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    truth = dataset.vertices[[1, 1, 1], [1, 2, 3]]
+    offsets = np.array([[0.14, 0.014, 0.0], [0.014, 0.028, 0.28], [0.28, 0.14, 0.014]], np.float32)
+    mean = truth[:, None] + offsets[..., None, None, None] * np.float32([0, 1, 0])
+    # Of the first cloth all differ, but the right one can't be; of the second, the right one is the chosen one; of the
+    # third the last one is the best.
+    probability = np.array([[0.6, 0.39, 0.01], [0.5, 0.3, 0.2], [0.4, 0.3, 0.3]], np.float32)
+    found = Alternatives(Hypotheses(ProbabilisticMesh(mean, np.ones_like(mean)), probability), mean + np.float32(0))
+    hypotheses, chosen, best_mean, best_mesh = estimation._compared(found, truth, dataset.cloth[[1, 1, 1]])
+    assert hypotheses.tolist() == [2, 2, 3]
+    np.testing.assert_array_equal(chosen, probability[:, 0])
+    np.testing.assert_allclose(best_mean, [0.01, 0.01, 0.01], atol=1e-6)
+    np.testing.assert_allclose(best_mesh, best_mean, atol=1e-6)
 
 
 def test_prediction_rows(dataset: Dataset, forward: Ensemble, estimates: estimation.Estimates) -> None:

@@ -75,6 +75,17 @@ def test_trust_of_others_holds() -> None:
     assert ((told.low < told.error) & (told.error < told.high)).all()
 
 
+def test_what_is_told_of_a_plan_owes_nothing_to_its_own_sequence() -> None:
+    """Not even the interval and the trust: another outcome of a sequence's plans changes only what others are told."""
+    given = planned(3, 12)
+    own = given.sequence == 5
+    before = rows(given)[0]
+    after = rows(given._replace(error=np.where(own, 20 * given.error, given.error)))[0]
+    names = [f"trusted_{name}" for name in trust.Trusted._fields]
+    np.testing.assert_array_equal(after.loc[own, names], before.loc[own, names])
+    assert (after.loc[given.sequence == 6, "trusted_high"] != before.loc[given.sequence == 6, "trusted_high"]).all()
+
+
 def test_signs_that_a_planner_lacks_are_no_part_of_the_map() -> None:
     given = planned(2, 20)
     table, found = rows(given._replace(model_error=np.full(len(given.error), np.nan)))

@@ -126,7 +126,13 @@ def serving() -> Iterator[None]:
 
 
 def _decided(
-    planner: Planner, observation: Observation, memory: Memory, *, seed: int, length: LengthConfig | None = None
+    planner: Planner,
+    observation: Observation,
+    memory: Memory,
+    *,
+    seed: int,
+    length: LengthConfig | None = None,
+    **_: object,
 ) -> tuple[Planned, Memory]:
     """A plan that nobody searched for, from the state that the planner perceives."""
     state, plan = agent.perceive(planner, observation, memory)[0][0], np.stack([BOTH, ONE])[: int(memory.left[0])]

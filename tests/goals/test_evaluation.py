@@ -136,7 +136,7 @@ def test_more_manipulations_than_a_session_has_are_planned_in_two(monkeypatch: p
     """Each session moves the cloth by 0.1 per manipulation, and does not execute its first one."""
     asked = []
 
-    def run_sessions(tasks: Tasks, planner: Any, execute: Any, *, sensor: Any) -> SimpleNamespace:
+    def run_sessions(tasks: Tasks, planner: Any, execute: Any, *, sensor: Any, refined: bool) -> SimpleNamespace:
         asked.append(tasks)
         length = np.array([task.length for task in tasks.task])
         moved = tasks.centre[:, None] + 0.1 * np.arange(4)[:, None]

@@ -170,6 +170,7 @@ def test_the_chain_runs_on_from_arcsims_runs(tmp_path: Path) -> None:
         attempts=pd.read_parquet(tmp_path / "raw/attempts.parquet"),
         forward_histories=histories,
         vtm_history=vtm_history,
+        viewport=vtm.config.viewport,
         estimation=estimation.rows(dataset, found),
         prediction=predicted,
         calibration=calibration.rows(dataset, given, nets[0], estimates, settings),

@@ -5,7 +5,6 @@ from unittest import mock
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 
 from clothkit.cloth.mesh import ProbabilisticMesh
 from clothkit.manipulation.vector import is_null
@@ -18,7 +17,7 @@ from clothkit.planning.types import Candidates, Problem
 from tests.planning import toy
 
 
-def outlook(differences: np.ndarray) -> Outlook:
+def outlook(differences: np.ndarray | jax.Array) -> Outlook:
     """Plans whose predictions differ by these numbers [n strains]."""
     representation = mock.Mock(difference=lambda a, b: jnp.asarray(differences))
     return Outlook(representation, jnp.zeros((differences.shape[1], len(differences), 6)), (None, None))
@@ -37,9 +36,19 @@ def test_z_is_in_deviations_of_plans_on_the_support() -> None:
 
 
 def test_the_penalty_has_a_bounded_slope() -> None:
-    term = Conditional(1.0, 2.0).posed(outlook(np.ones((1, 4))))
-    value = jax.grad(lambda z: jax.nn.softplus(z - term.gamma))
-    assert float(value(50.0)) == pytest.approx(1)
+    """In z: of a plan of two manipulations each counts half, and never more, however far beyond what is usual."""
+    drawn = np.exp(np.array([[1.0, 2, 3, 4, 5], [0, 1, 2, 3, 4]])) - LEAST_DIFFERENCE
+    term = Conditional(1.0, 2.0).posed(outlook(drawn))
+
+    def value(z: jax.Array) -> jax.Array:
+        logarithms = term.median[:, None] + term.spread[:, None] * z
+        return jnp.sum(term(outlook(jnp.exp(logarithms) - LEAST_DIFFERENCE)))
+
+    slope = np.asarray(jax.grad(value)(jnp.array([[-5.0, 0, 2, 10, 40], [-5.0, 0, 2, 10, 30]])))
+    assert (slope >= 0).all()
+    assert (slope <= 0.5 + 1e-5).all()
+    np.testing.assert_allclose(slope[:, 2], 0.25, rtol=1e-3)
+    np.testing.assert_allclose(slope[:, 4], 0.5, rtol=1e-3)
 
 
 def test_only_terms_that_are_posed_ask_for_plans() -> None:

@@ -15,6 +15,7 @@ from clothkit.cloth.mesh import distance_aligned
 from clothkit.cloth.symmetry import relabel
 from clothkit.manipulation.vector import is_null
 from clothkit.planning import agent
+from clothkit.planning.error_map import ErrorMap
 from clothkit.planning.lengths import LengthConfig, chosen_lengths
 from clothkit.planning.optimisers.random_shooting import RandomShootingConfig
 from clothkit.planning.planner import Planner
@@ -75,11 +76,19 @@ def finding(plans: dict[int, np.ndarray]) -> Any:
 
 
 def decided(
-    planner: Planner, starts: np.ndarray, goals: np.ndarray, settings: LengthConfig | None, *, left: int = 3
+    planner: Planner,
+    starts: np.ndarray,
+    goals: np.ndarray,
+    settings: LengthConfig | None,
+    *,
+    left: int = 3,
+    trust: ErrorMap | None = None,
+    sigma: np.ndarray | None = None,
 ) -> tuple[Plan, Memory]:
     memory = agent.begin(planner, goals, np.full(len(goals), left))
     keys = jax.random.split(jax.random.key(0), len(goals))
-    return agent.decide(planner, Observation(meshes=starts), memory, key=keys, length=settings)
+    seen = Observation(meshes=starts)
+    return agent.decide(planner, seen, memory, key=keys, length=settings, trust=trust, sigma=sigma)
 
 
 def test_as_many_manipulations_as_the_goal_takes() -> None:
@@ -157,6 +166,42 @@ def test_null_manipulations_do_not_count() -> None:
     assert ended.choice.length.tolist() == [0]
     # Where the number is told, plans stay as they were found.
     np.testing.assert_array_equal(told.manipulations[0], paused)
+
+
+def came_to(sign: str, factor: float) -> ErrorMap:
+    """A map by which plans ended `factor` times the sign from their goals; plans of three twice as far."""
+    return ErrorMap((sign,), np.full(1, 1e-9), np.log(factor * np.array([1, 1, 2])), np.ones(1), np.ones(3))
+
+
+def test_nothing_is_done_where_such_plans_ended_farther_than_the_cloth_lies() -> None:
+    """Goals of one to three folds, in a batch; perception is as unsure of each state as the cloth is far from its goal,
+    so that by a map of this sign plans end 0.6 times as far as the cloth lies, and plans of three 1.2 times."""
+    planner, start = toy.planner("b1"), toy.bent()
+    goals = np.stack([after(start, FOLDS[:count]) for count in (1, 2, 3)])
+    starts = np.repeat(start[None], 3, axis=0)
+    now = np.array([float(distance_aligned(start, goal)) for goal in goals])
+    with finding({n: FOLDS[:n] for n in (1, 2, 3)}):
+        free, _ = decided(planner, starts, goals, LengthConfig())
+        plan, memory = decided(planner, starts, goals, LengthConfig(), trust=came_to("sigma", 0.6), sigma=now)
+        told, _ = decided(planner, starts, goals, None, trust=came_to("sigma", 9.0), sigma=now)
+        # Without a sign that the map needs, or where perception is sure, it tells nothing or no harm.
+        unknown, _ = decided(planner, starts, goals, LengthConfig(), trust=came_to("model_error", 9.0), sigma=now)
+        sure, _ = decided(planner, starts, goals, LengthConfig(), trust=came_to("sigma", 9.0))
+    assert free.choice is not None
+    assert plan.choice is not None
+    assert free.choice.length.tolist() == [1, 2, 3]
+    assert plan.choice.length.tolist() == [1, 2, 0]
+    assert memory.left.tolist() == [2, 2, 0]
+    assert plan.null.tolist() == [False, False, True]
+    assert is_null(plan.manipulations[2, 0])
+    np.testing.assert_allclose(plan.expected[2], now[2], rtol=1e-5)
+    # What each number was expected to come to is told all the same.
+    np.testing.assert_array_equal(plan.choice.expected, free.choice.expected)
+    np.testing.assert_array_equal(plan.manipulations[:2], free.manipulations[:2])
+    for same in (unknown, sure):
+        assert same.choice is not None
+        assert same.choice.length.tolist() == [1, 2, 3]
+    assert told.length.tolist() == [3, 3, 3]
 
 
 def test_a_goal_in_other_labels_is_reached_already() -> None:

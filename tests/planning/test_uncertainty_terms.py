@@ -1,7 +1,9 @@
 """Measures of uncertainty by name: which terms a planner gets, and that they say what a formula by hand says."""
 
+from itertools import product
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import jax
 import jax.numpy as jnp
@@ -16,11 +18,12 @@ from clothkit.planning import error_map, uncertainty_terms
 from clothkit.planning.conditional import Conditional
 from clothkit.planning.error_map import ErrorMap
 from clothkit.planning.mesh_representation import MESH
-from clothkit.planning.model_error import LEAST, SIGNS, Surprise
-from clothkit.planning.objective import Distance, Evaluation, Objective, evaluate, fix
+from clothkit.planning.model_error import LEAST, SIGNS, ModelError, Surprise
+from clothkit.planning.objective import Distance, Evaluation, Objective, Outlook, evaluate, fix
 from clothkit.planning.types import UNKNOWN, Candidates, Problem
 from clothkit.planning.uncertainty_terms import EXPECTED_ERROR, SUPPORT, Measure, UncertaintyConfig, terms_of
 from clothkit.runtime.errors import InputError
+from tests import tiny
 from tests.planning import toy
 
 PLANS = np.array(
@@ -109,7 +112,7 @@ def smooth(mesh: np.ndarray, target: np.ndarray) -> np.ndarray:
     return np.sqrt((apart**2).sum(-1) + 1e-3**2).mean(axis=(-2, -1)) / 1.4
 
 
-def test_the_objective_is_the_expected_distance_of_the_real_outcome(data: Path) -> None:
+def test_the_objective_is_the_distance_of_the_predicted_outcome_and_its_expected_error(data: Path) -> None:
     accuracy, terms = chosen("expected", data, alpha=0.5)
     found = evaluated(Objective(accuracy, terms))
     predicted, goal = outcomes()
@@ -121,6 +124,40 @@ def test_the_objective_is_the_expected_distance_of_the_real_outcome(data: Path) 
     expected = np.exp(0.2) * np.prod(signs ** np.array([[0.9], [0.4], [0.3]]), axis=0)
     np.testing.assert_allclose(found.terms["uncertainty"], expected, rtol=2e-3)
     np.testing.assert_allclose(found.loss, np.mean(by_nets, axis=0) + 0.5 * expected, rtol=2e-3)
+
+
+HOUSEHOLD = error_map.load(tiny.ROOT / "prebuilt/household" / EXPECTED_ERROR, SIGNS)
+
+
+@pytest.mark.parametrize("error", [MAP, HOUSEHOLD], ids=["made up", "household"])
+def test_the_expected_error_has_a_finite_gradient_however_far_nets_are_apart(error: ErrorMap) -> None:
+    """Up to five cloth lengths, in float32, against the slopes of the product of powers by hand."""
+    mesh = jnp.asarray(toy.bent())[None, None]
+    # Every other row of vertices lies one cloth length (1.4) to one side, the others as far to the other side.
+    apart = jnp.zeros((32, 32, 3)).at[:, :, 0].set(1.4 * (-1.0) ** jnp.arange(32)[:, None])
+    plan = jnp.zeros((1, 2, 6))
+
+    def value(signs: jax.Array) -> jax.Array:
+        distance, sigma, surprise = signs
+        std = jnp.broadcast_to(sigma * 1.4 / 3**0.5, mesh.shape)
+        states = ProbabilisticMesh(mesh, std), ProbabilisticMesh(mesh + distance * apart, std)
+        # The mean over the two manipulations.
+        surprises = mock.Mock(spec=Surprise, side_effect=lambda outlook: surprise / 2)
+        return jnp.sum(ModelError(1.0, error, surprises)(Outlook(MESH, plan, states)))
+
+    signs = np.array(list(product([0, 1e-4, 1e-3, 0.05, 1, 5], [1e-4, 0.02, 1], [0, 1, 50])), np.float32)
+    found, slopes = jax.jit(jax.vmap(jax.value_and_grad(value)))(jnp.asarray(signs))
+    assert np.isfinite(found).all()
+    assert np.isfinite(slopes).all()
+    exact = signs.astype(np.float64)
+    least_distance = 1e-3 / 1.4
+    smooth_distance = np.sqrt(exact[:, 0] ** 2 + least_distance**2)
+    units = np.stack([smooth_distance, exact[:, 1], exact[:, 2]], axis=1) + np.asarray(error.least)
+    expected = np.exp(error.offset[1]) * np.prod(units ** np.asarray(error.slope), axis=1)
+    np.testing.assert_allclose(found, expected, rtol=1e-3)
+    by_hand = expected[:, None] * np.asarray(error.slope) / units
+    by_hand[:, 0] *= exact[:, 0] / smooth_distance
+    np.testing.assert_allclose(slopes, by_hand, rtol=5e-3, atol=1e-4)
 
 
 def test_surprise_is_the_mean_over_manipulations(data: Path) -> None:

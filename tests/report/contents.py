@@ -22,6 +22,7 @@ from tests.evaluation import camera_rows
 from tests.evaluation.doubt_rows import probe_rows, trust_rows
 from tests.evaluation.planning_rows import planning_rows
 from tests.goals.goal_rows import goal_rows
+from tests.report.study_tables import study_tables
 
 GOAL_MEASURES = {"goals": "error", "goals_softgym": "softgym", "goals_iou": "iou"}
 LAPTOP = Path(__file__).parents[2] / "reports/laptop"
@@ -128,27 +129,36 @@ def _tables_of(planners: tuple[str, ...], sequences: int) -> dict[str, pd.DataFr
         "attempts": tables.attempts(pd.DataFrame({"accepted": [True], "reason": [""]})),
         "table_8": timings.table_8(Path("none"), planners),
         "timings": costs,
+        **study_tables(),
     }
 
 
-def write_report(folder: Path, made: dict[str, pd.DataFrame], figures: Sequence[str] = ()) -> Path:
-    """A report's folder of such tables, as the report stage leaves it: settings are laptop's, pictures are small."""
-    (folder / "tables").mkdir(parents=True)
-    (folder / "figures").mkdir()
+def write_report(
+    folder: Path, made: dict[str, pd.DataFrame], figures: Sequence[str] = (), studies: Sequence[str] = ()
+) -> Path:
+    """A report's folder of such tables, as the report stage leaves it: settings are laptop's, pictures are small.
+
+    `studies` are paths of the studies' pictures.
+    """
+    for name in ("tables", "figures", "studies"):
+        (folder / name).mkdir(parents=True)
+    places = {Path(path).stem: path for path in TABLES}
     for name, table in made.items():
-        path = folder / ("" if f"{name}.csv" in TABLES else "tables") / f"{name}.csv"
+        path = folder / places.get(name, f"tables/{name}.csv")
         table.to_csv(path, index=False, float_format="%.5g", lineterminator="\n")
-    for name in figures:
+    for path in (*(f"figures/{name}.png" for name in figures), *studies):
         picture = np.full((300, 1700, 3), 255, np.uint8)
         cv2.circle(picture, (850, 150), 120, (190, 120, 60), -1)
-        cv2.imwrite(str(folder / f"figures/{name}.png"), picture)
+        cv2.imwrite(str(folder / path), picture)
     shutil.copy(LAPTOP / "params.yaml", folder)
     return folder
 
 
-def contents_of(folder: Path, planners: tuple[str, ...], figures: Sequence[str] = ()) -> contents.Contents:
+def contents_of(
+    folder: Path, planners: tuple[str, ...], figures: Sequence[str] = (), studies: Sequence[str] = ()
+) -> contents.Contents:
     """What pages show of made-up rows."""
-    return pages.read(write_report(folder, tables_of(planners), figures))
+    return pages.read(write_report(folder, tables_of(planners), figures, studies))
 
 
 def parts_of(shown: contents.Contents) -> list[Section]:

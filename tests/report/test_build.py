@@ -11,14 +11,19 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
+from clothkit.cloth import voxels
 from clothkit.cloth.topology import SQUARE
+from clothkit.cloth.voxels import VIEWPORT, Viewport
 from clothkit.dataset.store import Dataset, papers_cloths
 from clothkit.dataset.tasks import TASKS, Task
 from clothkit.episodes.record import Sessions, Sizes, record, tasks_of_dataset
 from clothkit.evaluation import calibration, camera_planning, doubt, planning
 from clothkit.evaluation.comparisons import of_predictions
 from clothkit.report import pages, panels, timings
-from clothkit.report.build import build, example_tasks
+from clothkit.report.build import build, draw_figures, example_tasks
+from clothkit.report.figures import camera as camera_figure
+from clothkit.report.figures import estimates as estimates_figure
+from clothkit.report.figures import voxels as voxels_figure
 from clothkit.report.figures.curves import curves
 from clothkit.report.figures.largest import Failure, largest
 from clothkit.report.figures.sessions import median, of_record, sessions
@@ -34,6 +39,7 @@ from tests.report.contents import LAPTOP
 from tests.report.web import tree
 
 SETTINGS = ReportConfig(sequences=1, estimates=1, predictions=1, sessions=1, largest=3)
+EMPTY = np.zeros(voxels.RESOLUTION, bool)
 
 
 @pytest.fixture(scope="module")
@@ -74,6 +80,7 @@ def recorded_sessions(dataset: Dataset) -> Sessions:
 @pytest.fixture(scope="module")
 def inputs(dataset: Dataset) -> Inputs:
     common = {"split": "test", "error": 0.03, "error_no_action": 0.2, "sigma_ratio": 0.8}
+    several = {"hypotheses": 2, "probability": 0.6, "error_best": 0.02}
     shift = {"position_error": 0.02, "position_no_action": 0.2}
     in_voxels = {"voxel_error": 0.01, "voxel_error_no_action": 0.05}
     in_voxels |= {"voxel_error_025": 0.005, "voxel_error_025_no_action": 0.025}
@@ -89,7 +96,7 @@ def inputs(dataset: Dataset) -> Inputs:
     )
     estimation = pd.DataFrame(
         [
-            {**common, "sequence": sequence, "state": state, "kind": kind}
+            {**common, **several, "sequence": sequence, "state": state, "kind": kind}
             for sequence in (0, 1)
             for state in (1, 2, 3)
             for kind in ("pmr", "dmr")
@@ -105,6 +112,7 @@ def inputs(dataset: Dataset) -> Inputs:
         attempts=pd.DataFrame({"accepted": [True, False], "reason": ["", "height"]}),
         forward_histories={"0": by_task, "1": history},
         vtm_history=by_state,
+        viewport=VIEWPORT,
         estimation=estimation,
         calibration=pd.concat(
             [
@@ -188,6 +196,34 @@ def test_a_report_is_complete(inputs: Inputs, tmp_path: Path) -> None:
     assert len(tree(markup).all("img")) == len(pictures)
     assert "No stage has recorded its time." in markup
     assert len(markup) < 8e6
+
+
+def test_a_report_of_other_cloths_has_no_tables_in_the_papers_voxels(inputs: Inputs, tmp_path: Path) -> None:
+    settings = dataclasses.replace(SETTINGS, paper=False)
+    made = build(tmp_path / "report", inputs, settings)
+    assert not {"table_4", "table_4_025", "table_7", "table_7_025"} & set(made)
+    assert set(made["planning_comparisons"]["measure"]) == {"error"}
+    measures = set(pd.read_csv(tmp_path / "report/metrics.csv")["measure"])
+    assert measures == {"estimation", "prediction", "position", "planning", "sigma_ratio"}
+
+
+def test_pictures_show_the_voxels_that_the_net_sees(
+    inputs: Inputs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown = []
+    for module in (estimates_figure, camera_figure):
+        monkeypatch.setattr(module, "draw_heights", lambda seen: shown.append(seen) or np.zeros((4, 4, 3), np.uint8))
+    monkeypatch.setattr(
+        voxels_figure.cloth_voxels, "of_mesh", lambda mesh, *, viewport: shown.append(viewport) or EMPTY
+    )
+    tall = dataclasses.replace(inputs, viewport=Viewport(height=0.4, curve=2.0))
+    raised = dataclasses.replace(inputs.dataset, vertices=inputs.dataset.vertices + np.float32([0, 0, 0.11]))
+    draw_figures(tmp_path, dataclasses.replace(tall, dataset=raised), inputs.planning[:0], SETTINGS)
+    drawn = [seen for seen in shown if isinstance(seen, np.ndarray) and seen.any()]
+    # Heights of 0.11 are in voxel 16 sqrt(0.11 / 0.4) = 8.4, and would be in the 15th of the paper's.
+    assert len(drawn) == 1 + len(inputs.pictures["sequence"])
+    assert all(seen[..., 8].any() and not seen[..., 9:].any() for seen in drawn)
+    assert tall.viewport in shown
 
 
 def test_a_session_is_drawn_from_its_record(inputs: Inputs, dataset: Dataset, tmp_path: Path) -> None:

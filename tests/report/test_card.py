@@ -16,7 +16,7 @@ from clothkit.report.card import tables
 from clothkit.report.card.build import build
 from clothkit.report.card.inputs import MEASURED, read
 from clothkit.report.card.meanings import meanings
-from clothkit.report.card.measures import limits
+from clothkit.report.card.measures import highest, limits
 from clothkit.report.card.page import in_words
 from clothkit.report.card.settings import CardConfig
 from clothkit.simulation.arcsim import import_runs
@@ -132,6 +132,22 @@ def test_the_numbers_are_those_of_the_files(raw: Path, card: Path) -> None:
     assert outcomes.loc["too high", "at step 3"] == 1
     hands = pd.read_csv(card / "tables/hands.csv").set_index("step")
     assert hands["single-handed"].to_dict() == {"1": 3, "2": 0, "3": 0, "all": 3}
+
+
+def test_states_are_too_high_by_the_datasets_own_limit(raw: Path) -> None:
+    tried = read(raw).tried
+    assert highest(limits({"limits": {"height": 0.2}})) == 0.2
+    assert highest(limits({})) == 0.125
+    counted = [int((tried.loc[tried["state"] == state, "height"] > 0.2).sum()) for state in (1, 2, 3)]
+    assert 0 < sum(counted) < tables.viewport(tried, 0.125)["higher"].sum()
+    assert tables.viewport(tried, 0.2)["higher"].tolist() == counted
+
+
+def test_gaps_have_no_one_limit_where_thickness_is_drawn() -> None:
+    told = {"limits": {"gap": 0.4}, "simulation": {"material": {"thickness": 0.002}}}
+    assert limits(told)["gap"] == pytest.approx(0.0008)
+    assert limits({**told, "variation": {"thickness": None}})["gap"] == pytest.approx(0.0008)
+    assert "gap" not in limits({**told, "variation": {"thickness": [0.002, 0.008]}})
 
 
 def test_worst_states_are_the_worst_that_are_left(raw: Path) -> None:

@@ -1,6 +1,7 @@
 """Tables of named goals: means over repeats by goal and source, with what doing nothing comes to."""
 
 import math
+import statistics
 
 import pytest
 
@@ -21,6 +22,16 @@ def test_means_by_goal_and_source() -> None:
     assert rows.loc[("quarter", "camera"), "dragged"] == pytest.approx(0.041)
     assert rows.loc[("half", "no action"), "flat"] == pytest.approx(0.3)
     assert math.isnan(rows.loc[("half", "script"), "dragged"])
+
+
+def test_the_spread_over_cloths() -> None:
+    rows = goals(goal_rows(repeats=4), "error").set_index(["goal", "source"])
+    # Of 0, 2, 4 and 6 thousandths.
+    for start in ("flat", "dragged", "crumpled"):
+        assert rows.loc[("half", "camera"), f"{start}_std"] == pytest.approx(0.002 * statistics.stdev(range(4)))
+    assert rows.loc[("half", "no action"), "flat_std"] == pytest.approx(0)
+    assert math.isnan(rows.loc[("half", "script"), "dragged_std"])
+    assert goals(goal_rows(repeats=1), "error")["flat_std"].isna().all()
 
 
 def test_what_a_goal_has_no_measure_of_is_left_out() -> None:

@@ -14,7 +14,7 @@ import pytest
 from clothkit.report.formatting import better
 from clothkit.report.html import tables
 from clothkit.report.html.elements import element, inline, unmarked
-from clothkit.report.sections import CAPTIONS
+from clothkit.report.sections import CAPTIONS, DRAWN
 from tests.report.contents import LAPTOP
 from tests.report.web import Node, made_up_page, tree
 
@@ -41,6 +41,9 @@ def test_every_table_and_figure_is_there(document: Node) -> None:
     assert document.all("a", href="budgets.csv")
     for name in ("comparisons", "planning_comparisons", "failures", "largest", "sigma_ratio", "splits", "attempts"):
         assert document.all("a", href=f"tables/{name}.csv")
+    for path in DRAWN:
+        (figure,) = document.all("figure", id=f"figure-{Path(path).stem}")
+        assert figure.all("a", href=path)
     for name in CAPTIONS:
         (figure,) = document.all("figure", id=f"figure-{name}")
         (image,) = figure.all("img")

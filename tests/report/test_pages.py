@@ -1,5 +1,6 @@
 """Pages from the tables that git holds: the committed ones byte for byte, older reports, damaged tables."""
 
+import re
 from pathlib import Path
 
 import pandas as pd
@@ -9,10 +10,10 @@ from ruamel.yaml import YAML
 from clothkit.evaluation import comparisons
 from clothkit.report import formatting, pages, sections, texts
 from clothkit.report.blocks import Picture
-from clothkit.report.entries import Figure, Section, Table, Text
+from clothkit.report.entries import Figure, Report, Section, Table, Text
 from clothkit.report.markdown.page import page
 from clothkit.report.paper import without_paper
-from clothkit.report.sections import CAPTIONS, TABLES
+from clothkit.report.sections import CAPTIONS, DRAWN, TABLES
 from clothkit.runtime.errors import InputError
 from tests.evaluation.planning_rows import SYSTEMS
 from tests.report.contents import contents_of, parts_of, tables_of, write_report
@@ -41,7 +42,7 @@ def test_what_an_older_report_lacks_is_not_missed(tmp_path: Path, missing: tuple
     made = {name: table for name, table in tables_of(SYSTEMS).items() if name not in missing}
     text = page("Report: laptop", parts_of(pages.read(write_report(tmp_path / "report", made))))
     for name in missing:
-        assert f"tables/{name}.csv" not in text
+        assert f"/{name}.csv" not in text
     assert "every task of" in text
     assert text.count("Not measured in this report.") == sum(
         name.startswith("table_") for name in missing if name != "table_8"
@@ -49,7 +50,8 @@ def test_what_an_older_report_lacks_is_not_missed(tmp_path: Path, missing: tuple
 
 
 def test_a_report_of_other_cloths_does_not_speak_of_the_papers_figures(tmp_path: Path) -> None:
-    made = {name: without_paper(table) for name, table in tables_of(SYSTEMS).items()}
+    absent = ("table_4", "table_4_025", "table_7", "table_7_025")
+    made = {name: without_paper(table) for name, table in tables_of(SYSTEMS).items() if name not in absent}
     folder = write_report(tmp_path / "report", made)
     settings = YAML(typ="safe").load(folder / "params.yaml")
     settings["scales"][settings["scale"]]["report"]["paper"] = False
@@ -58,8 +60,19 @@ def test_a_report_of_other_cloths_does_not_speak_of_the_papers_figures(tmp_path:
     assert set(pd.read_csv(tmp_path / "budgets.csv")["source"]) == {"clothkit"}
     text = (tmp_path / "README.md").read_text()
     assert "| paper |" not in text
+    assert "Not measured in this report." not in text
     for told in ("The paper's", "In the paper", "As in the paper", "The paper gives", "The paper does not say"):
         assert told not in text
+
+
+@pytest.mark.parametrize("scale", ["household", "laptop"])
+def test_the_introduction_names_the_systems_that_the_report_has_and_no_others(scale: str, tmp_path: Path) -> None:
+    systems = ("main", "b1", "b3") if scale == "household" else SYSTEMS
+    made = tables_of(systems)
+    told = texts.intro(Report(contents_of(tmp_path / "report", systems), pd.DataFrame()))
+    there = {system for name in ("table_3", "table_6") for system in made[name]["system"]}
+    named = set(re.findall(r"\*(\w+)\*", told))
+    assert named == there - {"no action", "unrefined"}
 
 
 def test_a_section_is_left_out_where_a_report_lacks_its_data(tmp_path: Path) -> None:
@@ -131,13 +144,37 @@ def test_reports_of_before_sequences_were_counted_tell_them_by_their_comparisons
 def test_a_study_of_the_memory_trace_is_linked_where_there_is_one(tmp_path: Path) -> None:
     shown = contents_of(tmp_path / "report", SYSTEMS)
     assert "The effect was not measured for this report." in page("Report: laptop", parts_of(shown))
-    (tmp_path / "report/studies").mkdir()
     rows = ("carried,1/1,40,0.0042,0.0001", "carried,2/1,38,-0.001,0.03", "none,1/1,,,", "frame,1/1,40,0.3,0.5")
     (tmp_path / "report/studies/memory.csv").write_text("\n".join(("system,column,sequences,difference,p", *rows)))
     told = page("Report: laptop", parts_of(pages.read(tmp_path / "report")))
     assert "[A study](studies/memory.csv) on 38 validation sequences" in told
     assert "changes by -0.0010 to +0.0042" in told
     assert "p at most 0.03)" in told
+
+
+def test_studies_are_shown_where_a_report_has_their_tables(tmp_path: Path) -> None:
+    named = {"Number of manipulations": "plan_length_summary", "Reach": "reach_summary"}
+    folder = write_report(tmp_path / "report", tables_of(SYSTEMS), (), DRAWN)
+    text = page("Report: laptop", parts_of(pages.read(folder)))
+    for title, name in named.items():
+        assert f"\n## {title}\n" in text
+        assert f"[CSV](studies/{name}.csv)" in text
+    assert [f"![{Path(path).stem}]({path})" in text for path in DRAWN] == [True] * 4
+    # What was chosen against what was given: of the test set, by length and over all.
+    lines = [line for line in text.splitlines() if line.startswith(("| main | given |", "| main | chosen |"))]
+    assert len(lines) == 8
+    (line,) = (line for line in lines if line.startswith("| main | chosen | 3/all |"))
+    figures = "0.0500 | 0.0450 | 0.0550 | 3.25 | 0.300 | -0.0100 | -0.0120 | -0.00800 | 0.0300"
+    assert line == f"| main | chosen | 3/all | 60 | {figures} |"
+    assert "| 0.0150 | 120 | 0.0407 | 1.44 | 0.00 | 0.00 | yes |" in text
+    assert "| validation | error | 2/all | 12 | 0.0310 | 0.0420 | 0.0110 |" in text
+    assert "| square | 0.150 | turning | 180 | 0.250 | 0.0500 | 0.00 | 0.250 | 0.0500 | 0.0400 |" in text
+    for path in (*DRAWN, *(f"studies/{name}.csv" for name in named.values())):
+        assert path in pages.INPUTS
+        (folder / path).unlink()
+    text = page("Report: laptop", parts_of(pages.read(folder)))
+    for told in (*(f"## {title}\n" for title in named), "What doubt is worth", "studies/"):
+        assert told not in text.replace("[A study](studies/", "")
 
 
 def test_whole_figures_stay_figures_and_counts_stay_counts(tmp_path: Path) -> None:

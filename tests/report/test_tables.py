@@ -155,6 +155,35 @@ def test_sigma_ratios_are_medians() -> None:
     assert cell(found, "2", source="clothkit", split="train") == pytest.approx(0.715)
 
 
+def test_sigma_ratios_of_estimates_are_told_by_state() -> None:
+    estimates = tidy_estimates()
+    # Three sequences: the median is the second one's. Rows of refined meshes repeat the ratios and do not count.
+    estimates["sigma_ratio"] = 0.1 * estimates["state"] + 0.01 * estimates["sequence"]
+    estimates.loc[estimates["kind"] == "dmr", "sigma_ratio"] = 9.0
+    found = tables.sigma_ratio(estimates, tidy_tasks(("main", "a1")))
+    ours = [cell(found, f"estimate {state}", source="clothkit", split="test") for state in (1, 2, 3)]
+    assert ours == pytest.approx([0.11, 0.21, 0.31])
+    assert cell(found, "estimate", source="clothkit", split="test") == pytest.approx(0.21)
+    assert found.loc[found["source"] == "paper", ["estimate 1", "estimate 2", "estimate 3"]].isna().all(axis=None)
+
+
+def test_what_several_hypotheses_give_is_counted_by_state() -> None:
+    states = [(1, 1, 1.0, 0.02, 0.02), (1, 2, 0.6, 0.30, 0.10), (1, 1, 1.0, 0.04, 0.04), (2, 2, 0.8, 0.10, 0.10)]
+    rows = pd.DataFrame(states, columns=["state", "hypotheses", "probability", "error", "error_best"])
+    rows = rows.assign(split="test", kind="dmr")
+    tidy = pd.concat([rows, rows.assign(kind="pmr", error=9.0, error_best=9.0)])
+    found = tables.hypotheses(tidy).set_index("state")
+    assert found.loc["1", ["states", "several"]].tolist() == pytest.approx([3, 1 / 3])
+    assert found.loc["1", ["probability", "error", "best"]].tolist() == pytest.approx([2.6 / 3, 0.12, 0.16 / 3])
+    assert found.loc["all", ["states", "several"]].tolist() == [4, 0.5]
+    several = ["probability_several", "error_several", "best_several"]
+    assert found.loc["all", several].tolist() == pytest.approx([0.7, 0.2, 0.1])
+    assert found.loc["3", "states"] == 0
+    # No table where there is nothing to choose from, and where older rows do not tell.
+    assert tables.hypotheses(tidy.assign(hypotheses=1)).empty
+    assert tables.hypotheses(tidy_estimates()).empty
+
+
 def test_markdown_puts_the_papers_row_below_ours_and_marks_the_better() -> None:
     tidy = planning_rows(("main",), sequences=12)
     table = planning_tables.planning(tidy, planning.intervals(tidy), ("main",))

@@ -5,7 +5,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 from clothkit.report.html.page import page
-from clothkit.report.sections import CAPTIONS
+from clothkit.report.sections import CAPTIONS, DRAWN
 from tests.evaluation.planning_rows import SYSTEMS
 from tests.report.contents import contents_of, parts_of
 
@@ -66,5 +66,5 @@ def tree(markup: str) -> Node:
 
 def made_up_page(folder: Path) -> str:
     """A page of every table and every figure, pictures as wide as the real ones."""
-    shown = contents_of(folder, SYSTEMS, list(CAPTIONS))
-    return page("Report: laptop", parts_of(shown), folder / "figures")
+    shown = contents_of(folder, SYSTEMS, list(CAPTIONS), DRAWN)
+    return page("Report: laptop", parts_of(shown), folder)

@@ -59,6 +59,31 @@ def test_nets_are_shared(study: ModuleType, monkeypatch: pytest.MonkeyPatch) -> 
     assert (study.OWN / "2_2/nets/vtm").resolve() == Path("data/nets/vtm").resolve()
 
 
+def test_what_is_computed_first_leaves_the_rows_of_later_ensembles(study: ModuleType, tmp_path: Path) -> None:
+    """All rows are stored but some of the first ensemble's, which are computed and written first."""
+    settings, path = study.settings_of(200, [100], [3]), tmp_path / "doubt_amount.csv"
+    current = {setting: f"{place}e1234567890" for place, setting in enumerate(settings)}
+    variant = study.Variant("main", *study.VARIANTS[1], False)
+    stored = [
+        {**setting._asdict(), **variant._asdict(), "sequence": sequence, "start": 0, "length": 1, "error": 0.1}
+        | {study.COLUMN: current[setting]}
+        for setting in settings
+        for sequence in ((7, 8) if setting == settings[0] else (7, 8, 9))
+    ]
+    # Other nets were used for this one, so that it does not count.
+    stored.append({**stored[-1], "sequence": 10, study.COLUMN: "0"})
+    study.write(pd.DataFrame(stored), path)
+    asked = [7, 8, 9, 10]
+    table = study.kept(path, current)
+    assert [study.missing_of(table, setting, variant, asked) for setting in settings] == [[9, 10], [10], [10]]
+    assert study.missing_of(table, settings[0], variant._replace(fold=True), asked) == asked
+    found = pd.DataFrame([{**stored[0], "sequence": 9}])
+    study.write(study.append(table, found), path)
+    again = study.kept(path, current)
+    assert [study.missing_of(again, setting, variant, asked) for setting in settings] == [[10], [10], [10]]
+    assert study.missing_of(study.kept(tmp_path / "none.csv", current), settings[0], variant, asked) == asked
+
+
 def test_the_summary_compares_with_no_doubt_of_the_same_nets(study: ModuleType, tmp_path: Path) -> None:
     rng, rows = np.random.default_rng(0), []
     for amount, nets in ((100, 2), (400, 2), (400, 3)):

@@ -20,12 +20,16 @@ from clothkit.dataset.tasks import TASKS, Task
 from clothkit.episodes.record import tasks_of_dataset
 from clothkit.planning.planner import Planner
 from clothkit.planning.reach import Box, Limits
+from clothkit.planning.search import evaluated
+from clothkit.planning.types import Found, Problem
+from clothkit.report.layout import REACH
 from tests.app.plans import finding
 from tests.planning import toy
 from tests.toy_dataset import dataset
 
 CORNER = np.array([[1, 1, 1, 1, -0.7, -0.5]], np.float32)
 """A corner of the flat cloth, where x and y are 0.2 m, to the middle."""
+ACROSS = np.array([[1, 1, 1, 1, -0.45, -0.65]], np.float32)
 SHORT = np.array([[1, 1, 1, 1, -0.45, -0.35]], np.float32)
 
 
@@ -109,6 +113,32 @@ def test_what_a_search_finds_is_executed(study: ModuleType, tmp_path: Path) -> N
     assert 0.001 < by_hand < row["error_no_action"]
 
 
+def test_what_a_search_finds_for_a_turned_goal_is_not_what_turning_finds(study: ModuleType, tmp_path: Path) -> None:
+    """No form of CORNER stays inside; mirrored, with x and y exchanged, it almost does, and ACROSS comes near to it."""
+    settings = load_settings(tmp_path / "data")
+    planner = for_one_cloth(toy.planner("b1"))
+    tasks = tasks_of_dataset(from_flat(), [Task(0, 0, 1)], "validation")
+    wanted = {("side", 0.06): Limits((Box((0.06, -0.02, -9), (9, 9, 9)),))}
+
+    def known(self: Planner, problems: Problem, keys: object, *, length: int) -> Found:
+        plan = np.broadcast_to(ACROSS if "out_of_reach" in self.terms else CORNER, (len(problems.state), 1, 6))
+        objective = self.objective(length)
+        return evaluated(self.model, self.representation, self.nets, problems, objective, plan, problems.relative)
+
+    options = observation_options(settings.app, side=study.SIDE)
+    with mock.patch.object(Planner, "search", known):
+        table = study.rows_of(planner, settings, options, tasks, wanted, toy.execute)
+    (row,) = table.to_dict("records")
+    assert row["how"] == "searched"
+    # The goal is turned with the plan: its error is small, if x and y are exchanged.
+    outcome = toy.dragged(jnp.asarray(tasks.start[0]), jnp.asarray(ACROSS[0]))
+    by_hand = float(error(outcome, tasks.goal[0][..., [1, 0, 2]], aligned=True))
+    assert row["error"] == pytest.approx(by_hand, abs=1e-3)
+    assert by_hand < 0.5 * float(error(outcome, tasks.goal[0], aligned=True))
+    inside = study.summary(table).set_index("way")["inside"]
+    assert inside.to_dict() == {"turning": 0, "terms": 1}
+
+
 def rows(sequences: int = 12) -> pd.DataFrame:
     """Of the square all plans are found; of the side one in four each is found, turned, searched, or there is none."""
     hows = ("found", "turned", "searched", "none")
@@ -136,6 +166,7 @@ def rows(sequences: int = 12) -> pd.DataFrame:
 def test_summary(study: ModuleType, tmp_path: Path) -> None:
     found = study.summary(rows()).set_index(["region", "size", "way"])
     assert len(found) == 8
+    assert set(REACH) <= set(found.reset_index().columns)
     for way in study.WAYS:
         one = found.loc[("square", 0.3, way)]
         assert one["tasks"] == 72

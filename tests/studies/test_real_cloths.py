@@ -1,6 +1,7 @@
 """The study of real cloths: what images are read as, measures by hand, nets that are trained in other ways."""
 
 import json
+import shutil
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -55,6 +56,34 @@ def test_images_are_read_in_metres(study: ModuleType, images: Path) -> None:
     np.testing.assert_allclose(np.ptp(simulated.mesh.reshape(-1, 3), axis=0), [0.25, 0.25, 0], atol=1e-9)
 
 
+def test_clouds_are_read_with_what_is_known_of_them(study: ModuleType, tmp_path: Path) -> None:
+    folder = tmp_path / "clouds"
+    folder.mkdir()
+    mesh = SQUARE.flat().astype(float) * (0.5 / 1.4) * [1, 0.6, 1] + [0.2, 0, 0.004]
+    points = np.concatenate([mesh.reshape(-1, 3), [[1.0, 1.0, 0.0]]])
+    np.savez(folder / "towel.npz", points=points, cloth=np.arange(len(points)) < 1024)
+    lines = [f"v {x} {y} {z}" for x, y, z in mesh.reshape(-1, 3)]
+    faces = SQUARE.triangles() + 1
+    (tmp_path / "truth.obj").write_text("\n".join([*lines, *(f"f {a} {b} {c}" for a, b, c in faces)]))
+    told = {"sides": [0.5, 0.3], "thickness": 0.004, "corner_markers_m": [[0.44, 0.14]], "mesh": "../truth.obj"}
+    notes = folder / "towel.json"
+    notes.write_text(json.dumps(told))
+    (cloth,) = study.pictures(tmp_path)
+    assert (cloth.name, cloth.sides, cloth.thickness) == ("towel", (0.5, 0.3), 0.004)
+    np.testing.assert_allclose(cloth.points, points[:-1])
+    np.testing.assert_allclose(cloth.markers, [[0.44, 0.14]])
+    np.testing.assert_allclose(study.vertex_error(cloth.mesh, mesh), 0, atol=1e-6)
+    notes.write_text(json.dumps({"sides": [0.5, 0.3]}))
+    with pytest.raises(study.InputError, match=r"towel\.json: expected one file of points"):
+        list(study.pictures(tmp_path))
+
+
+def test_an_image_of_an_unknown_cloth_is_named(study: ModuleType, images: Path) -> None:
+    (images / "real/larger_square_0.png").rename(images / "real/napkin_0.png")
+    with pytest.raises(study.InputError, match=r"napkin_0\.png: expected a name that begins with one of larger_square"):
+        list(study.pictures(images))
+
+
 def test_measures_by_hand(study: ModuleType) -> None:
     placed = SQUARE.flat().astype(float) * (0.25 / 1.4)
     markers = np.array([[0.11, 0.11], [-0.11, 0.11]])
@@ -76,7 +105,8 @@ def test_nets_are_trained_in_other_ways(
 
     def train(folder: Path, seed: int, params: Any, training: Any, validation: Any, current: str) -> Any:
         trained.append((folder.name, seed, params.stages.train_vtm, len(training), len(validation), current))
-        return study.store.load(tmp_path / "data/nets/vtm")
+        shutil.copytree("data/nets/vtm", folder, dirs_exist_ok=True)
+        return study.store.load(folder)
 
     monkeypatch.setattr(study, "train_estimator", train)
     for extra in (["--seeds", "1"], ["--ways", "longer", "more data", "--also", "data"], ["--seeds", "1"]):
@@ -93,6 +123,9 @@ def test_nets_are_trained_in_other_ways(
     found = rows.groupby(["way", "seed"], sort=False).size().to_dict()
     assert found == {("longer", 0): 2, ("more data", 0): 2, ("chain", 0): 2, ("chain", 1): 2}
     assert rows.loc[rows["image"] == "simulated_00", "vertices_cm"].notna().all()
+    assert rows["fingerprint"].notna().all()
+    means = pd.read_csv("reports/smoke/studies/real_cloths_summary.csv")
+    assert means.groupby("kind").size().to_dict() == {"larger_square": 4, "simulated": 4}
     monkeypatch.setattr(sys, "argv", ["real_cloths", str(images), "--ways", "more data"])
     with pytest.raises(SystemExit):
         study.main()

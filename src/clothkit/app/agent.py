@@ -10,9 +10,10 @@ import numpy as np
 from jaxtyping import Float
 
 from clothkit.app import agent_state, planner
+from clothkit.app.advice import Signs, told_of
 from clothkit.app.agent_state import AgentState, Perceived
 from clothkit.app.agreement import EstimateAgreement, compare_goal, compare_state
-from clothkit.app.describe import Frame, PlanRequest, describe, frame_of, paths_of
+from clothkit.app.describe import Frame, PlanRequest, describe, frame_of, paths_of, unsure_of
 from clothkit.app.inputs import Settings, keep_compiled_programs
 from clothkit.app.lengths import AUTO, check_can_choose
 from clothkit.app.named_goals import goal_like, goal_name, manipulations_of, named_goal, variant_before
@@ -21,11 +22,13 @@ from clothkit.app.options import ObservationOptions, observation_options
 from clothkit.app.output import check_target
 from clothkit.app.plan_arrays import check_nets, cloth_of, memory_of, steps_left, traces_before
 from clothkit.app.plan_file import Plan, read_plan
+from clothkit.app.plan_parts import UnsurePart
 from clothkit.app.prebuilt import load_nets
 from clothkit.app.reach import check_limits, limits_of
 from clothkit.app.viewer.recording import ENDING, write_recording
 from clothkit.app.viewer.session import Session, StateEstimate, Step, shown_plan
 from clothkit.cloth.mesh import error
+from clothkit.cloth.voxels import Viewport
 from clothkit.dataset.store import STEPS
 from clothkit.goals.variants import Turn, Variant
 from clothkit.manipulation.geometry import to_cartesian
@@ -58,7 +61,10 @@ class ObservedCloth:
     agreement: EstimateAgreement | None
     """How far the estimate agrees with the observation; None if nothing was estimated."""
     notices: tuple[str, ...]
-    """What was not seen of the cloth, and what speaks against the estimate, a sentence each."""
+    """What was not seen of the cloth, what speaks against the estimate, where it is poor, and what to do about that: a
+    sentence each."""
+    unsure: UnsurePart | None = None
+    """Where the estimate is poor; None if nothing was estimated."""
 
 
 class _NamedGoal(NamedTuple):
@@ -106,18 +112,21 @@ class Agent:
 
         System main estimates a mesh from what a camera sees; b1 takes a mesh as it is. `settings` are by default those
         of params.yaml in the current directory, where there is one; and `limits`, what the robot's hands have to keep
-        to, those of the settings. Where the folder `data` of the current directory has no nets, prebuilt ones are
-        taken, as by the commands.
+        to, those of the settings. Where the folder `data` of the current directory has no nets, or none that know the
+        cloth, prebuilt ones are taken, as by the commands.
         """
+        cloth = {
+            "side": None if side is None else float(side),
+            "sides": _floats("sides", sides, 2),
+            "thickness": None if thickness is None else float(thickness),
+        }
         if settings is None:
-            _, settings = load_nets(Path(data))
+            _, settings = load_nets(Path(data), cloth if system == "main" else None)
         else:
             settings = settings._replace(data=Path(data))
         options = observation_options(
             settings.app,
-            side=None if side is None else float(side),
-            sides=_floats("sides", sides, 2),
-            thickness=None if thickness is None else float(thickness),
+            **cloth,
             table=_floats("table", table, 4),
             table_colour=None if table_colour is None else tuple(table_colour),
             box=_floats("box", box, 6),
@@ -169,6 +178,11 @@ class Agent:
     def left(self) -> int:
         """The number of manipulations that are left, without the first one of a plan that was made and waits."""
         return self.state.left
+
+    @property
+    def viewport(self) -> Viewport:
+        """What voxels that are observed have to cover: what the nets know, by which they tell heights."""
+        return self._options.cloud.viewport
 
     @property
     def agreements(self) -> tuple[EstimateAgreement | None, EstimateAgreement | None]:
@@ -291,6 +305,7 @@ class Agent:
             frame_of(source, self._frame),
             self._agreements,
             self._settings,
+            std=now.perceived.std,
         )
         paths = paths_of(self._planner, now.planned, source.pose, self._settings.app.motion)
         hands = [hands_of(self._limits, path.points) for path in paths]
@@ -331,6 +346,7 @@ class Agent:
             vertices = pose.normalised_to_camera(state.astype(float))
             away = float(error(state, target, aligned=True, cloth=source.cloth))
             places = np.array([np.asarray(to_cartesian(state, grasp), float) for grasp in grasps]).reshape(-1, 3)
+        unsure = unsure_of(source, state, perceived.std, pose)
         told = [*source.notices, *(a.sentence for a in self._agreements[:1] if a is not None and not a.reliable)]
         return ObservedCloth(
             frame=frame,
@@ -339,7 +355,8 @@ class Agent:
             grasps_m=pose.normalised_to_camera(places),
             error=away,
             agreement=self._agreements[0],
-            notices=tuple(told),
+            notices=(*told, *told_of(Signs(self._agreements[0], unsure=unsure))),
+            unsure=unsure,
         )
 
 

@@ -19,13 +19,13 @@ from clothkit.app.planner import (
     memory_after,
     observation_of,
     planned_of,
-    trusted_of,
 )
 from clothkit.app.reach import reached
+from clothkit.estimation.estimate import estimate_probabilistic
 from clothkit.manipulation.vector import is_null
 from clothkit.planning import agent
 from clothkit.planning.lengths import LengthConfig
-from clothkit.planning.perception import KnownMeshes, sigma_of
+from clothkit.planning.perception import Estimation, KnownMeshes
 from clothkit.planning.planner import Planner
 from clothkit.planning.reach import Limits
 from clothkit.planning.types import UNKNOWN, Memory, Observation, Plan
@@ -45,6 +45,8 @@ class Perceived:
     """Grasp points in the coordinates of the nets' inputs, NaN where there are fewer."""
     sigma: float = np.nan
     """How unsure the perception is of the state [cloth length]."""
+    std: Float[np.ndarray, "u v 3"] | None = None
+    """The standard deviations of an estimated mesh, in the labels of `state` [normalised]; None: not estimated."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,9 +104,21 @@ def observe(now: AgentState, source: Input) -> AgentState:
     """
     observation = observation_of(now.planner, source, now.settings.data, now.settings)
     states, candidates = agent.perceive(now.planner, observation, now.memory)
-    sigma = float(sigma_of(now.planner.perception, observation, now.memory.cloth)[0])
-    perceived = Perceived(source, observation, states[0], candidates[0], sigma)
+    sigma = float(agent.unsure(now.planner, observation, now.memory)[0])
+    std = _std_of(now.planner, observation, states[0], now.memory)
+    perceived = Perceived(source, observation, states[0], candidates[0], sigma, std)
     return dataclasses.replace(now, perceived=perceived, planned=None)
+
+
+def _std_of(
+    planner: Planner, observation: Observation, state: State, memory: Memory
+) -> Float[np.ndarray, "u v 3"] | None:
+    """The standard deviations of an estimated state; None if the planner does not estimate states."""
+    perception, voxels = planner.perception, observation.voxels
+    if not isinstance(perception, Estimation) or voxels is None:
+        return None
+    # Of several hypotheses, that which the state was refined from is the nearest one.
+    return np.asarray(estimate_probabilistic(perception.vtm, voxels, state[None], cloth=memory.cloth).std[0])
 
 
 def plan(now: AgentState, *, seed: int, limits: Limits = Limits()) -> AgentState:  # noqa: B008
@@ -117,19 +131,16 @@ def plan(now: AgentState, *, seed: int, limits: Limits = Limits()) -> AgentState
         raise InputError("agent: has observed nothing since the session began, expected an observation to plan from")
     if not now.memory.left[0]:
         raise InputError("agent: the session is over, expected manipulations that are left to plan")
-    known = _known(now.planner, perceived.state)
-    planned, _ = decide(*known, now.memory, seed=seed, length=now.choosing)
+    planned, _ = decide(
+        *_known(now.planner, perceived.state),
+        now.memory,
+        seed=seed,
+        length=now.choosing,
+        trust=now.settings.trust_in(now.planner.system),
+        sigma=perceived.sigma,
+    )
     planned = planned._replace(sigma=perceived.sigma)
-    if planned.choice is not None and _is_worse(planned, now):
-        planned = planned_of(now.planner, agent.nothing(*known, now.memory, planned.choice), now.memory)
-        planned = planned._replace(sigma=perceived.sigma)
     return kept_within(limits, dataclasses.replace(now, planned=planned), seed=seed)
-
-
-def _is_worse(planned: Planned, now: AgentState) -> bool:
-    """Whether plans with such an expectation ended farther from their goals than the cloth lies as it is."""
-    told = trusted_of(planned, now.settings, now.planner.system)
-    return told is not None and float(told.error[0]) > planned.expected_no_action
 
 
 def kept_within(limits: Limits, now: AgentState, *, seed: int) -> AgentState:

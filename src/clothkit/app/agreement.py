@@ -28,6 +28,8 @@ class EstimateAgreement(NamedTuple):
     """How unlike the training data the voxels are; None if the nets come without alarms."""
     known: bool = True
     """Whether the net knows such voxels, and cloths of these sides and this thickness."""
+    cloth_known: bool = True
+    """Whether it knows the latter."""
 
     @property
     def reliable(self) -> bool:
@@ -45,6 +47,7 @@ def compare_estimate(source: Input, mesh: State, settings: Settings) -> Estimate
     least = settings.app.agreement or (alarms.least if alarms else AgreementConfig())
     silhouette, heights, explains = float(agrees.silhouette), float(agrees.heights), bool(agrees.explains(least))
     figures, doubts, strange = f"silhouette IoU {silhouette:.2f}, height IoU {heights:.2f}", [], None
+    cloth_known = True
     if not explains:
         named = (("silhouette", silhouette, least.silhouette), ("height", heights, least.heights))
         low = [
@@ -57,25 +60,26 @@ def compare_estimate(source: Input, mesh: State, settings: Settings) -> Estimate
         if strange > alarms.strangest:
             expected = f"expected at most {alarms.strangest:.1f}"
             doubts.append(f"the net has seen nothing like it (strangeness {strange:.1f}, {expected})")
-        if not alarms.knows(source.cloth):
+        if not (cloth_known := bool(alarms.knows(source.cloth))):
             doubts.append(_unknown_cloth(source, alarms))
     sentence = f"the estimate explains what was seen ({figures})"
     if doubts:
         sentence = f"{', and '.join(doubts)}: what follows from it can't be relied on"
     known = len(doubts) == (not explains)
-    return EstimateAgreement(silhouette, heights, explains, f"{source.file}: {sentence}", strange, known)
+    sentence = f"{source.file}: {sentence}"
+    return EstimateAgreement(silhouette, heights, explains, sentence, strange, known, cloth_known)
 
 
 def _unknown_cloth(source: Input, alarms: Alarms) -> str:
     """What the net does not know of a cloth, and what it knows."""
     thickness, scale = float(source.cloth[2]), source.pose.scale
-    low, high = alarms.cloths[0, 2] / MARGIN, alarms.cloths[1, 2] * MARGIN
+    low, high = alarms.cloths[0, 2] / MARGIN, float(alarms.thickest(source.cloth))
     longer, shorter = sorted((float(side) * scale for side in source.cloth[:2]), reverse=True)
     if not low <= thickness <= high:
         known = f"{1000 * low * scale:.1f} to {1000 * high * scale:.1f} mm"
         return (
-            f"the net has seen no cloth of {longer:.3g} m that is {1000 * thickness * scale:.1f} mm thick, but of "
-            f"{known} (--thickness)"
+            f"the net has seen no cloth of {longer:.3g} x {shorter:.3g} m that is {1000 * thickness * scale:.1f} "
+            f"mm thick, but of {known} (--thickness)"
         )
     return f"the net has seen no cloth with such different sides, {longer:.3g} and {shorter:.3g} m"
 

@@ -11,7 +11,8 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from clothkit.app.extras import optional
-from clothkit.app.plan_file import Hand, Plan, read_plan
+from clothkit.app.plan_file import Plan, read_plan
+from clothkit.app.plan_parts import Hand
 from clothkit.runtime.errors import InputError, system_error
 from clothkit.runtime.publish import publish
 

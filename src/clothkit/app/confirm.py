@@ -1,5 +1,6 @@
 """Before a plan: what a goal is taken for, shown and confirmed."""
 
+import sys
 from pathlib import Path
 
 import click
@@ -12,6 +13,25 @@ from clothkit.report.figures.goals import goal_seen
 from clothkit.runtime.publish import unfinished
 
 ENDING = ".goal.png"
+
+
+def asks(goal: Input, agreement: EstimateAgreement | None) -> bool:
+    """Return whether to ask if a goal is right where nobody said so: it is estimated from what a camera saw, and there
+    is a terminal to ask on. Without one, a notice on stderr names the option.
+
+    `agreement` is that of its estimate with what was seen; None: it was not estimated.
+    """
+    if agreement is None or goal.kind != "points":
+        return False
+    if on_terminal():
+        return True
+    click.echo(f"notice: {goal.file}: what it is taken for is not confirmed (--confirm shows it, and asks)", err=True)
+    return False
+
+
+def on_terminal() -> bool:
+    """Return whether a person can answer."""
+    return sys.stdin.isatty()
 
 
 def confirm_goal(out: Path, goal: Input, target: State, agreement: EstimateAgreement | None) -> None:

@@ -7,10 +7,14 @@ import numpy as np
 from jaxtyping import Float
 
 from clothkit.app import plan_file
+from clothkit.app.advice import Signs, is_flat, told_of
 from clothkit.app.agreement import EstimateAgreement
 from clothkit.app.inputs import Input, Settings
 from clothkit.app.plan_file import Plan, plan_of, rounded
-from clothkit.app.planner import Planned, State, epistemic_uncertainty, trusted_of, usage_of
+from clothkit.app.plan_parts import UnsurePart
+from clothkit.app.planner import Planned, State, trusted_of, usage_of
+from clothkit.app.uncertainty import epistemic_uncertainty
+from clothkit.app.unsure import THRESHOLD, unsure_part
 from clothkit.cloth.mesh import distance
 from clothkit.cloth.silhouette import centred, iou, silhouette
 from clothkit.cloth.topology import CLOTH_LENGTH
@@ -52,6 +56,8 @@ class PlanRequest(NamedTuple):
     """What the hands keep to."""
     hands: Sequence[tuple[int, ...] | None] = ()
     """Which of the robot's hands follow the paths of each step; None, or no entry: any."""
+    std: Float[np.ndarray, "u v 3"] | None = None
+    """The standard deviations of an estimated state, in its labels [normalised]; None: not estimated."""
 
     @property
     def side(self) -> float:
@@ -111,29 +117,43 @@ def describe(planner: Planner, planned: Planned, paths: list[HandPaths], request
     pose = real if request.frame == "camera" else Pose(np.eye(3), np.zeros(3), real.centre, real.scale)
     poses = poses_of(planned, pose)
     expectation = expected(planner, planned, request)
+    unsure = unsure_of(request.state, planned.state, request.std, pose)
+    warning = warning_of(expectation)
+    signs = Signs(
+        *request.agreements,
+        unsure,
+        trust=expectation["trust"],
+        warning=warning,
+        away=expectation["error_no_action_cloth_lengths"],
+        steps=len(planned.plan),
+        flat=is_flat(planned.state, request.state.cloth),
+        named=None if request.goal.variant is None else request.goal.file,
+    )
+    of_points = request.frame == "table" and request.state.kind == "points"
     content = {
         "format": "clothkit plan",
         "version": 2,
         "system": planner.system.name,
         "seed": request.seed,
         "frame": request.frame,
-        "state": _source(planner, request.state, request.agreements[0]),
+        "state": _source(planner, request.state, request.agreements[0], unsure),
         "goal": _source(planner, request.goal, request.agreements[1], goal=True),
         "turned": None if request.matrix is None else rounded(request.matrix, 9),
         "side_m": request.side,
         "sides_m": None if request.sides[0] == request.sides[1] else request.sides,
         "thickness_m": request.thickness,
         "metres_per_normalised": pose.scale,
-        "table": {"axes": pose.rotation.tolist(), "origin_m": pose.origin.tolist()},
+        "table": _table(pose),
+        "table_in_camera": _table(real) if of_points else None,
         "limits": _limits(request.limits),
-        "start": {"state": _state(planned.state, None, pose), "centre_m": _centre(pose)},
+        "start": {"state": _state(planned.state, request.std, pose), "centre_m": _centre(pose)},
         "steps": [
             _step(planner, planned, i, path, poses[i + 1], request.hands[i] if request.hands else None)
             for i, path in enumerate(paths)
         ],
         "expected": expectation,
-        "warning": warning_of(expectation),
-        "notices": notices(request),
+        "warning": warning,
+        "notices": [*notices(request), *told_of(signs), *_without_trust(planner, request, expectation)],
         "memory": {
             "common": planned.common,
             "relative": planned.relative,
@@ -144,6 +164,10 @@ def describe(planner: Planner, planned: Planned, paths: list[HandPaths], request
         },
     }
     return plan_of(content)
+
+
+def _table(pose: Pose) -> dict[str, Any]:
+    return {"axes": pose.rotation.tolist(), "origin_m": pose.origin.tolist()}
 
 
 def _limits(limits: Limits) -> dict[str, Any] | None:
@@ -165,7 +189,7 @@ def _finite(values: Any) -> list[float]:
 
 
 def warning_of(expectation: dict[str, Any]) -> str | None:
-    """Return what speaks against a plan, from the fields of `plan_file.Expectation`; None: nothing."""
+    """Return what speaks against a plan, from the fields of `plan_parts.Expectation`; None: nothing."""
     if not expectation["improves"]:
         return plan_file.UNLIKELY
     outcome, no_action = expectation["outcome_error_m"], expectation["error_no_action_m"]
@@ -181,15 +205,15 @@ def notices(request: PlanRequest) -> list[str]:
 
 
 def expected(planner: Planner, planned: Planned, request: PlanRequest) -> dict[str, Any]:
-    """Return the fields of `plan_file.Expectation`, from the mean of the nets' predictions after the last step.
+    """Return the fields of `plan_parts.Expectation`, from the mean of the nets' predictions after the last step.
 
     Errors are those by which the agent decides whether a plan is useless: in the labelling that the search found.
     """
     # What a null manipulation comes to is known better than nets predict it.
     outcome = planned.state if bool(np.all(is_null(planned.plan))) else np.mean(planned.means[:, -1], axis=0)
-    fields: dict[str, Any] = dict.fromkeys(
-        ("error_cloth_lengths", "error_m", "error_no_action_cloth_lengths", "error_no_action_m")
-    )
+    error = planned.prediction_error
+    fields: dict[str, Any] = {"prediction_error_m": None if error is None else error * request.side}
+    fields |= dict.fromkeys(("error_cloth_lengths", "error_m", "error_no_action_cloth_lengths", "error_no_action_m"))
     fields |= dict.fromkeys(("voxel_error", "voxel_error_no_action"))
     for name, state, error in (
         ("", outcome, planned.expected),
@@ -224,7 +248,49 @@ def covered(state: State) -> np.ndarray:
     return silhouette(centred(state.astype(np.float32))[0])
 
 
-def _source(planner: Planner, source: Input, found: EstimateAgreement | None, *, goal: bool = False) -> dict[str, Any]:
+def unsure_of(source: Input, state: State, std: Float[np.ndarray, "u v 3"] | None, pose: Pose) -> UnsurePart | None:
+    """Return where the estimate of a state is poor, in metres in the frame of `pose`; None: not estimated."""
+    if std is None:
+        return None
+    found, threshold = unsure_part(state, std, source.observation.voxels), THRESHOLD * CLOTH_LENGTH * pose.scale
+    if found is None:
+        return UnsurePart(threshold_m=threshold, share=0, part=None, centre_m=None, hidden=0, unseen=0)
+    return UnsurePart(
+        threshold_m=threshold,
+        share=found.share,
+        part=found.part,
+        centre_m=tuple(rounded(pose.normalised_to_camera(found.centre), _MICROMETRES)),
+        hidden=found.hidden,
+        unseen=found.unseen,
+    )
+
+
+def _without_trust(planner: Planner, request: PlanRequest, expectation: dict[str, Any]) -> list[str]:
+    """Return why nothing is known of how often such plans came true, if that is so."""
+    if request.settings is None or expectation["trust"] is not None:
+        return []
+    system = planner.system
+    if request.settings.trust is None:
+        why = "these nets come without it; the stage calibrate makes it"
+    elif system.name != "main":
+        of = "a mesh that is taken as it is" if system.true_meshes else "this state"
+        why = (
+            f"it is known of system main alone, and system {system.name} planned from {of}; a plan from a point cloud "
+            "of the cloth, or with --system main, has it"
+        )
+    else:
+        why = "the measure of uncertainty that its search weighed is not the one that it was calibrated with"
+    return [f"the plan's trust, how often such plans came true, is not known: {why}"]
+
+
+def _source(
+    planner: Planner,
+    source: Input,
+    found: EstimateAgreement | None,
+    unsure: UnsurePart | None = None,
+    *,
+    goal: bool = False,
+) -> dict[str, Any]:
     agreement = None
     if found is not None:
         agreement = {
@@ -236,7 +302,14 @@ def _source(planner: Planner, source: Input, found: EstimateAgreement | None, *,
         }
     usage, form = usage_of(planner.system, source, goal=goal), source.variant
     named = None if form is None else {"turn_deg": form.turn, "mirror": form.mirror, "angle_rad": form.angle}
-    return {"file": source.file, "kind": source.kind, "taken": usage, "agreement": agreement, "named": named}
+    return {
+        "file": source.file,
+        "kind": source.kind,
+        "taken": usage,
+        "agreement": agreement,
+        "unsure": unsure,
+        "named": named,
+    }
 
 
 def _step(

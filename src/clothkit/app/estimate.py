@@ -57,7 +57,7 @@ def command(file: str, *, out: Path, sigma: Path | None, data: Path, mask: str |
     \b
     clothkit estimate cloud.ply --table 0 0 -1 -0.8 --out mesh.obj
     """
-    data, settings = load_nets(data)
+    data, settings = load_nets(data, values)
     options = observation_options(settings.app, **values)
     check_target(out, FORMATS)
     sigma_path = sigma or out.with_suffix(".sigma.npz")

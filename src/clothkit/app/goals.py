@@ -62,7 +62,7 @@ def command(
         click.echo("\n".join(line(goal) for goal in chosen))
         return
     check_target(out, ("png",))
-    _, settings = load_nets(Path("data"))
+    _, settings = load_nets(Path("data"), {"side": side, "sides": sides, "thickness": thickness})
     options = observation_options(settings.app, side=side, sides=sides, thickness=thickness)
     simulation, topology = world_of(options, settings.simulation)
     variant = Variant(turn=TURNS[turn or "0"], mirror=bool(mirror))

@@ -30,6 +30,7 @@ from clothkit.planning import trust
 from clothkit.planning.error_map import ErrorMap
 from clothkit.planning.objective import Weights
 from clothkit.planning.settings import PlanConfig
+from clothkit.planning.systems import System
 from clothkit.runtime.cache import ensure_jax_cache
 from clothkit.runtime.errors import InputError, system_error
 from clothkit.simulation.settings import SimulationConfig
@@ -58,6 +59,10 @@ class Settings(NamedTuple):
     trust: ErrorMap | None = None
     """How far the expectations of system main came true; None: not known."""
 
+    def trust_in(self, system: System) -> ErrorMap | None:
+        """Return how far a system's expectations came true; None: not known, as of all systems but main."""
+        return self.trust if system.name == "main" else None
+
 
 def load_settings(data: Path, *, scale: str | None = None) -> Settings:
     """Read params.yaml in the current directory, at its selected scale or another; without such a file return the
@@ -67,7 +72,7 @@ def load_settings(data: Path, *, scale: str | None = None) -> Settings:
     far plans can be trusted is what is known of the nets there.
     Raises InputError if a file is invalid.
     """
-    settings, calibrated = _settings(scale)._replace(data=data), data / trust.PLACE
+    settings, calibrated = settings_of_params(scale)._replace(data=data), data / trust.PLACE
     if calibrated.exists():
         settings = settings._replace(trust=trust.load(calibrated))
     vtm, set_alarms = data / "nets/vtm", data / "nets/alarms.npz"
@@ -79,7 +84,8 @@ def load_settings(data: Path, *, scale: str | None = None) -> Settings:
     return settings._replace(app=dataclasses.replace(settings.app, cloud=cloud), alarms=known)
 
 
-def _settings(scale: str | None) -> Settings:
+def settings_of_params(scale: str | None = None) -> Settings:
+    """Read params.yaml as `load_settings` does, without what is known of any nets. Raises InputError."""
     # lexists, because a broken or circular link must be reported and not replaced by the defaults.
     if not os.path.lexists(PARAMS):
         return Settings(AppConfig(), PlanConfig(), _WEIGHTS, CandidateConfig(), SimulationConfig(), (0, 1))

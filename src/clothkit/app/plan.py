@@ -7,9 +7,10 @@ from typing import Any, Literal
 
 import click
 
+from clothkit.app.advice import unsure_in_words
 from clothkit.app.agent import Agent
 from clothkit.app.agreement import warn
-from clothkit.app.confirm import confirm_goal
+from clothkit.app.confirm import asks, confirm_goal
 from clothkit.app.describe import Frame
 from clothkit.app.inputs import Input, keep_compiled_programs, read_input, tell
 from clothkit.app.lengths import AUTO, Steps, choice_in_words
@@ -17,7 +18,8 @@ from clothkit.app.named_goals import goal_option, manipulations_of, variant_befo
 from clothkit.app.options import observation_options, with_observation_options
 from clothkit.app.output import check_target, part
 from clothkit.app.plan_arrays import cloth_of, steps_left
-from clothkit.app.plan_file import Plan, Source, read_plan, write_plan
+from clothkit.app.plan_file import Plan, read_plan, write_plan
+from clothkit.app.plan_parts import Source
 from clothkit.app.planner import load_planner
 from clothkit.app.prebuilt import load_nets
 from clothkit.app.reach import limits_of
@@ -114,10 +116,10 @@ from clothkit.runtime.errors import InputError
 )
 @click.option("--apart", type=float, metavar="METRES", help="Least distance between two hands. [default: app.apart, 0]")
 @click.option(
-    "--confirm",
-    is_flag=True,
+    "--confirm/--no-confirm",
+    default=None,
     help="Before the search, draw the goal as it was seen and what it is taken for, beside --out (plan.goal.png), and "
-    "ask whether that is right.",
+    "ask whether that is right. [default: on a terminal, for a goal that a camera saw]",
 )
 @with_observation_options
 def command(
@@ -138,7 +140,7 @@ def command(
     apart: float | None,
     turn: str | None,
     mirror: bool | None,
-    confirm: bool,
+    confirm: bool | None,
     mask: str | None,
     **values: Any,
 ) -> None:
@@ -165,7 +167,6 @@ def command(
     clothkit plan --state cloud.ply --goal half --sides 0.5 0.3 --table 0 0 -1 -0.8
     clothkit plan --state cloud2.ply --goal goal.obj --after plan.json --out plan2.json --table 0 0 -1 -0.8
     """
-    data, settings = load_nets(data)
     check_target(out, ("json",))
     # Path.resolve fails where links lead in a circle.
     if after and os.path.realpath(out) == os.path.realpath(after):
@@ -173,6 +174,9 @@ def command(
     previous = read_plan(after) if after else None
     if previous and after:
         values |= cloth_of(previous, values, after)
+    # Prebuilt nets are those of system main alone.
+    planning = name or (previous.system if previous else "main")
+    data, settings = load_nets(data, values if planning == "main" else None)
     options = observation_options(settings.app, **values)
     limits = limits_of(settings.app, boxes=reach, balls=reach_ball, keep_out=keep_out, apart=apart)
     named, angle = goal_option(goal, turn, mirror)
@@ -193,12 +197,16 @@ def command(
         agent.observe(start)
     if named:
         tell(agent.state.goal.notices)
+    if confirm is None:
+        confirm = asks(agent.state.goal, agent.agreements[1])
     if confirm:
         confirm_goal(out, agent.state.goal, agent.state.target, agent.agreements[1])
     with part(f"search by {optimiser_of(planner.settings.search.optimiser).name}"):
         plan = agent.plan(seed=seed)
     for estimate in agent.agreements:
         warn(estimate)
+    told = {*start.notices, *agent.state.goal.notices, *(found.sentence for found in agent.agreements if found)}
+    tell(tuple(notice for notice in plan.notices if notice not in told))
     write_plan(out, plan)
     click.echo(summary(plan, out))
     planned = agent.state.planned
@@ -253,6 +261,10 @@ def summary(plan: Plan, path: Path) -> str:
                 f"{source.agreement.height_iou:.2f}"
                 f"{'' if source.agreement.known else '; the net has seen nothing like this'}"
             )
+    unsure = plan.state.unsure
+    if unsure is not None:
+        sure = f"sigma is nowhere above {1000 * unsure.threshold_m:.0f} mm: no part of the state's estimate is poor"
+        lines.append(unsure_in_words(unsure) if unsure.share else sure)
     expected = plan.expected
     if expected.error_m is not None and expected.error_no_action_m is not None:
         lines.append(
@@ -277,10 +289,16 @@ def summary(plan: Plan, path: Path) -> str:
     lines.append(
         f"silhouette IoU {expected.silhouette_iou:.2f}, {expected.silhouette_iou_no_action:.2f} if nothing is done"
     )
+    unknown = []
+    if expected.prediction_error_m is not None:
+        unknown.append(f"the predicted outcome is expected to be {1000 * expected.prediction_error_m:.0f} mm off")
     if expected.epistemic_uncertainty is not None:
-        apart = [step.disagreement_m for step in plan.steps if step.disagreement_m is not None]
-        in_metres = f", the nets differ by {', '.join(f'{1000 * d:.0f}' for d in apart)} mm" if apart else ""
-        lines.append(f"epistemic uncertainty u = {expected.epistemic_uncertainty:.3g}{in_metres}")
+        unknown.append(f"epistemic uncertainty u = {expected.epistemic_uncertainty:.3g}")
+    apart = [step.disagreement_m for step in plan.steps if step.disagreement_m is not None]
+    if apart:
+        unknown.append(f"the nets differ by {', '.join(f'{1000 * d:.0f}' for d in apart)} mm")
+    if unknown:
+        lines.append(", ".join(unknown))
     if expected.error_without_limits_m is not None:
         lines.append(
             f"to keep within the limits of the hands, another plan was searched for; without them "

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from clothkit.app.plan_file import MeshState, Placed, Plan
+from clothkit.app.plan_file import Plan
+from clothkit.app.plan_parts import MeshState, Placed
 from clothkit.app.planner import State, Traces, memory_after
 from clothkit.planning.agent import expectation, initial_traces
 from clothkit.planning.planner import Planner

@@ -1,6 +1,6 @@
 """Check that the values of a plan file are possible and agree; each check raises ValueError that names the field.
 
-`plan_file` declares the fields, and runs these checks whenever a plan is made or read.
+`plan_parts` and `plan_file` declare the fields, and run these checks whenever a plan is made or read.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,6 +17,7 @@ from clothkit.planning.systems import System
 
 if TYPE_CHECKING:
     import clothkit.app.plan_file
+    import clothkit.app.plan_parts
 
 FARTHEST = 20.0
 """Limit of the distance of a position from the start's centre [cloth sides]; a plan of three steps reaches less."""
@@ -40,7 +41,7 @@ def _orthonormal(rows: Float[np.ndarray, "n n"]) -> bool:
         return bool((np.abs(rows @ rows.T - np.eye(len(rows))) <= ROUNDING).all())
 
 
-def check_hand(hand: "clothkit.app.plan_file.Hand") -> None:
+def check_hand(hand: "clothkit.app.plan_parts.Hand") -> None:
     """Check that a hand's waypoints start at the grasp at time 0, end at the release point, and increase in time."""
     times = [point.time_s for point in hand.waypoints]
     late = next((i for i in range(1, len(times)) if times[i] <= times[i - 1]), None)
@@ -56,7 +57,7 @@ def check_hand(hand: "clothkit.app.plan_file.Hand") -> None:
             raise ValueError(f"{name}: expected the {which} waypoint, {list(hand.waypoints[place].position_m)}")
 
 
-def check_step(step: "clothkit.app.plan_file.Step") -> None:
+def check_step(step: "clothkit.app.plan_parts.Step") -> None:
     """Check that a step has its manipulation's number of hands, at equal times, and predictions of different nets."""
     vector = np.array(step.manipulation, np.float32)
     null, hands = bool(is_null(vector)), 1 if bool(is_single(vector)) else 2
@@ -78,6 +79,15 @@ def check_step(step: "clothkit.app.plan_file.Step") -> None:
         raise ValueError(f"predictions: expected different nets, found {', '.join(map(str, nets))}")
 
 
+def check_unsure(unsure: "clothkit.app.plan_parts.UnsurePart") -> None:
+    """Check that the unsure part of an estimate is told if there is one, and only then."""
+    for name, value in (("part", unsure.part), ("centre_m", unsure.centre_m)):
+        if (value is not None) != (unsure.share > 0):
+            raise ValueError(f"{name}: expected {'one' if unsure.share > 0 else 'null'}, by share")
+    if unsure.hidden + unsure.unseen > 1 + ROUNDING:
+        raise ValueError("unseen: expected at most what hidden leaves of 1")
+
+
 def check_plan(plan: "clothkit.app.plan_file.Plan", system: System) -> None:
     """Check that a plan's parts agree with one another and with the system that made it."""
     _check_frame(plan)
@@ -88,6 +98,7 @@ def check_plan(plan: "clothkit.app.plan_file.Plan", system: System) -> None:
         _check_hands(plan, system, number)
     _check_expectation(plan, system)
     _check_memory(plan, system)
+    _check_unsure(plan)
 
 
 def _check_frame(plan: "clothkit.app.plan_file.Plan") -> None:
@@ -97,6 +108,8 @@ def _check_frame(plan: "clothkit.app.plan_file.Plan") -> None:
             f"metres_per_normalised: expected side_m / {CLOTH_LENGTH}, {scale:.6g}, found "
             f"{plan.metres_per_normalised:.6g}"
         )
+    if plan.table_in_camera is not None and (plan.frame != "table" or plan.state.kind != "points"):
+        raise ValueError("table_in_camera: expected null, unless frame is table and the state's file holds points")
     own = np.abs(np.array(plan.table.axes) - np.eye(3)).max() <= ROUNDING and not np.any(plan.table.origin_m)
     if plan.frame == "table" and not own:
         raise ValueError("table: expected the axes x, y, z and the origin 0 0 0, since frame is table")
@@ -225,10 +238,10 @@ def _check_expectation(plan: "clothkit.app.plan_file.Plan", system: System) -> N
             if (getattr(expected, name) is not None) != present:
                 wanted = "a number" if present else "null"
                 raise ValueError(f"expected.{name}: expected {wanted} for system {system.name}")
-    several = len(plan.steps[0].predictions) > 1
-    if (expected.epistemic_uncertainty is not None) != several:
-        wanted = "a number, since there are several nets" if several else "null, since there is one net"
-        raise ValueError(f"expected.epistemic_uncertainty: expected {wanted}")
+    if expected.epistemic_uncertainty is not None and len(plan.steps[0].predictions) == 1:
+        raise ValueError("expected.epistemic_uncertainty: expected null, since there is one net")
+    if expected.prediction_error_m is not None and (system.voxels or not system.doubts):
+        raise ValueError(f"expected.prediction_error_m: expected null for system {system.name}")
     if not system.voxels:
         for name in ("error", "error_no_action"):
             lengths, metres = getattr(expected, f"{name}_cloth_lengths"), getattr(expected, f"{name}_m")
@@ -273,3 +286,20 @@ def _check_memory(plan: "clothkit.app.plan_file.Plan", system: System) -> None:
         )
     if any(len({len(row) for row in trace}) > 1 for trace in traces):
         raise ValueError("memory.traces_before: expected rows of one length")
+
+
+def _check_unsure(plan: "clothkit.app.plan_file.Plan") -> None:
+    """Check that what is told of an estimate's standard deviations is what they are."""
+    if plan.goal.unsure is not None:
+        raise ValueError("goal.unsure: expected null, since start.state alone has standard deviations")
+    unsure, start = plan.state.unsure, plan.start.state
+    if unsure is None:
+        return
+    if start.kind != "mesh" or start.sigma_m is None:
+        raise ValueError("state.unsure: expected null, since start.state has no standard deviations")
+    above = np.linalg.norm(np.array(start.sigma_m, float), axis=-1) > unsure.threshold_m
+    if abs(float(above.mean()) - unsure.share) > AGREES:
+        raise ValueError(f"state.unsure.share: expected {above.mean():.3f}, by start.state.sigma_m")
+    if unsure.centre_m is not None:
+        pose = plan.pose(plan.start.centre_m)
+        _check_near(plan, pose, "state.unsure.centre_m", np.array(unsure.centre_m, float))

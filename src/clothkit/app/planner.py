@@ -20,6 +20,7 @@ from clothkit.models import store
 from clothkit.models.net import Net
 from clothkit.planning import agent, optimisers
 from clothkit.planning.batches import take
+from clothkit.planning.error_map import ErrorMap
 from clothkit.planning.lengths import LengthConfig
 from clothkit.planning.perception import Estimation, Expected, KnownMeshes
 from clothkit.planning.planner import Planner, artifacts, assemble
@@ -27,7 +28,6 @@ from clothkit.planning.predict import Prediction, differences, predict
 from clothkit.planning.systems import System
 from clothkit.planning.trust import Signs, Trusted, of_error, signs_of, tells, trusted
 from clothkit.planning.types import Choice, Memory, Observation, Plan
-from clothkit.planning.uncertainty import uncertainty
 from clothkit.runtime.errors import InputError
 
 State = Shaped[np.ndarray, "*state"]
@@ -83,6 +83,12 @@ class Planned(NamedTuple):
     def improves(self) -> bool:
         """Whether the plan is expected to improve the state: it is not useless, and does something."""
         return not self.useless and not bool(np.all(is_null(self.plan)))
+
+    @property
+    def prediction_error(self) -> float | None:
+        """`model_error`; None if it is not known, or the plan does nothing, so that nothing has to be predicted."""
+        known = np.isfinite(self.model_error) and not bool(np.all(is_null(self.plan)))
+        return self.model_error if known else None
 
 
 def load_planner(system: System, data: Path, settings: Settings, *, optimiser: str | None = None) -> Planner:
@@ -189,14 +195,22 @@ def begin(planner: Planner, goal: State, length: int, cloth: Float[np.ndarray, "
 
 
 def decide(
-    planner: Planner, observation: Observation, memory: Memory, *, seed: int, length: LengthConfig | None = None
+    planner: Planner,
+    observation: Observation,
+    memory: Memory,
+    *,
+    seed: int,
+    length: LengthConfig | None = None,
+    trust: ErrorMap | None = None,
+    sigma: float | None = None,
 ) -> tuple[Planned, Memory]:
     """The agent's decision for one cloth: the plan, and the memory after its first manipulation.
 
-    With `length`, the agent chooses how many of the manipulations that are left are worth it. Raises InputError when
-    the nets have no reference values for plans of that length.
+    `length`, `trust` and `sigma` are those of `agent.decide`. Raises InputError when the nets have no reference values
+    for plans of that length.
     """
-    plan, later = agent.decide(planner, observation, memory, key=jax.random.key(seed).reshape(1), length=length)
+    key, unsure = jax.random.key(seed).reshape(1), None if sigma is None else np.array([sigma])
+    plan, later = agent.decide(planner, observation, memory, key=key, length=length, trust=trust, sigma=unsure)
     return planned_of(planner, plan, memory), later
 
 
@@ -328,28 +342,19 @@ def _predictions(
     )
 
 
-def epistemic_uncertainty(planner: Planner, planned: Planned) -> float | None:
-    """Return u of eq. (15) for a plan; None if there is only one net."""
-    if planned.differences is None:
-        return None
-    spread = planner.normalisation.reference(len(planned.plan)).spread
-    apart = jnp.asarray(planned.differences)
-    return float(uncertainty(apart, spread, beta=planner.weights.beta, gamma=planner.weights.gamma))
-
-
 def trusted_of(planned: Planned, settings: Settings, system: System) -> Trusted | None:
     """What plans with such an expectation came to; None if that is not known, or the system is another than main."""
-    if settings.trust is None or system.name != "main":
+    if (trust := settings.trust_in(system)) is None:
         return None
     # As in the plans that were executed: one that is not expected to improve is left undone.
     expected = planned.expected_no_action if planned.useless else planned.expected
     signs = Signs(*(np.array([value]) for value in (expected, planned.model_error, planned.sigma)))
-    if not tells(settings.trust, signs):
+    if not tells(trust, signs):
         return None
-    told = trusted(settings.trust, signs, np.array([len(planned.plan)]))
+    told = trusted(trust, signs, np.array([len(planned.plan)]))
     if np.isfinite(planned.without_limits) and told.error[0] < expected:
         # No plan with limits was executed for the map: that such a one ends nearer than expected is not known.
-        return of_error(settings.trust, np.array([expected]))
+        return of_error(trust, np.array([expected]))
     return told
 
 

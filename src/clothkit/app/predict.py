@@ -44,9 +44,9 @@ def command(*, state: str, source: Path, out: Path, data: Path, mask: str | None
     \b
     clothkit predict --state start.obj --plan plan.json --out predicted
     """
-    data, settings = load_nets(data)
     plan = read_plan(source)
     values |= cloth_of(plan, values, source)
+    data, settings = load_nets(data, values if plan.system == "main" else None)
     options = observation_options(settings.app, **values)
     chosen = system(plan.system)
     nets = [prediction.net for prediction in plan.steps[0].predictions]

@@ -1,5 +1,6 @@
 """`clothkit simulate`: execute a plan in the simulator."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,7 +15,8 @@ from clothkit.app.named_goals import goal_option, named_goal, variant_before, va
 from clothkit.app.options import observation_options, with_observation_options
 from clothkit.app.output import check_target, part, write_mesh
 from clothkit.app.plan_arrays import cloth_of, placed_state
-from clothkit.app.plan_file import Plan, Step, read_plan
+from clothkit.app.plan_file import Plan, read_plan
+from clothkit.app.plan_parts import Step
 from clothkit.app.planner import estimate_mesh, load_vtm, mesh_of
 from clothkit.app.prebuilt import load_nets
 from clothkit.cloth.mesh import error
@@ -28,7 +30,8 @@ from clothkit.observation.surfaces import check_grid
 from clothkit.runtime.errors import InputError
 from clothkit.simulation.cloths import simulated_cloths
 from clothkit.simulation.executor import execute
-from clothkit.simulation.settings import SimulationConfig
+from clothkit.simulation.settings import DRAWN, SimulationConfig
+from clothkit.simulation.similarity import resized
 
 _BESIDE = 0.1
 """Largest distance of a grasp from the cloth [cloth sides]. Later steps grasp predicted cloth, which is not exact."""
@@ -91,20 +94,21 @@ def command(
 
     A mesh [32, 32, 3] lies in the table's frame, which a plan in a camera's frame knows too. The outcome is in metres
     in the table's frame. With a goal, its error (mean distance of vertices, moved to fit,
-    under any labels) and its silhouette IoU are told, and the start's beside them. The simulated cloth is that of the
-    data that the nets learned from, scaled to yours. A named goal lies as it lay for the plan, if that was for it, else
-    as the start lies.
+    under any labels) and its silhouette IoU are told, and the start's beside them. The simulated cloth has the sides
+    and the thickness of yours, and the settings' material, by default a soft cotton. A named goal lies as it lay for
+    the plan, if that was for it, else as the start lies.
 
     \b
     clothkit simulate --state start.obj --plan plan.json --goal goal.obj --out outcome.glb
     """
-    data, settings = load_nets(data)
     plan = read_plan(source)
     if steps and steps > len(plan.steps):
         raise InputError(f"--steps: {source} has {len(plan.steps)}, found {steps}")
     # A thicker cloth than that of the plan may be tried; one of other sides would begin stretched.
     thickness = values.pop("thickness")
-    values |= cloth_of(plan, values, source) | ({} if thickness is None else {"thickness": thickness})
+    values |= cloth_of(plan, values, source)
+    data, settings = load_nets(data, values)
+    values |= {} if thickness is None else {"thickness": thickness}
     options = observation_options(settings.app, **values)
     check_target(out, FORMATS)
     named, angle = goal_option(goal, turn, mirror)
@@ -128,10 +132,12 @@ def command(
                 named, variant or variant_of(angle, mirror, mesh, options.topology), options, settings
             )
         tell(goal_input.notices)
+    simulation, notices = simulated_material(settings.simulation, options.cloth, side=options.sides[0])
+    tell(notices)
     with part("simulate"):
         hands = start.pose if start and start.kind == "points" and plan.frame == "camera" else None
         states = simulate_plan(
-            plan, mesh, pose, settings.simulation, steps=steps, hands=hands, cloth=options.cloth, name=str(source)
+            plan, mesh, pose, simulation, steps=steps, hands=hands, cloth=options.cloth, name=str(source)
         )
     write_mesh(out, states[-1].astype(float) * pose.scale)
     done = sum(not step.null for step in plan.steps[:steps])
@@ -150,6 +156,26 @@ def command(
                 + ("" if expected is None else f", expected {expected * 1000:.0f} mm")
             )
         click.echo(f"silhouette IoU {after.iou:.2f}, before {before.iou:.2f}")
+
+
+def simulated_material(
+    settings: SimulationConfig, cloth: Float[np.ndarray, "3"], *, side: float
+) -> tuple[SimulationConfig, tuple[str, ...]]:
+    """Return the settings for a cloth whose longer side is `side` [m], and notices of what they can't do.
+
+    `cloth` are its sides and thickness [normalised].
+    """
+    size = side / settings.cloth_side
+    # A tiny difference would change the outcome by as much as other rounding does, for nothing.
+    found = settings if abs(size - 1) < 1e-6 else replace(settings, material=resized(settings.material, size))
+    told = float(cloth[2]) * side / CLOTH_LENGTH
+    able = float(simulated_cloths(cloth[None], settings).material[0, DRAWN.index("thickness")]) * size
+    if abs(able / told - 1) < 0.01:
+        return found, ()
+    return found, (
+        f"a cloth of {1000 * told:.1f} mm is simulated {1000 * able:.1f} mm thick, which is as near as the simulator's "
+        "grid and solver can",
+    )
 
 
 def simulate_plan(

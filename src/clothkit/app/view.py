@@ -99,7 +99,7 @@ def command(
     clothkit view --state start.obj --goal goal.obj --steps 2
     clothkit view --state cloud.ply --goal half --table 0 0 -1 -0.8
     """
-    data, settings = load_nets(data)
+    data, settings = load_nets(data, values)
     if record is not None:
         optional("rerun", "rerun")
         check_target(record, (ENDING[1:],))

@@ -1,13 +1,13 @@
 """Insertion of null manipulations into training sequences and random rotation, saved as a store (section 4.6)."""
 
-import dataclasses
+from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
 from jaxtyping import Float
 
-from clothkit.dataset.store import STATES, STEPS, Dataset
+from clothkit.dataset.store import SPLITS, STATES, STEPS, Dataset, Parts, load_parts, load_splits
 from clothkit.manipulation.sampling import SamplingConfig
 from clothkit.manipulation.vector import SHORTEST
 from clothkit.runtime.config import config
@@ -28,13 +28,28 @@ def augment(training: Dataset, settings: AugmentConfig) -> Dataset:
     With probability `null_share`, a copy also gets a null manipulation at a random step.
     """
     copies = training.take(np.repeat(np.arange(len(training)), settings.variants))
+    return _varied(copies, settings, np.random.default_rng(settings.seed))
+
+
+def augmented(meshes: Path, settings: AugmentConfig) -> Parts:
+    """What `augment` makes of the training split of a store of meshes, one part in memory at a time.
+
+    Raises InputError for a store that is damaged or not as declared; faulty values are told when their part is made.
+    """
+    split, _ = load_splits(meshes)
+    copies = np.repeat(np.flatnonzero(split == SPLITS.index("train")), settings.variants)
     rng = np.random.default_rng(settings.seed)
-    fields = {name: getattr(copies, name).copy() for name in ("vertices", "centre", "manipulation", "hands", "length")}
+    return Parts(len(copies), (_varied(part, settings, rng) for part in load_parts(meshes, copies)))
+
+
+def _varied(copies: Dataset, settings: AugmentConfig, rng: np.random.Generator) -> Dataset:
+    """The copies, which no one else holds, after their random changes."""
+    fields = {name: getattr(copies, name) for name in ("vertices", "centre", "manipulation", "hands", "length")}
     for row in range(len(copies)):
         if rng.random() < settings.null_share:
             _insert_null(fields, row, rng)
         _turn(fields, row, rng)
-    return dataclasses.replace(copies, **fields)
+    return copies
 
 
 def _insert_null(fields: dict[str, np.ndarray], row: int, rng: np.random.Generator) -> None:

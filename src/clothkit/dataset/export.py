@@ -105,19 +105,22 @@ def stored_surfaces(path: Path, sequences: Sequence[int] | None, *, cloth_side: 
 
     States are scaled to a cloth of width `cloth_side` [m]. Raises InputError if a sequence is missing.
     """
-    dataset = store.load(path)
-    chosen = chosen_sequences(path, sequences, list(range(len(dataset))))
+    _, length = store.load_splits(path)
+    chosen = np.array(chosen_sequences(path, sequences, list(range(len(length)))))
     scale = np.float32(cloth_side / CLOTH_LENGTH)
     uv, faces = (SQUARE.geodesic().reshape(-1, 2) + 1) / 2, SQUARE.triangles()
-    places = [(sequence, state) for sequence in chosen for state in range(int(dataset.length[sequence]) + 1)]
 
     def surfaces() -> Iterator[Surface]:
-        for sequence, state in places:
-            centre = np.append(dataset.centre[sequence, state], np.float32(0))
-            vertices = (dataset.vertices[sequence, state] + centre).reshape(-1, 3) * scale
-            yield Surface(sequence, state, vertices.astype(np.float32), faces, uv)
+        numbers = iter(chosen.tolist())
+        for part in store.load_parts(path, chosen):
+            for row in range(len(part)):
+                sequence = next(numbers)
+                for state in range(int(part.length[row]) + 1):
+                    centre = np.append(part.centre[row, state], np.float32(0))
+                    vertices = (part.vertices[row, state] + centre).reshape(-1, 3) * scale
+                    yield Surface(sequence, state, vertices.astype(np.float32), faces, uv)
 
-    return len(places), surfaces()
+    return int((length[chosen].astype(int) + 1).sum()), surfaces()
 
 
 def to_trimesh(surface: Surface) -> trimesh.Trimesh:

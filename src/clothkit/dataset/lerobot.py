@@ -8,7 +8,8 @@ Source: the documentation "LeRobotDataset v3.0" of lerobot 0.4 to 0.6, whose rea
 """
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,10 +19,11 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
 from tqdm import tqdm
 
 from clothkit.dataset.recorded import Recorded, Sequences
+from clothkit.dataset.statistics import OfPictures, OfValues, Statistics
 from clothkit.dataset.store import LABELS, SPLITS
 
 VERSION = "v3.0"
@@ -31,8 +33,9 @@ EPISODES_PER_FILE = 500
 """Episodes in one file of frames and in one of episodes, so that files are some tens of megabytes."""
 
 _FILES_PER_CHUNK = 1000
-_QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
-_BLOCK = 256  # columns of a feature whose statistics are computed together
+SAMPLED = 4096
+"""Episodes of which quantiles are computed exactly; of more episodes, every second, third .. is sampled."""
+
 _PATH = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _STATE, _CLOTH, _ACTION = "observation.state", "observation.environment_state", "action"
 _PICTURE = "observation.images.top"
@@ -72,6 +75,8 @@ def write_lerobot(folder: Path, sequences: Sequences, *, draw: Draw | None = Non
     first, whole = _peek(iter(bar))
     pictures = None if draw is None else next(iter(draw(first))).shape
     features = _features(first, pictures)
+    statistics = {name: _statistics(feature) for name, feature in features.items()}
+    every = math.ceil(len(sequences) / SAMPLED)
     frames = 0
     for number, shard in enumerate(_shards(whole)):
         place = {"chunk_index": number // _FILES_PER_CHUNK, "file_index": number % _FILES_PER_CHUNK}
@@ -84,13 +89,21 @@ def write_lerobot(folder: Path, sequences: Sequences, *, draw: Draw | None = Non
         rows = [_episode(table, episode, place, features) for table, episode in zip(tables, shard, strict=True)]
         _write(folder / "meta/episodes" / _PATH.format(**place), [pa.Table.from_pylist(rows)])
         frames += sum(len(episode.vertices) for episode in shard)
+        sampled = [table for k, table in enumerate(tables) if (from_episode + k) % every == 0]
+        for name, own in statistics.items():
+            own.add([table[name] for table in tables], [table[name] for table in sampled])
     tasks = pd.DataFrame({"task_index": [0]}, index=pd.Index([TASK], name="task"))
     tasks.to_parquet(folder / "meta/tasks.parquet")
     triangles = pa.table(dict(zip("abc", first.triangles.T, strict=True)))
     pq.write_table(triangles, folder / "meta/triangles.parquet")
-    _write_json(folder / "meta/stats.json", _statistics(folder, features))
+    found = {name: {key: value.tolist() for key, value in own.found().items()} for name, own in statistics.items()}
+    _write_json(folder / "meta/stats.json", found)
     _write_json(folder / "meta/info.json", _info(features, sequences, frames))
     (folder / "README.md").write_text(_readme(features, sequences, frames))
+
+
+def _statistics(feature: Feature) -> Statistics:
+    return OfPictures() if feature.dtype == "image" else OfValues(feature.shape[0])
 
 
 def _peek(episodes: Iterator[Recorded]) -> tuple[Recorded, Iterator[Recorded]]:
@@ -177,64 +190,11 @@ def _episode(frames: pa.Table, episode: Recorded, place: Mapping[str, int], feat
         "sequence": episode.sequence,
     }
     for name, feature in features.items():
-        for statistic, value in _summary([frames[name]], feature, quantiles=False).items():
+        own = _statistics(feature)
+        own.add([frames[name]])
+        for statistic, value in own.found().items():
             row[f"stats/{name}/{statistic}"] = value.tolist()
     return row
-
-
-def _statistics(folder: Path, features: Mapping[str, Feature]) -> dict[str, dict[str, Any]]:
-    """Statistics of each feature over all frames, read back from the files."""
-    files = sorted((folder / "data").glob("*/*.parquet"))
-    found = {}
-    for name, feature in features.items():
-        columns = [pq.read_table(file, columns=[name])[name] for file in files]
-        found[name] = {key: value.tolist() for key, value in _summary(columns, feature, quantiles=True).items()}
-    return found
-
-
-def _summary(columns: Sequence[pa.ChunkedArray], feature: Feature, *, quantiles: bool) -> dict[str, np.ndarray]:
-    """Minimum, maximum, mean, standard deviation, count and quantiles of the values at each place of a feature.
-
-    Those of pictures are over all pixels of a channel, of values 0..1.
-    """
-    count = np.array([sum(len(column) for column in columns)])
-    if feature.dtype == "image":
-        return {**_of_pictures(columns, quantiles=quantiles), "count": count}
-    width = feature.shape[0]
-    chunks = [chunk.flatten() if width > 1 else chunk for column in columns for chunk in column.chunks]
-    values = np.concatenate([chunk.to_numpy(zero_copy_only=False) for chunk in chunks]).reshape(-1, width)
-    blocks = [_of_values(values[:, k : k + _BLOCK].astype(np.float64), quantiles) for k in range(0, width, _BLOCK)]
-    found = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
-    return {**found, "count": count}
-
-
-def _of_values(values: Float[np.ndarray, "frame place"], quantiles: bool) -> dict[str, np.ndarray]:
-    found = {"min": values.min(0), "max": values.max(0), "mean": values.mean(0), "std": values.std(0)}
-    if quantiles:
-        levels = np.quantile(values, list(_QUANTILES.values()), axis=0)
-        found |= dict(zip(_QUANTILES, levels, strict=True))
-    return found
-
-
-def _of_pictures(columns: Sequence[pa.ChunkedArray], *, quantiles: bool) -> dict[str, np.ndarray]:
-    counts = np.zeros((3, 256), np.int64)
-    for column in columns:
-        for png in column:
-            coded = np.frombuffer(png["bytes"].as_py(), np.uint8)
-            picture = np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR))[..., ::-1]
-            counts += np.stack([np.bincount(picture[..., k].ravel(), minlength=256) for k in range(3)])
-    levels, share = np.arange(256) / 255, counts / counts.sum(1, keepdims=True)
-    mean = share @ levels
-    found = {
-        "min": np.array([levels[np.flatnonzero(row)[0]] for row in counts]),
-        "max": np.array([levels[np.flatnonzero(row)[-1]] for row in counts]),
-        "mean": mean,
-        "std": np.sqrt(np.maximum(share @ levels**2 - mean**2, 0)),
-    }
-    if quantiles:
-        below = np.cumsum(share, axis=1)
-        found |= {name: np.array([levels[np.searchsorted(row, q)] for row in below]) for name, q in _QUANTILES.items()}
-    return {name: values.reshape(3, 1, 1) for name, values in found.items()}
 
 
 def _info(features: Mapping[str, Feature], sequences: Sequences, frames: int) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import pandas as pd
 from jaxtyping import Float, Int
 
 from clothkit.dataset.store import STATES, STEPS
-from clothkit.dataset.tables import Column, Complete, Table, check, read
+from clothkit.dataset.tables import Column, Complete, Table, check, read, read_groups
 from clothkit.runtime.errors import InputError
 from clothkit.simulation.settings import DRAWN, STARTS
 
@@ -137,6 +137,31 @@ def read_states(
     return states
 
 
+class StateFiles:
+    """The states of a folder of raw artifacts, read for some sequences at a time, since all may not fit into memory.
+
+    Raises InputError for a file that does not match its schema, and for a sequence with missing or duplicate states; a
+    fault of the vertices is told when they are read.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        found = {file: read(file, STATES_TABLE, ("sequence", "state")) for file in state_files(folder)}
+        self._spans = {file: (rows["sequence"].min(), rows["sequence"].max()) for file, rows in found.items()}
+        states = pd.concat(found.values()).sort_values(["sequence", "state"], kind="stable").reset_index(drop=True)
+        check(folder, _ALL_STATES, states)
+        self.index = states
+        """Sequence and number of each state, sorted."""
+
+    def read(self, sequences: Collection[int]) -> pd.DataFrame:
+        """The STATE_COLUMNS of these sequences, sorted by sequence and state; only the files that may have them are
+        opened."""
+        least, most = min(sequences), max(sequences)
+        files = [file for file, (first, last) in self._spans.items() if first <= most and last >= least]
+        found = [read(file, STATES_TABLE, STATE_COLUMNS, sequences=sequences) for file in files]
+        return pd.concat(found).sort_values(["sequence", "state"], kind="stable").reset_index(drop=True)
+
+
 def read_manipulations(raw: Path, states: pd.DataFrame, columns: Sequence[str] = MANIPULATION_COLUMNS) -> pd.DataFrame:
     """Read the manipulations of a folder of raw artifacts, sorted by sequence and step.
 
@@ -184,7 +209,10 @@ class Topologies:
 
     def __init__(self, raw: Path) -> None:
         self.path = raw / "topologies.parquet"
-        self.rows = read(self.path, TOPOLOGIES).set_index("topology")
+        shared: dict[bytes, np.ndarray] = {}
+        rows = pd.concat([_alike(part, shared) for part in read_groups(self.path, TOPOLOGIES)])
+        check(self.path, TOPOLOGIES, rows)
+        self.rows = rows.set_index("topology")
 
     def __call__(self, where: str, number: int, vertices: np.ndarray) -> tuple[Triangulation, np.ndarray]:
         """The topology of that number, and a state's flat list of coordinates as an array, float32 [vertices 3].
@@ -226,6 +254,12 @@ class Topologies:
                 f"{name}: material spans {sides[0]:.3g} x {sides[1]:.3g}, expected {_SIDES[0]:g} to {_SIDES[1]:g} m"
             )
         return Triangulation(material.reshape(-1, 2), triangles.astype(np.int32).reshape(-1, 3))
+
+
+def _alike(rows: pd.DataFrame, shared: dict[bytes, np.ndarray]) -> pd.DataFrame:
+    """Rows whose equal lists of triangles are one array: there may be a million rectangles, all of one grid."""
+    kept = [shared.setdefault(own.tobytes(), own.copy()) for own in rows["triangles"]]
+    return rows.assign(triangles=pd.Series(kept, index=rows.index, dtype=object))
 
 
 def _edge_length(points: Float[np.ndarray, "vertices axes"], triangles: Int[np.ndarray, "triangles 3"]) -> float:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import chain, groupby
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,6 +15,8 @@ from clothkit.dataset.export import chosen_sequences, is_raw, raw_surfaces
 from clothkit.dataset.raw import read_cloths, read_manipulations, read_states
 from clothkit.dataset.store import LABELS, SPLITS
 from clothkit.runtime.errors import InputError
+
+_INSTEAD = "as in the states before; export data/meshes.zarr, whose states are all alike"
 
 
 class Recorded(NamedTuple):
@@ -49,32 +51,29 @@ def read_recorded(source: Path, sequences: Sequence[int] | None, *, cloth_side: 
     """Some or all sequences of a folder of raw artifacts, or of a store of meshes.
 
     Meshes of a store are put back where they lay, `cloth_side` [m] wide. Raises InputError if the source or a sequence
-    isn't there, and if states have different numbers of vertices, which arrays of one shape can't hold.
+    isn't there, and if states have different numbers of vertices, which arrays of one shape can't hold, or different
+    triangles, of which a dataset has one list.
     """
     return _raw(source, sequences) if is_raw(source) else _stored(source, sequences, cloth_side)
 
 
 def _stored(path: Path, sequences: Sequence[int] | None, cloth_side: float) -> Sequences:
-    dataset = store.load(path)
-    chosen = chosen_sequences(path, sequences, list(range(len(dataset))))
-    chosen.sort(key=lambda sequence: dataset.split[sequence])
-    scale = np.float32(cloth_side / CLOTH_LENGTH)
+    split, _ = store.load_splits(path)
+    chosen = np.array(chosen_sequences(path, sequences, list(range(len(split)))))
+    of_splits = [chosen[split[chosen] == code] for code in range(len(SPLITS))]
+    scale, triangles = np.float32(cloth_side / CLOTH_LENGTH), SQUARE.triangles()
 
-    def each() -> Iterator[Recorded]:
-        for sequence in chosen:
-            count = int(dataset.length[sequence])
-            centre = np.pad(dataset.centre[sequence, : count + 1], ((0, 0), (0, 1)))[:, None]
-            vertices = dataset.vertices[sequence, : count + 1].reshape(count + 1, -1, 3) + centre
-            yield Recorded(
-                sequence,
-                SPLITS[dataset.split[sequence]],
-                vertices * scale,
-                dataset.manipulation[sequence, :count],
-                dataset.cloth[sequence] * scale,
-                SQUARE.triangles(),
-            )
+    def of_split(name: str, own: np.ndarray) -> Iterator[Recorded]:
+        numbers = iter(own.tolist())
+        for part in store.load_parts(path, own):
+            for row, length in enumerate(part.length.tolist()):
+                centre = np.pad(part.centre[row, : length + 1], ((0, 0), (0, 1)))[:, None]
+                vertices = (part.vertices[row, : length + 1].reshape(length + 1, -1, 3) + centre) * scale
+                moves = part.manipulation[row, :length]
+                yield Recorded(next(numbers), name, vertices, moves, part.cloth[row] * scale, triangles)
 
-    return Sequences([SPLITS[dataset.split[sequence]] for sequence in chosen], each())
+    each = chain.from_iterable(of_split(*pair) for pair in zip(SPLITS, of_splits, strict=True))
+    return Sequences([name for name, own in zip(SPLITS, of_splits, strict=True) for _ in own], each)
 
 
 def _raw(folder: Path, sequences: Sequence[int] | None) -> Sequences:
@@ -85,16 +84,18 @@ def _raw(folder: Path, sequences: Sequence[int] | None) -> Sequences:
     _, surfaces = raw_surfaces(folder, chosen)
 
     def each() -> Iterator[Recorded]:
-        count = None
+        first = None
         for sequence, group in groupby(surfaces, key=lambda surface: surface.sequence):
             found = list(group)
             for surface in found:
-                count = count or len(surface.vertices)
-                if len(surface.vertices) != count:
+                first = first or surface
+                where = f"{folder}: sequence {sequence}, state {surface.state}"
+                if len(surface.vertices) != len(first.vertices):
                     raise InputError(
-                        f"{folder}: sequence {sequence}, state {surface.state} has {len(surface.vertices)} vertices, "
-                        f"expected {count} as in the states before; export data/meshes.zarr, whose states are all alike"
+                        f"{where} has {len(surface.vertices)} vertices, expected {len(first.vertices)} {_INSTEAD}"
                     )
+                if not np.array_equal(surface.triangles, first.triangles):
+                    raise InputError(f"{where} has another triangulation, expected the same {_INSTEAD}")
             cloth = cloths.loc[sequence, ["side_u", "side_v", "thickness"]].to_numpy(np.float32)
             moved = moves.get_group(sequence)[list(LABELS["component"])].to_numpy(np.float32)
             vertices = np.stack([surface.vertices for surface in found])

@@ -1,5 +1,6 @@
 """Converts raw states of any triangulation to normalised, centred meshes of a grid, and assigns splits (4.2.1, 4.4)."""
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -11,8 +12,15 @@ from tqdm import tqdm
 
 from clothkit.cloth.silhouette import centred
 from clothkit.cloth.topology import CLOTH_LENGTH, PAPERS_CLOTH, SQUARE, Shape, Topology
-from clothkit.dataset.raw import STATE_COLUMNS, Topologies, Triangulation, read_cloths, read_manipulations, read_states
-from clothkit.dataset.store import SPLITS, STATES, STEPS, Dataset
+from clothkit.dataset.raw import (
+    STATE_COLUMNS,
+    StateFiles,
+    Topologies,
+    Triangulation,
+    read_cloths,
+    read_manipulations,
+)
+from clothkit.dataset.store import SHARD, SPLITS, STATES, STEPS, Dataset, Parts, join
 from clothkit.runtime.config import config
 from clothkit.runtime.errors import InputError
 from clothkit.simulation.cloths import Cloths
@@ -106,34 +114,55 @@ def _candidate_pairs(
 
 
 def regularise(raw: Path, settings: RegulariseConfig, topology: Topology = SQUARE) -> Dataset:
-    """Make a dataset of meshes of the given topology from a folder of raw artifacts.
+    """As `regularised`, with all sequences in memory."""
+    return join(regularised(raw, settings, topology))
 
-    Raises InputError if there are fewer sequences than the splits need, or if a file does not match its schema.
+
+def regularised(raw: Path, settings: RegulariseConfig, topology: Topology = SQUARE) -> Parts:
+    """Make a dataset of meshes of the given topology from a folder of raw artifacts, one part in memory at a time.
+
+    Raises InputError if there are fewer sequences than the splits need, or if a file does not match its schema; faulty
+    states are told when their part is made.
     """
-    states = read_states(raw / "states")
-    manipulations = read_manipulations(raw, states)
+    files = StateFiles(raw / "states")
+    manipulations = read_manipulations(raw, files.index)
     wanted = settings.train + settings.validation + settings.test
-    sequences = states["sequence"].unique()[:wanted].tolist()
+    sequences = files.index["sequence"].unique()[:wanted].tolist()
     if len(sequences) < wanted:
         raise InputError(
             f"{raw}: holds {len(sequences)} sequences, params ask for {wanted} (train + validation + test); raise "
             "simulate.sequences, add runs if they are ARCSim's, or lower regularise"
         )
-    vertices = np.full((wanted, STATES, *topology.shape, 3), np.nan, np.float32)
-    centres = np.full((wanted, STATES, 2), np.nan, np.float32)
-    meshes = Mesher(Topologies(raw), topology)
-    row_of = {sequence: row for row, sequence in enumerate(sequences)}
-    chosen = states[states["sequence"].isin(row_of)]
-    columns = (chosen[name] for name in STATE_COLUMNS)
-    progress = tqdm(zip(*columns, strict=True), total=len(chosen), desc="regularise", unit="state", mininterval=1)
-    for sequence, state, number, positions in progress:
-        mesh = meshes(f"{raw}: sequence {sequence}, state {state}", number, positions)
-        vertices[row_of[sequence], state], centres[row_of[sequence], state] = centred(mesh)
-    manipulation, hands, length = _steps(manipulations, row_of)
-    split, evaluated = assign_splits(settings)
-    return Dataset(
-        vertices, centres, manipulation, hands, length, split, evaluated, *_cloths(read_cloths(raw, sequences))
+    of_all: tuple[np.ndarray, ...] = (
+        *_steps(manipulations, {sequence: row for row, sequence in enumerate(sequences)}),
+        *assign_splits(settings),
+        *_cloths(read_cloths(raw, sequences)),
     )
+    mesher = Mesher(Topologies(raw), topology)
+
+    def each() -> Iterator[Dataset]:
+        bar = tqdm(total=wanted, desc="regularise", unit="sequence", mininterval=1)
+        for first in range(0, wanted, SHARD):
+            part = slice(first, first + SHARD)
+            meshes = _meshes(raw, files.read(sequences[part]), sequences[part], mesher, bar)
+            yield Dataset(*meshes, *(values[part] for values in of_all))
+        bar.close()
+
+    return Parts(wanted, each())
+
+
+def _meshes(
+    raw: Path, states: pd.DataFrame, sequences: Sequence[int], mesher: Mesher, bar: tqdm
+) -> tuple[np.ndarray, np.ndarray]:
+    """The centred meshes [sequence state u v 3] of sequences, and their centres [sequence state 2]."""
+    vertices = np.full((len(sequences), STATES, *mesher.topology.shape, 3), np.nan, np.float32)
+    centres = np.full((len(sequences), STATES, 2), np.nan, np.float32)
+    row_of = {sequence: row for row, sequence in enumerate(sequences)}
+    for sequence, state, number, positions in zip(*(states[name] for name in STATE_COLUMNS), strict=True):
+        mesh = mesher(f"{raw}: sequence {sequence}, state {state}", number, positions)
+        vertices[row_of[sequence], state], centres[row_of[sequence], state] = centred(mesh)
+        bar.update(int(state == 0))
+    return vertices, centres
 
 
 def _cloths(table: pd.DataFrame) -> Cloths:

@@ -1,15 +1,16 @@
 """The zarr store of meshes, and the class `Dataset` that holds its contents (design section 4)."""
 
 import dataclasses
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import zarr
 from jaxtyping import Bool, Float, Int, Int8
 
 from clothkit.cloth.topology import CLOTH_LENGTH, PAPERS_CLOTH, SQUARE
-from clothkit.dataset.zarr_store import Declared, Store, consolidate, create_array, create_group, open_store
+from clothkit.dataset.zarr_store import Declared, Store, consolidate, create_empty, create_group, open_store
 from clothkit.runtime.errors import InputError
 from clothkit.simulation.cloths import Cloths
 from clothkit.simulation.material import Material
@@ -47,7 +48,10 @@ LABELS = {
 }
 """Names of the places along a dimension, kept in the attribute `labels` of every store that has such a dimension."""
 
-_CHUNK, _SHARD = 16, 1024
+_CHUNK = 16
+SHARD = 1024
+"""Sequences in a shard's file, and so the most that a writer or a reader of parts holds at a time."""
+
 _ARRAYS = {
     "vertices": Declared("f4", ("sequence", "state", "u", "v", "xyz"), NORMALISED),
     "centre": Declared("f4", ("sequence", "state", "xy"), NORMALISED),
@@ -120,13 +124,47 @@ class Dataset:
         return self.take(self.indices(split, evaluated=evaluated))
 
 
+class Parts(NamedTuple):
+    """A dataset that comes in parts, each of SHARD sequences but for the last, so that it need not fit into memory."""
+
+    sequences: int
+    """How many all parts have."""
+    each: Iterable[Dataset]
+
+
+def in_parts(dataset: Dataset) -> Parts:
+    """The parts of a dataset."""
+    firsts = range(0, max(1, len(dataset)), SHARD)
+    return Parts(len(dataset), (dataset.take(slice(first, first + SHARD)) for first in firsts))
+
+
+def join(parts: Parts) -> Dataset:
+    """The dataset of the parts, in memory."""
+    found = list(parts.each)
+    fields = [field.name for field in dataclasses.fields(Dataset)]
+    return Dataset(*(np.concatenate([getattr(part, name) for part in found]) for name in fields))
+
+
 def save(path: Path, dataset: Dataset, attributes: dict[str, Any]) -> None:
     """Write a dataset as a zarr v3 directory with few shard files; equal datasets give equal bytes."""
+    save_parts(path, in_parts(dataset), attributes)
+
+
+def save_parts(path: Path, parts: Parts, attributes: dict[str, Any]) -> None:
+    """Write the bytes that `save` writes of the joined parts, a shard at a time."""
     group = create_group(path, {**attributes, "splits": list(SPLITS), "labels": labels_of(_ARRAYS)})
-    for name, declared in _ARRAYS.items():
-        data = np.ascontiguousarray(getattr(dataset, name)).astype(declared.dtype)
-        rest = data.shape[1:]
-        create_array(group, name, declared, data, chunk=(_CHUNK, *rest), shard=(_SHARD, *rest))
+    arrays: dict[str, zarr.Array] = {}
+    first = 0
+    for part in parts.each:
+        for name, declared in _ARRAYS.items():
+            values = np.ascontiguousarray(getattr(part, name), declared.dtype)
+            if name not in arrays:
+                shape, rest = (parts.sequences, *values.shape[1:]), values.shape[1:]
+                arrays[name] = create_empty(group, name, declared, shape, chunk=(_CHUNK, *rest), shard=(SHARD, *rest))
+            arrays[name][first : first + len(part)] = values
+        first += len(part)
+    if first != parts.sequences:
+        raise ValueError(f"parts have {first} sequences, expected {parts.sequences}")
     consolidate(group)
 
 
@@ -154,8 +192,27 @@ def load(path: Path) -> Dataset:
     store = open_meshes(path)
     dataset = Dataset(**{name: store.read(name) for name in _ARRAYS})
     _check_splits(path, dataset.split, dataset.length)
-    _check_values(path, dataset)
+    _check_values(path, dataset, np.arange(len(dataset)))
     return dataset
+
+
+def load_parts(path: Path, rows: Int[np.ndarray, " rows"]) -> Iterator[Dataset]:
+    """Read and check the sequences with these indices, which do not fall, SHARD of them at a time.
+
+    An index may come several times. Raises InputError, as `load` does, once it comes to what is damaged.
+    """
+    store = open_meshes(path)
+    for chosen in (rows[first : first + SHARD] for first in range(0, len(rows), SHARD)):
+        # Chosen sequences may lie far apart: no more than a shard around them is read at a time.
+        pieces = []
+        for shard in np.unique(chosen // SHARD):
+            own = chosen[chosen // SHARD == shard]
+            span = slice(int(own[0]), int(own[-1]) + 1)
+            pieces.append(Dataset(**{name: store.read(name, span)[own - own[0]] for name in _ARRAYS}))
+        part = join(Parts(len(chosen), pieces))
+        _check_splits(path, part.split, part.length)
+        _check_values(path, part, chosen)
+        yield part
 
 
 def load_splits(path: Path) -> tuple[Int8[np.ndarray, " sequence"], Int8[np.ndarray, " sequence"]]:
@@ -172,25 +229,25 @@ def _check_splits(path: Path, split: np.ndarray, length: np.ndarray) -> None:
             raise InputError(f"{path}: {name} has values outside {least}..{most}")
 
 
-def _check_values(path: Path, dataset: Dataset) -> None:
+def _check_values(path: Path, dataset: Dataset, sequences: Int[np.ndarray, " sequence"]) -> None:
     present = {
         "state": np.arange(STATES) <= dataset.length[:, None],
         "step": np.arange(STEPS) < dataset.length[:, None],
     }
+
+    def refuse(name: str, axis: str, bad: Bool[np.ndarray, "sequence place"], what: str) -> None:
+        if bad.any():
+            row, place = np.argwhere(bad)[0]
+            raise InputError(f"{path}: {name} of sequence {sequences[row]}, {axis} {place} {what}")
+
     for name, axis in (("vertices", "state"), ("centre", "state"), ("manipulation", "step")):
         values = getattr(dataset, name)
         rest = tuple(range(2, values.ndim))
-        _refuse(path, name, axis, present[axis] & ~np.isfinite(values).all(axis=rest), "is not finite")
+        refuse(name, axis, present[axis] & ~np.isfinite(values).all(axis=rest), "is not finite")
         far = present[axis] & (np.abs(values) > FARTHEST).any(axis=rest)
-        _refuse(path, name, axis, far, f"is beyond {FARTHEST:g}, expected normalised lengths")
+        refuse(name, axis, far, f"is beyond {FARTHEST:g}, expected normalised lengths")
     known = np.isfinite(dataset.cloth) & (dataset.cloth > 0) & (dataset.cloth < CLOTH_LENGTH + 1e-4)
-    _refuse(path, "cloth", "measure", ~known, f"is not above 0 and at most {CLOTH_LENGTH:g}")
+    refuse("cloth", "measure", ~known, f"is not above 0 and at most {CLOTH_LENGTH:g}")
     started = (dataset.start >= 0) & (dataset.start < len(STARTS))
-    _refuse(path, "start", "value", ~started[:, None], f"is not from 0 to {len(STARTS) - 1}")
-    _refuse(path, "hands", "step", present["step"] & ~np.isin(dataset.hands, (1, 2)), "is not 1 or 2")
-
-
-def _refuse(path: Path, name: str, axis: str, bad: Bool[np.ndarray, "sequence place"], what: str) -> None:
-    if bad.any():
-        sequence, place = np.argwhere(bad)[0]
-        raise InputError(f"{path}: {name} of sequence {sequence}, {axis} {place} {what}")
+    refuse("start", "value", ~started[:, None], f"is not from 0 to {len(STARTS) - 1}")
+    refuse("hands", "step", present["step"] & ~np.isin(dataset.hands, (1, 2)), "is not 1 or 2")

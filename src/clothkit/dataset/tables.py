@@ -5,9 +5,10 @@ between columns, and which rows must exist.
 """
 
 import dataclasses
+import functools
 import json
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
@@ -110,16 +111,44 @@ def read(
     With `columns`, only these are read, and optional ones may be absent. Otherwise all columns of the file are read;
     undeclared ones are not checked. Raises InputError, which names the file, the column and what was expected.
     """
+    rows = None if sequences is None else [("sequence", "in", sorted(sequences))]
+    return _read(
+        path, table, columns, lambda names: pq.read_table(path, columns=names, filters=rows), chosen=rows is not None
+    )
+
+
+def read_groups(path: Path, table: Table, columns: Sequence[str] = ()) -> Iterator[pd.DataFrame]:
+    """Read a parquet file as `read` does, one row group after the other; keys are compared within a group alone."""
+    try:
+        groups = pq.read_metadata(path).num_row_groups
+    except Exception as error:  # as in _read
+        raise _unreadable(path, error) from error
+    if groups < 2:
+        yield read(path, table, columns)
+        return
+    with pq.ParquetFile(path) as file:
+        for group in range(groups):
+            yield _read(path, table, columns, functools.partial(file.read_row_group, group))
+
+
+def _read(
+    path: Path,
+    table: Table,
+    columns: Sequence[str],
+    rows: Callable[[list[str] | None], pa.Table],
+    *,
+    chosen: bool = False,
+) -> pd.DataFrame:
+    """Read and check what `rows` returns for the names of columns; none may be `chosen` from the rows of the file."""
     try:
         schema = pq.read_schema(path)
         table = table.of_file(schema.names)
         names = _present(path, table, columns, schema.names)
-        rows = None if sequences is None else [("sequence", "in", sorted(sequences))]
         if not (table.may_be_empty and pq.read_metadata(path).num_rows == 0):
             # Types are checked before reading, because the filter by sequence fails on a column that is not numeric.
             for name in names:
                 _check_kind(path, name, table.columns[name], schema.field(name).type)
-        found = pq.read_table(path, columns=names if columns else None, filters=rows)
+        found = rows(names if columns else None)
         frame = found.to_pandas()
     except InputError:
         raise
@@ -129,7 +158,7 @@ def read(
     if lost:
         raise InputError(f"{path}: can't be read as parquet (its metadata take column {lost[0]} for an index)")
     if not found.num_rows:
-        if table.may_be_empty or sequences is not None:
+        if table.may_be_empty or chosen:
             return frame
         raise InputError(f"{path}: expected at least one row, found none")
     for name in names:

@@ -66,6 +66,28 @@ def create_array(
     )
 
 
+def create_empty(
+    group: zarr.Group,
+    name: str,
+    declared: Declared,
+    shape: tuple[int, ...],
+    *,
+    chunk: tuple[int, ...],
+    shard: tuple[int, ...],
+) -> zarr.Array:
+    """As `create_array`, but without values, which are then set shard by shard; all of them must be."""
+    return group.create_array(
+        name,
+        shape=shape,
+        dtype=declared.dtype,
+        chunks=chunk,
+        shards=shard,
+        dimension_names=declared.dimensions,
+        attributes={"units": declared.units},
+        **WRITTEN,
+    )
+
+
 def consolidate(group: zarr.Group) -> None:
     """Repeat the metadata of all arrays of a finished group in the group's own file, which xarray then reads alone."""
     with warnings.catch_warnings():

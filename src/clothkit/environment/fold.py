@@ -11,7 +11,7 @@ from jaxtyping import Float, UInt8
 
 from clothkit.cloth.silhouette import centred
 from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE
-from clothkit.cloth.voxels import double
+from clothkit.cloth.voxels import VIEWPORT, Viewport, double
 from clothkit.dataset.store import STEPS
 from clothkit.environment.goals import Goal, Mesh, Start, Target, needed, start_mesh, target_of
 from clothkit.environment.observations import Observer
@@ -71,6 +71,7 @@ class FoldEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         tolerance: float = 0.02,
         simulation: SimulationConfig | None = None,
         camera: CameraConfig | None = None,
+        viewport: Viewport = VIEWPORT,
         goals_folder: Path | None = None,
         render_mode: str | None = None,
     ) -> None:
@@ -78,8 +79,10 @@ class FoldEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
 
         A start is a mesh, what draws one, or the name of a way in which cloths lie at random: flat, dragged, crumpled;
         by default the cloth lies flat and straight. There are by default one more of `steps` than a named goal needs,
-        else 3. Grasp points are by default on the cloth if its vertices are observed, else on the table. Named goals,
-        which are made in the simulator, are kept in `goals_folder` (default: the user's cache). Raises InputError.
+        else 3. Grasp points are by default on the cloth if its vertices are observed, else on the table. `viewport` is
+        that of observed voxels, by default the paper's: nets that read them need their own (`Agent.viewport`). Named
+        goals, which are made in the simulator, are kept in `goals_folder` (default: the user's cache). Raises
+        InputError.
         """
         if steps is None:
             least = needed(goal)
@@ -99,13 +102,14 @@ class FoldEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         self._worlds = Worlds(1, simulation)
         self._topology = self._worlds.topology
         self._goals, self._starts, self._measure = goal, self._topology.flat() if start is None else start, measure
-        self._folder = goals_folder or user_folder()
+        self._folder, self._viewport = goals_folder or user_folder(), viewport
         # A manipulation moves a cloth by less than two of its lengths.
         farthest = 1.0 + 2.0 * steps
         self._observer = Observer(
             observation,
             self._topology,
             camera=camera or CameraConfig(),
+            viewport=viewport,
             side=simulation.cloth_side,
             farthest=farthest,
         )
@@ -126,6 +130,11 @@ class FoldEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     def mesh(self) -> Mesh:
         """The cloth at its place on the table [normalised]: the truth, whatever is observed."""
         return self._mesh
+
+    @property
+    def viewport(self) -> Viewport:
+        """What the observed voxels cover."""
+        return self._viewport
 
     @property
     def goal(self) -> Mesh:

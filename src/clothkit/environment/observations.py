@@ -1,7 +1,8 @@
 """What an episode's observer gets of a cloth, in cloth lengths: vertices, voxels or a depth image.
 
 Vertices are in the world's frame, the origin on the table where the flat cloth's middle was. Voxels are those of a
-camera above the cloth, centred, with the place of the centre beside them. Depth images are of a fixed camera [m].
+camera above the cloth, centred, with the place of the centre beside them; what heights they stand for, their viewport
+tells. Depth images are of a fixed camera [m].
 """
 
 from typing import Any
@@ -12,7 +13,7 @@ from jaxtyping import Float
 
 from clothkit.cloth.silhouette import centred
 from clothkit.cloth.topology import CLOTH_LENGTH, Topology
-from clothkit.cloth.voxels import RESOLUTION, observe
+from clothkit.cloth.voxels import RESOLUTION, Viewport, observe
 from clothkit.observation.camera import CameraConfig, render
 from clothkit.runtime.errors import InputError
 
@@ -24,14 +25,23 @@ Mesh = Float[np.ndarray, "u v 3"]
 class Observer:
     """Makes observations of one kind."""
 
-    def __init__(self, kind: str, topology: Topology, *, camera: CameraConfig, side: float, farthest: float) -> None:
+    def __init__(
+        self,
+        kind: str,
+        topology: Topology,
+        *,
+        camera: CameraConfig,
+        viewport: Viewport,
+        side: float,
+        farthest: float,
+    ) -> None:
         """`side` is the cloth's [m]; coordinates are clipped to -farthest..farthest [cloth length].
 
-        Raises InputError for an unknown kind.
+        `camera` is that of depth images, `viewport` that of voxels. Raises InputError for an unknown kind.
         """
         if kind not in KINDS:
             raise InputError(f"observation: expected one of {', '.join(KINDS)}, found {kind!r}")
-        self._kind, self._topology, self._camera = kind, topology, camera
+        self._kind, self._topology, self._camera, self._viewport = kind, topology, camera, viewport
         self._side, self._farthest = side, farthest
 
     def spaces(self) -> dict[str, spaces.Space[Any]]:
@@ -52,7 +62,8 @@ class Observer:
             return {"cloth": self._clipped(mesh)}
         if self._kind == "voxels":
             middle, centre = centred(mesh)
-            return {"cloth": np.asarray(observe(middle)).astype(np.int8), "centre": self._clipped(centre)}
+            occupied = np.asarray(observe(middle, viewport=self._viewport))
+            return {"cloth": occupied.astype(np.int8), "centre": self._clipped(centre)}
         metres = mesh.astype(float) * (self._side / CLOTH_LENGTH)
         image = render(metres, self._topology.triangles(), self._camera)
         return {"cloth": image.depth.astype(np.float32), "mask": image.cloth.astype(np.int8)}

@@ -50,11 +50,13 @@ def evaluate(
     work: Path,
     sensor: Sensor | None = None,
     annotate: Annotate = lambda sessions, tasks: sessions,
+    refined: bool = True,
 ) -> tuple[Pieces, Clock]:
     """Run the sessions of all tasks, except those that an earlier run has saved in the folder `work`.
 
-    Without a `sensor`, the planner observes exactly. Returns all sessions, which are read from `work` piece by piece so
-    that memory does not grow with the number of tasks, and the times that searches and estimates took.
+    Without a `sensor`, the planner observes exactly; `refined` is as in `run_sessions`. Returns all sessions, which are
+    read from `work` piece by piece so that memory does not grow with the number of tasks, and the times that searches
+    and estimates took.
     """
     todo = pieces(dataset, planner.settings)
     # Raises InputError now, not hours later, if a plan length has no reference values.
@@ -64,7 +66,7 @@ def evaluate(
         split, tasks = piece
         batch = tasks_of_dataset(dataset, tasks, split)
         with clock() as calls:
-            sessions = run_sessions(batch, planner, execute, sensor=sensor)
+            sessions = run_sessions(batch, planner, execute, sensor=sensor, refined=refined)
         return annotate(sessions, batch), calls
 
     paths, times = [], defaultdict[str, list[tuple[int, float]]](list)

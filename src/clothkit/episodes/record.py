@@ -132,7 +132,7 @@ class Sessions:
     prediction_mean: np.ndarray = _array("f2", "task", "step", "planned", "net", *STATE_AXES, units=NORMALISED)
     prediction_std: np.ndarray = _array("f2", "task", "step", "planned", "net", *STD_AXES, units=NORMALISED)
     refined: np.ndarray = _array("f2", "task", "step", *STD_AXES, units=NORMALISED)
-    """The best net's prediction of the plan's outcome, refined."""
+    """The best net's prediction of the plan's outcome, refined; NaN where sessions were run without it."""
     progress: np.ndarray = _array("f4", "task", "step", "iteration")
     """Lowest loss of all strains up to that iteration, as the optimiser evaluates it: not exact, unlike `loss`."""
     tried: np.ndarray = _array("i4", "task", "step")
@@ -188,7 +188,8 @@ class Step(NamedTuple):
     """Their rows in the batch."""
     plan: Plan
     refined: Float[np.ndarray, "acting u v 3"] | None
-    """The best net's prediction of the outcome, refined to a plausible mesh; None for voxels."""
+    """The best net's prediction of the outcome, refined to a plausible mesh; None for voxels, and where it is not asked
+    for."""
     state: Float[np.ndarray, "acting u v 3"]
     """The true state after the step, centred."""
     centre: Float[np.ndarray, "acting 2"]
@@ -210,8 +211,10 @@ def record(tasks: Tasks, steps: Sequence[Step], sizes: Sizes) -> Sessions:
         fields["null"][at], fields["cancelled"][at] = plan.null, plan.useless & ~_first_is_null(plan)
         fields["error_otherwise"][at], fields["expected"][at] = step.error_otherwise, plan.expected
         fields["prediction_mean"][at] = plan.means
-        if plan.stds is not None and step.refined is not None:
-            fields["prediction_std"][at], fields["refined"][at] = plan.stds, step.refined
+        if plan.stds is not None:
+            fields["prediction_std"][at] = plan.stds
+        if step.refined is not None:
+            fields["refined"][at] = step.refined
         fields["progress"][at], fields["tried"][at] = plan.progress, plan.tried
     return Sessions(**fields)
 

@@ -16,6 +16,7 @@ from clothkit.estimation.refine import refine
 from clothkit.manipulation.vector import is_null, is_single
 from clothkit.planning.agent import Keys, begin, decide
 from clothkit.planning.batches import in_batches, take
+from clothkit.planning.error_map import ErrorMap
 from clothkit.planning.lengths import LengthConfig
 from clothkit.planning.planner import Planner
 from clothkit.planning.types import Memory, Meshes, Observation, Plan
@@ -40,11 +41,16 @@ def run_sessions(
     *,
     sensor: Sensor | None = None,
     length: LengthConfig | None = None,
+    trust: ErrorMap | None = None,
+    refined: bool = True,
 ) -> Sessions:
     """Run the sessions of a batch of tasks in parallel, and return their record.
 
     With `length`, the agent chooses how many manipulations are worth it, as many as a task's length at most, and ends a
-    session when nothing is; the record then repeats its last step, in which nothing was done.
+    session when nothing is, by what became of such plans, too, if `trust` tells it (`planning.agent.decide`). The
+    record then repeats its last step, in which nothing was done.
+
+    Without `refined`, predictions are not refined to meshes, which only figures of sessions show.
 
     At each step, the manipulations of all sessions are passed to `execute` in one call. Without a `sensor`, the planner
     observes exactly. Raises InputError if an outcome is not finite.
@@ -66,7 +72,7 @@ def run_sessions(
         if step:
             observation, shift = _observed(sensor, state, memory, observation, shift)
         keys = search_keys(tasks, acting, step, planner.settings.seed)
-        plan, memory = decide(planner, observation, memory, key=keys, length=length)
+        plan, memory = decide(planner, observation, memory, key=keys, length=length, trust=trust)
         state, centre, error_otherwise = _executed(
             plan,
             state,
@@ -78,8 +84,8 @@ def run_sessions(
             planner,
             execute,
         )
-        refined = _refined(planner, plan, memory.cloth)
-        steps.append(Step(acting, plan, refined, state, centre, error_otherwise))
+        plausible = _refined(planner, plan, memory.cloth) if refined else None
+        steps.append(Step(acting, plan, plausible, state, centre, error_otherwise))
     return record(tasks, _to_the_end(steps, lengths), sizes_of(planner))
 
 

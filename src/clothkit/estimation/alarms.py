@@ -8,11 +8,13 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
+from clothkit.cloth.topology import SQUARE
 from clothkit.estimation.agreement import Agreement, AgreementConfig, agreement
 from clothkit.estimation.support import Support, strangeness
 from clothkit.models.net import Net
 from clothkit.models.vtm import hidden_units
 from clothkit.runtime.errors import InputError, system_error
+from clothkit.simulation.settings import LEAST_SPACING
 
 _QUANTILES = 41
 
@@ -57,9 +59,18 @@ class Alarms(NamedTuple):
     def knows(self, cloth: Float[np.ndarray, "*batch 3"]) -> Bool[np.ndarray, "*batch"]:
         """Whether a cloth's sides and thickness are about those of a cloth that the net learned from."""
         # The order of the sides is not told to nets that know squares, and does not matter to others.
-        sides, (low, high) = np.sort(cloth[..., :2], axis=-1), self.cloths
+        sides, low = np.sort(cloth[..., :2], axis=-1), self.cloths[0]
         of_ratio = sides[..., 0] >= min(low[:2]) / MARGIN
-        return np.asarray(of_ratio & (cloth[..., 2] >= low[2] / MARGIN) & (cloth[..., 2] <= high[2] * MARGIN))
+        return np.asarray(of_ratio & (cloth[..., 2] >= low[2] / MARGIN) & (cloth[..., 2] <= self.thickest(cloth)))
+
+    def thickest(self, cloth: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch"]:
+        """The thickest cloth with such sides that the net knows [normalised].
+
+        The simulator's grid allows a thickness of no more than the distance of vertices over LEAST_SPACING, so narrow
+        cloths of the data are thinner than its thickest squares.
+        """
+        spacing = np.min(cloth[..., :2], axis=-1) / (SQUARE.shape[0] - 1)
+        return np.asarray(MARGIN * np.minimum(self.cloths[1, 2], spacing / LEAST_SPACING))
 
     def raised(self, signs: Signs) -> Bool[np.ndarray, " batch"]:
         """Whether an alarm is raised."""

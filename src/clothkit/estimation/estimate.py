@@ -54,11 +54,24 @@ def estimate(
     if predicted is None:
         found, mesh = alternatives(net, voxels, settings, cloth=cloth)
         return Estimate(most_probable(found), mesh[:, 0])
-    probabilistic, start = estimate_probabilistic(net, voxels, predicted.mean, cloth=cloth), predicted.mean
-    if settings.prior is not None:
-        probabilistic = fused(probabilistic, predicted._replace(std=settings.prior * jnp.asarray(predicted.std)))
-        start = probabilistic.mean
+    probabilistic = with_prediction(net, voxels, settings, predicted, cloth=cloth)
+    start = predicted.mean if settings.prior is None else probabilistic.mean
     return Estimate(probabilistic, _refined(net, probabilistic, start, voxels, settings, cloth))
+
+
+def with_prediction(
+    net: Net,
+    voxels: Shaped[Array | np.ndarray, "batch x y z"],
+    settings: RefineConfig,
+    predicted: ProbabilisticMesh,
+    *,
+    cloth: Cloth = PAPERS_CLOTH,
+) -> ProbabilisticMesh:
+    """VtM's meshes that fit the predictions best, in the labels that do; with `settings.prior`, fused with these."""
+    probabilistic = estimate_probabilistic(net, voxels, predicted.mean, cloth=cloth)
+    if settings.prior is None:
+        return probabilistic
+    return fused(probabilistic, predicted._replace(std=settings.prior * jnp.asarray(predicted.std)))
 
 
 def fused(one: ProbabilisticMesh, other: ProbabilisticMesh) -> ProbabilisticMesh:

@@ -41,9 +41,14 @@ PICTURES = {
 def save(
     path: Path, arrays: Mapping[str, np.ndarray], declared: Mapping[str, Declared], attributes: Mapping[str, Any]
 ) -> None:
-    """Write a zarr v3 group with a chunk per sequence and one shard per array; equal arrays give equal bytes."""
+    """Write the declared arrays as a zarr v3 group, a chunk per sequence and one shard per array.
+
+    Equal arrays give equal bytes.
+    """
     group = create_group(path, {**attributes, "labels": labels_of(declared)})
     for name, values in arrays.items():
+        if name not in declared:
+            continue
         create_array(group, name, declared[name], values, chunk=(1, *values.shape[1:]), shard=values.shape)
     consolidate(group)
 

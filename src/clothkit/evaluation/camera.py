@@ -99,7 +99,13 @@ def observe(
         centre_error, overlap = np.full((2, len(meshes)), np.nan)
         camera = condition_settings.camera
         height = np.full((len(stored), camera.rows, camera.columns), UNMEASURED, np.float32)
+        first: dict[bytes, int] = {}  # flat cloths are many, and all of their pictures are the same
         for number, mesh in enumerate(tqdm(meshes, desc=condition.name, unit="picture", leave=False)):
+            same = first.setdefault(mesh.tobytes(), number)
+            if same < number and number not in stored:
+                occupied[number], overlap[number] = occupied[same], overlap[same]
+                centre_error[number] = centre_error[same]
+                continue
             try:
                 picture = take(mesh, condition_settings)
             except InputError:

@@ -61,6 +61,7 @@ def planning(
             work=work / condition.name,
             sensor=depth_camera(picture, planner.perception),
             annotate=partial(diagnosed, planner=camera_planner),
+            refined=False,
         )
         found.append(_condition_rows(sessions.whole(), condition, picture))
     return pd.concat(found, ignore_index=True)

@@ -11,13 +11,15 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Shaped
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
 from clothkit.cloth.mesh import best_label
 from clothkit.cloth.symmetry import equivalents_of_manipulation, relabel_manipulation_batch
 from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.episodes.record import Sessions, Stretch, Tasks
+from clothkit.episodes.sessions import search_keys
 from clothkit.models.forward import ForwardModel
+from clothkit.planning.agent import Keys
 from clothkit.planning.batches import in_batches
 from clothkit.planning.objective import Objective, evaluate, fix
 from clothkit.planning.planner import Planner
@@ -48,7 +50,8 @@ def diagnosed(sessions: Sessions, tasks: Tasks, planner: Planner) -> Sessions:
         plan = recorded_plans(representation, [tasks.recorded[task] for task in chosen], labels[chosen])
         estimate = sessions.estimate[chosen, 0]
         offers, cloth = sessions.candidates[chosen, 0], sessions.cloth[chosen]
-        loss[chosen] = planning_losses(planner, estimate, goals[chosen], plan, cloth, offers)
+        keys = search_keys(tasks, chosen, 0, planner.settings.seed)
+        loss[chosen] = planning_losses(planner, estimate, goals[chosen], plan, cloth, offers, keys)
         wanted = representation.positions(estimate, plan[:, 0, :4].reshape(-1, 2, 2))
         offered[chosen] = [
             is_offered(wanted[i], _places(representation, estimate[i], sessions.candidates[task, 0]))
@@ -81,10 +84,11 @@ def planning_losses(
     plans: Float[np.ndarray, "task n 6"],
     cloth: Float[np.ndarray, "task 3"],
     candidates: Float[np.ndarray, "task candidate 2"],
+    keys: Keys,
 ) -> Float[np.ndarray, " task"]:
     """A planner's objective for one plan per task, in the labelling that fits it best (`losses`).
 
-    `candidates` are those on the states; rows that are left over are NaN.
+    `candidates` are those on the states; rows that are left over are NaN. `keys` are those of the tasks' searches.
     """
     longest, relative = planner.normalisation.longest, np.int32(0 if planner.labelled else UNKNOWN)
     objective = planner.objective(longest)
@@ -99,7 +103,9 @@ def planning_losses(
         relative,
         np.int32(plans.shape[1]),
     )
-    return in_batches(value, planner.settings.batch, states, goals, padded(plans, longest), cloth, offers, covered)
+    return in_batches(
+        value, planner.settings.batch, states, goals, padded(plans, longest), cloth, offers, covered, keys
+    )
 
 
 def _places(
@@ -131,20 +137,30 @@ def losses(
     cloths: Float[Array, "task 3"],
     offers: Candidates,
     covered: Bool[Array, "task x y"] | None,
+    keys: Shaped[PRNGKeyArray, " task"],
 ) -> Float[Array, " task"]:
     """The objective's value for the first `steps` manipulations of one plan per task, `[task]`.
 
     It is the minimum over the common equivalents and, where `relative` is UNKNOWN, over the goal's relabellings. What
-    the cloths cover is needed by terms that are posed with plans (`Objective.draws`).
+    the cloths cover is needed by terms that are posed with plans (`Objective.draws`). With the searches' `keys` these
+    are posed with the plans that the searches pose them with, so that losses can be held against theirs.
     """
     count = representation.labels
 
-    def one(state: Array, goal: Array, plan: Array, cloth: Array, offers: Candidates, covered: Array | None) -> Array:
+    def one(
+        state: Array,
+        goal: Array,
+        plan: Array,
+        cloth: Array,
+        offers: Candidates,
+        covered: Array | None,
+        key: PRNGKeyArray,
+    ) -> Array:
         blank = [jax.eval_shape(model.encode, net, state) for net in nets]
         traces = tuple(jnp.zeros((count, *latent.shape)) for latent in blank)
         goal_label, first = jnp.asarray(relative), jnp.asarray(False)
         problem = Problem(state, goal, offers, traces, goal_label, first, plan, cloth, covered)
-        posed = posed_objective(objective, model, representation, nets, problem, len(plan), jax.random.key(0))
+        posed = posed_objective(objective, model, representation, nets, problem, len(plan), key)
         relabelled = jax.vmap(equivalents_of_manipulation, out_axes=1)(plan)[:count]
         found = evaluate(
             posed,
@@ -159,7 +175,7 @@ def losses(
         )
         return jnp.min(found.loss)
 
-    return jax.vmap(one)(states, goals, plans, cloths, offers, covered)
+    return jax.vmap(one)(states, goals, plans, cloths, offers, covered, keys)
 
 
 _relabelled = jax.jit(relabel_manipulation_batch)

@@ -7,8 +7,9 @@ import pandas as pd
 from jaxtyping import Bool, Float
 from scipy.stats import rankdata, spearmanr
 
-MEASURES = ("deviations", "distance", "sigma", "surprise", "expected")
-"""Columns of probes that tell of doubt: u_i of eq. (15), the nets' distance, sigma, surprise, the expected error."""
+MEASURES = ("deviations", "conditional", "distance", "sigma", "surprise", "expected")
+"""Columns of probes that tell of doubt: u_i of eq. (15), z_i of the measure `conditional`, the nets' distance, sigma,
+surprise, the expected error."""
 
 WRONG = 0.08
 """A prediction with a larger error is wrong [cloth length]: as far off as predictions of a third manipulation."""

@@ -10,7 +10,7 @@ random      plans of three manipulations as searches start from: the first on th
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -33,16 +33,22 @@ from clothkit.models.ensemble import Ensemble
 from clothkit.models.forward import predict
 from clothkit.models.support_model import SupportModel, inputs, surprise
 from clothkit.planning.batches import in_batches, take
+from clothkit.planning.conditional import Conditional, deviations
 from clothkit.planning.error_map import ErrorMap, expected_by_others, fit
 from clothkit.planning.initial import random_plans
 from clothkit.planning.measures import Measures, measure
 from clothkit.planning.mesh_representation import MESH
 from clothkit.planning.model_error import LEAST, SIGNS
-from clothkit.planning.types import Candidates
+from clothkit.planning.objective import Distance, Objective
+from clothkit.planning.search import posed_objective
+from clothkit.planning.types import Candidates, Problem
 from clothkit.planning.uncertainty import Spread
 from clothkit.runtime.resumable import array_storage, resumable_map
 
 BATCH = 24
+
+POSED = 4
+"""States for which plans on their support are predicted in one call."""
 
 TOGETHER = 5
 """Sequences whose probes are executed together; an interrupted run loses those of so many at most."""
@@ -179,14 +185,23 @@ class Predicted(NamedTuple):
     """[probe planned] each"""
     surprise: Float[np.ndarray, "probe planned"]
     """Of the manipulations so far, summed."""
+    conditional: Float[np.ndarray, "probe planned"]
+    """z of the measure `conditional`; NaN for a single net."""
 
 
 def predicted(
-    ensemble: Ensemble, support: SupportModel, probes: Probes, cloth: Float[np.ndarray, "probe 3"]
+    ensemble: Ensemble,
+    support: SupportModel,
+    probes: Probes,
+    cloth: Float[np.ndarray, "probe 3"],
+    grasping: CandidateConfig,
+    *,
+    seed: int = 0,
 ) -> Predicted:
     """Predict the probes from their true start states, and compare with what came of them.
 
-    `support` is the support model of the ensemble's best net.
+    `support` is the support model of the ensemble's best net. The measure `conditional` draws plans on the support of
+    each start state, whose first hands are at its candidates (`grasping`), with `seed`.
     """
     model = ensemble.model
 
@@ -203,25 +218,76 @@ def predicted(
 
     plans = np.nan_to_num(probes.manipulation)
     errors, error, measures, surprises = in_batches(own, BATCH, probes.state, plans, probes.outcome, cloth)
-    return Predicted(np.moveaxis(errors, -1, 0), error, Measures(*measures), surprises)
+    measures = Measures(*measures)
+    conditional = np.full_like(measures.difference, np.nan)
+    if len(ensemble.params) > 1:
+        conditional = np.asarray(deviations(measures.difference, *usual(ensemble, probes, cloth, grasping, seed=seed)))
+    return Predicted(np.moveaxis(errors, -1, 0), error, measures, surprises, conditional)
+
+
+def usual(
+    ensemble: Ensemble,
+    probes: Probes,
+    cloth: Float[np.ndarray, "probe 3"],
+    grasping: CandidateConfig,
+    *,
+    seed: int,
+) -> tuple[Float[np.ndarray, "probe planned"], Float[np.ndarray, "probe planned"]]:
+    """Return median and spread of the logarithm of the nets' difference for plans on the support of each start state.
+
+    They are those of the term with which a planner's problem from that state is posed (`conditional.Conditional`).
+    """
+    model, nets = ensemble.model, ensemble.params
+    of_start = np.stack([probes.sequence, probes.start], axis=1)
+    starts, first, place = np.unique(of_start.astype(np.uint32), axis=0, return_index=True, return_inverse=True)
+    states, count = probes.state[first], len(first)
+    found = [MESH.candidates(state, grasping) for state in states]
+    grasps = np.stack([np.resize(points, (grasping.most, 2)) for points in found])
+    widths = [jax.eval_shape(model.encode, net, jnp.asarray(states[0])).shape[-1] for net in nets]
+    problems = Problem(
+        state=states,
+        goal=states,
+        candidates=Candidates(grasps, np.array([len(points) for points in found])),
+        traces=tuple(np.zeros((count, MESH.labels, width), np.float32) for width in widths),
+        relative=np.zeros(count, np.int32),
+        later=np.zeros(count, bool),
+        carried=np.zeros((count, STEPS, 6), np.float32),
+        cloth=cloth[first],
+        covered=np.stack([MESH.covered(state) for state in states]),
+    )
+    keys = jax.vmap(jax.random.fold_in, (None, 0))(jax.random.key(seed), starts[:, 0])
+    keys = jax.vmap(jax.random.fold_in)(keys, starts[:, 1])
+    objective = Objective(Distance(), {"uncertainty": Conditional(1.0, 0.0)})
+
+    @jax.jit
+    def own(problems: Problem, keys: Array) -> Any:
+        def one(problem: Problem, key: Array) -> Any:
+            term: Any = posed_objective(objective, model, MESH, nets, problem, STEPS, key).terms["uncertainty"]
+            return term.median, term.spread
+
+        return jax.vmap(one)(problems, keys)
+
+    median, spread = in_batches(own, POSED, problems, keys)
+    return median[place.ravel()], spread[place.ravel()]
 
 
 def table(probes: Probes, found: Predicted, spread: Spread) -> pd.DataFrame:
     """Return a row per probe and manipulation, with the columns
 
     sequence, start, kind, step (1..3), error and error_<net> (of the mean of all nets' means, and of each net's mean,
-    labelled [cloth length]), difference (diff of eq. 15), deviations (the same in deviations of eq. 15: u_i), distance,
-    sigma, surprise, and expected: the error that a map expects which was fitted to the other sequences' probes.
+    labelled [cloth length]), difference (diff of eq. 15), deviations (the same in deviations of eq. 15: u_i),
+    conditional (its logarithm in deviations of plans on the start's support: z_i), distance, sigma, surprise, and
+    expected: the error that a map expects which was fitted to the other sequences' probes.
     """
     row, step = np.nonzero(np.isfinite(probes.manipulation).all(axis=2))
     measures = Measures(*(values[row, step] for values in found.measures))
     # A single net differs from no other.
-    deviations = np.full(len(row), np.nan)
+    pooled = np.full(len(row), np.nan)
     if len(spread.mean):
         # Where no validation sequence is so long, there is nothing to compare with.
         known = step < len(spread.mean)
         mean, std = (np.asarray(values)[step[known]] for values in spread)
-        deviations[known] = (np.asarray(measures.difference)[known] - mean) / std
+        pooled[known] = (np.asarray(measures.difference)[known] - mean) / std
     told = (measures.distance, measures.sigma, found.surprise[row, step])
     signs = {name: np.asarray(values) for name, values in zip(SIGNS, told, strict=True)}
     error, sequence = found.error[row, step], probes.sequence[row]
@@ -233,7 +299,8 @@ def table(probes: Probes, found: Predicted, spread: Spread) -> pd.DataFrame:
         "error": error,
         **{f"error_{k}": errors[row, step] for k, errors in enumerate(found.errors)},
         "difference": measures.difference,
-        "deviations": deviations,
+        "deviations": pooled,
+        "conditional": found.conditional[row, step],
         **signs,
         "expected": expected_by_others(signs, LEAST, step, error, sequence),
     }

@@ -18,7 +18,7 @@ from clothkit.evaluation.errors import errors
 from clothkit.evaluation.settings import CalibrateConfig
 from clothkit.planning import trust
 from clothkit.planning.agent import begin, decide
-from clothkit.planning.error_map import ErrorMap, expected_by_others, fit
+from clothkit.planning.error_map import ErrorMap, fit, fitted_to_others
 from clothkit.planning.perception import sigma_of
 from clothkit.planning.planner import Planner
 from clothkit.runtime.resumable import array_storage, resumable_map
@@ -74,7 +74,7 @@ def _planned(dataset: Dataset, chosen: list[Task], planner: Planner, execute: Ex
     memory = begin(planner, goals, length, tasks.cloths.cloth)
     keys = search_keys(tasks, np.arange(len(chosen)), 0, planner.settings.seed)
     plan, _ = decide(planner, observation, memory, key=keys)
-    sigma = sigma_of(planner.perception, observation, memory.cloth)
+    sigma = sigma_of(planner.perception, observation, None, memory.cloth)
     signs = trust.signs_of(plan, sigma, planner.settings.uncertainty.measure)
     # A plan of which nothing is expected is not executed.
     manipulations = np.where(plan.useless[:, None, None], np.nan, plan.manipulations)
@@ -96,14 +96,17 @@ def _planned(dataset: Dataset, chosen: list[Task], planner: Planner, execute: Ex
 def rows(planned: Planned) -> tuple[pd.DataFrame, ErrorMap]:
     """Return a row per plan, and the map that was fitted to all of them.
 
-    The columns are those of `Planned` and, with trusted_, those of `trust.Trusted`: these by a map that was fitted to
-    the other sequences' plans, so that they can be held against `error`. NaN where too few sequences were planned for.
+    The columns are those of `Planned` and, with trusted_, those of `trust.Trusted`: these, intervals and shares too, by
+    a map that was fitted to the other sequences' plans, so that they can be held against `error`. NaN where too few
+    sequences were planned for.
     """
     names = tuple(name for name in trust.Signs._fields if np.isfinite(getattr(planned, name)).all())
     signs, least = {name: getattr(planned, name) for name in names}, trust.least_of(names)
     step = planned.length - 1
     found = fit(signs, least, step, planned.error)
-    by_others = expected_by_others(signs, least, step, planned.error, planned.sequence)
-    told = trust.of_error(found, by_others)
-    columns = {f"trusted_{name}": values for name, values in told._asdict().items()}
+    columns = {f"trusted_{name}": np.full(len(step), np.nan) for name in trust.Trusted._fields}
+    for own, fitted in fitted_to_others(signs, least, step, planned.error, planned.sequence):
+        expected = np.asarray(fitted([values[own] for values in signs.values()], step[own]))
+        for name, values in trust.of_error(fitted, expected)._asdict().items():
+            columns[f"trusted_{name}"][own] = values
     return pd.DataFrame({**planned._asdict(), **columns}), found

@@ -87,7 +87,7 @@ def planned(problems: list[Problem], planner: Planner, execute: Execute, sensor:
     for first in range(0, int(lengths.max()), STEPS):
         rows = np.flatnonzero(lengths > first)
         tasks = _tasks([problems[row] for row in rows], meshes[rows], first)
-        sessions = run_sessions(tasks, planner, execute, sensor=sensor)
+        sessions = run_sessions(tasks, planner, execute, sensor=sensor, refined=False)
         last = (np.arange(len(rows)), sessions.length)
         meshes[rows] = sessions.state[last]
         meshes[rows, ..., :2] += sessions.centre[last][:, None, None]

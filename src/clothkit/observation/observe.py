@@ -37,7 +37,7 @@ def observe(
     The resolution of a mesh is doubled as in training. Voxels are shifted by whole voxels so that their centre is in
     the middle; their frame is the table's, with its origin in the middle of the viewport. Raises InputError when a
     cloud does not show a single cloth on a table (`observe_cloud`), a mesh or voxels stand upright, a mesh lies below
-    the table, or voxels don't fit into the viewport once they are centred.
+    the table, voxels are known to be of another viewport, or don't fit into it once they are centred.
     """
     if isinstance(state, PointCloud):
         return observe_cloud(state, cloth_side=cloth_side, settings=settings, table=table, stated=stated, name=name)
@@ -49,11 +49,20 @@ def observe(
         return Observation(
             np.asarray(observe_mesh(state.mesh, viewport=settings.viewport)), state.pose, points, notices
         )
+    if state.viewport not in (None, settings.viewport):
+        raise InputError(
+            f"{name}: holds voxels of a viewport with {_told(state.viewport)}, expected {_told(settings.viewport)}, "
+            "which the nets know"
+        )
     notices = notices_of_voxels(name, state.voxels)
     voxels, shift = _centred(np.asarray(occlude(jnp.asarray(state.voxels))), name)
     scale = cloth_side / CLOTH_LENGTH
     pose = Pose(np.eye(3), np.zeros(3), shift * scale, scale)
     return Observation(voxels, pose, _tops(voxels, settings.viewport), notices)
+
+
+def _told(viewport: Viewport) -> str:
+    return f"height {viewport.height:g} and curve {viewport.curve:g}"
 
 
 def _centred(voxels: Bool[np.ndarray, "32 32 16"], name: str) -> tuple[np.ndarray, np.ndarray]:

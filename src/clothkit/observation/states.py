@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
+from clothkit.cloth.voxels import Viewport
 from clothkit.observation.plane import Plane
 from clothkit.observation.pose import Pose
 
@@ -43,6 +44,8 @@ class VoxelState:
     voxels: Bool[np.ndarray, "32 32 16"]
     notices: tuple[str, ...] = ()
     """Notices for the user about how its file was read, a sentence each."""
+    viewport: Viewport | None = None
+    """What they cover; None: not known, and taken to be what the nets know."""
 
 
 @dataclasses.dataclass(frozen=True)

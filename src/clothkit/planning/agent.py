@@ -17,11 +17,13 @@ from clothkit.cloth.topology import PAPERS_CLOTH
 from clothkit.dataset.store import STEPS
 from clothkit.manipulation.vector import is_null
 from clothkit.planning.batches import in_batches, take
+from clothkit.planning.error_map import ErrorMap
 from clothkit.planning.lengths import LengthConfig, chosen_lengths, nearest_labelling
-from clothkit.planning.perception import Expected
+from clothkit.planning.perception import Expected, sigma_of
 from clothkit.planning.planner import Planner
 from clothkit.planning.predict import Prediction, differences, predict
 from clothkit.planning.search import evaluated
+from clothkit.planning.trust import ends_worse, signs_of
 from clothkit.planning.types import (
     UNKNOWN,
     Candidates,
@@ -75,12 +77,21 @@ def initial_traces(planner: Planner, count: int) -> Traces:
 
 
 def decide(
-    planner: Planner, observation: Observation, memory: Memory, *, key: Keys, length: LengthConfig | None = None
+    planner: Planner,
+    observation: Observation,
+    memory: Memory,
+    *,
+    key: Keys,
+    length: LengthConfig | None = None,
+    trust: ErrorMap | None = None,
+    sigma: Float[np.ndarray, " task"] | None = None,
 ) -> tuple[Plan, Memory]:
     """Plan for each task of a batch, and remember what the next decision needs.
 
     Plans have as many manipulations as are left; with `length`, the agent chooses how many of them are worth it, and
-    leaves none if nothing is (section 8).
+    leaves none if nothing is (section 8). With `trust` (`planning.trust`), it then leaves none, either, where plans
+    with such an expectation ended farther from their goals than the cloth lies as it is. `sigma` is how unsure the
+    perception is of the states; None: the planner's perception tells.
 
     `key` has one key per task, so that a task's plan does not depend on the batch. The new memory is that of an agent
     whose plan's first manipulation is executed unless it is null; where that is not so, `remember` gives another one.
@@ -91,7 +102,9 @@ def decide(
     if length is None:
         plan = _planned(planner, state, candidates, memory, key)
     else:
-        plan = _chosen(planner, state, candidates, memory, key, length)
+        if sigma is None and trust is not None:
+            sigma = unsure(planner, observation, memory)
+        plan = _chosen(planner, state, candidates, memory, key, length, trust, sigma)
     return plan, remember(planner, memory, plan, executed=~plan.null)
 
 
@@ -126,6 +139,8 @@ def _chosen(
     memory: Memory,
     key: Keys,
     settings: LengthConfig,
+    trust: ErrorMap | None,
+    sigma: Float[np.ndarray, " task"] | None,
 ) -> Plan:
     """For each task, of the best plans of each length that is left, that whose number of manipulations is worth it."""
     count, longest = len(state), planner.normalisation.longest
@@ -146,9 +161,14 @@ def _chosen(
     for rows, plans in found:
         best = (plans.length == chosen[rows]) & (plans.expected == expected[rows, plans.length - 1])
         best &= ~np.isin(rows, np.concatenate([*tasks, []]))
+        if trust is not None and sigma is not None:
+            signs = signs_of(plans, sigma[rows], planner.settings.uncertainty.measure)
+            worse = best & ends_worse(trust, signs, plans.length, now[rows])
+            chosen[rows[worse]] = 0
+            best &= ~worse
         parts, tasks = [*parts, take(plans, best)], [*tasks, rows[best]]
     if len(done := np.flatnonzero(chosen == 0)):
-        nothing = _nothing(planner, take((state, candidates, memory), done), relative[done], now[done])
+        nothing = _nothing(planner, take((state, candidates, memory), done), relative[done], now[done], key[done])
         parts, tasks = [*parts, nothing], [*tasks, done]
     plan = take(_joined(parts), np.argsort(np.concatenate(tasks), kind="stable"))
     return plan._replace(choice=Choice(chosen, np.concatenate([now[:, None], expected], axis=1)))
@@ -182,16 +202,8 @@ def _without_nulls(
         if number < length:
             own = pose(planner, state[tasks], candidates[tasks], take(memory, tasks), number)
             shorter, relative = nulls_last[chosen, :number], np.asarray(found.relative)[chosen]
-            of_number = _evaluated(planner, own, shorter, relative)
+            of_number = _evaluated(planner, own, shorter, relative, key[tasks])
         yield tasks, conclude(planner, own, of_number, candidates[tasks])
-
-
-def nothing(planner: Planner, observation: Observation, memory: Memory, choice: Choice) -> Plan:
-    """The plans of an agent that does nothing more, whatever it would choose; `choice` tells what it would have."""
-    state, candidates = perceive(planner, observation, memory)
-    now, relative = nearest_labelling(planner.representation, state, memory)
-    plan = _nothing(planner, (state, candidates, memory), relative, now)
-    return plan._replace(choice=choice._replace(length=np.zeros_like(choice.length)))
 
 
 def _nothing(
@@ -199,6 +211,7 @@ def _nothing(
     of: tuple[States, Float[np.ndarray, "task candidate 2"], Memory],
     relative: Int[np.ndarray, " task"],
     now: Float[np.ndarray, " task"],
+    key: Keys,
 ) -> Plan:
     """The plans of tasks for which nothing is worth doing: a null manipulation at a candidate, which leaves all as is.
 
@@ -208,22 +221,27 @@ def _nothing(
     problems = pose(planner, state, candidates, memory, 1)
     null = np.zeros((len(state), 1, 6), np.float32)
     null[:, 0, :4] = np.nan_to_num(np.tile(candidates[:, 0], 2))
-    plan = conclude(planner, problems, _evaluated(planner, problems, null, relative), candidates)
+    plan = conclude(planner, problems, _evaluated(planner, problems, null, relative, key), candidates)
     return plan._replace(expected=now.astype(plan.expected.dtype), useless=np.ones_like(plan.useless))
 
 
 def _evaluated(
-    planner: Planner, problems: Problem, plan: Float[np.ndarray, "task n 6"], relative: Int[np.ndarray, " task"]
+    planner: Planner,
+    problems: Problem,
+    plan: Float[np.ndarray, "task n 6"],
+    relative: Int[np.ndarray, " task"],
+    key: Keys,
 ) -> Found:
     """Plans that no search found, as if it had."""
     search = partial(evaluated, planner.model, planner.representation, planner.nets)
     objective = planner.objective(plan.shape[1])
     return in_batches(
-        lambda problems, plan, relative: search(problems, objective, plan, relative),
+        lambda problems, plan, relative, key: search(problems, objective, plan, relative, key),
         planner.settings.batch,
         problems,
         plan,
         relative,
+        key,
     )
 
 
@@ -247,6 +265,21 @@ def perceive(
             candidates[row] = np.nan
             candidates[row, : len(points)] = points
     return state, candidates
+
+
+def unsure(planner: Planner, observation: Observation, memory: Memory) -> Float[np.ndarray, " task"]:
+    """How unsure the perception is of the states that `perceive` gives [cloth length]; 0 if it does not tell.
+
+    Where a state was predicted, this is the doubt that is left when the prediction counts, too.
+    """
+    sigma = np.zeros(len(memory.cloth), np.float32)
+    predicted = memory.planned & ~memory.still
+    for rows, expected in ((~predicted, None), (predicted, Expected(memory.expected, memory.unsure))):
+        rows = np.flatnonzero(rows)
+        if len(rows):
+            known = None if expected is None else take(expected, rows)
+            sigma[rows] = sigma_of(planner.perception, take(observation, rows), known, memory.cloth[rows])
+    return sigma
 
 
 def pose(

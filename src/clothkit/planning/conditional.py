@@ -11,10 +11,13 @@ from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from clothkit.planning.objective import Outlook, mean_difference
 from clothkit.planning.types import Scalar
+
+Values = Float[Array | np.ndarray, "..."]
 
 LEAST_DIFFERENCE = 1e-6
 LEAST_SPREAD = 0.1
@@ -38,7 +41,7 @@ class Conditional:
 
     def posed(self, drawn: Outlook) -> "Conditional":
         """The term for the problem whose plans on the support are `drawn`."""
-        logarithms = self._logarithms(drawn)
+        logarithms = _logarithm(self._difference(drawn))
         median = jnp.median(logarithms, axis=1)
         spread = NORMAL * jnp.median(jnp.abs(logarithms - median[:, None]), axis=1)
         return replace(self, median=median, spread=jnp.maximum(spread, LEAST_SPREAD))
@@ -47,12 +50,21 @@ class Conditional:
         """z of each manipulation of the plans."""
         assert self.median is not None, "the term is posed first"
         assert self.spread is not None, "with both"
-        return (self._logarithms(outlook) - self.median[:, None]) / self.spread[:, None]
+        return deviations(self._difference(outlook), self.median[:, None], self.spread[:, None])
 
     def __call__(self, outlook: Outlook) -> Float[Array, " strains"]:
         return outlook.mean(jax.nn.softplus(self.deviations(outlook) - self.gamma))
 
-    def _logarithms(self, outlook: Outlook) -> Float[Array, "n strains"]:
+    def _difference(self, outlook: Outlook) -> Float[Array, "n strains"]:
         apart = mean_difference(outlook.representation, outlook.predictions)
         assert apart is not None, "an ensemble of at least two nets"
-        return jnp.log(apart + LEAST_DIFFERENCE)
+        return apart
+
+
+def deviations(difference: Values, median: Values, spread: Values) -> Float[Array, "..."]:
+    """z: by how many spreads the logarithm of the nets' difference is above the median of plans on the support."""
+    return (_logarithm(difference) - median) / spread
+
+
+def _logarithm(difference: Values) -> Float[Array, "..."]:
+    return jnp.log(difference + LEAST_DIFFERENCE)

@@ -6,7 +6,7 @@ estimate", 1983), since a mean in logarithms is a median of errors.
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 from scipy.optimize import lsq_linear
 
 from clothkit.runtime.errors import InputError
@@ -106,14 +106,29 @@ def expected_by_others(
 
     NaN where other sequences have no row of some step.
     """
-    fold = np.searchsorted(np.unique(sequence), sequence) % FOLDS
     expected = np.full(len(error), np.nan)
+    for own, fitted in fitted_to_others(signs, least, step, error, sequence):
+        expected[own] = np.asarray(fitted([values[own] for values in signs.values()], step[own]))
+    return expected
+
+
+def fitted_to_others(
+    signs: dict[str, Float[np.ndarray, " rows"]],
+    least: Sequence[float],
+    step: Int[np.ndarray, " rows"],
+    error: Float[np.ndarray, " rows"],
+    sequence: Int[np.ndarray, " rows"],
+) -> Iterator[tuple[Bool[np.ndarray, " rows"], ErrorMap]]:
+    """Yield parts of the rows, each with the map fitted to the rows of the sequences that it has no row of.
+
+    Parts for which other sequences have no row of some step are left out.
+    """
+    fold = np.searchsorted(np.unique(sequence), sequence) % FOLDS
     for k in range(FOLDS):
         own, others = fold == k, fold != k
         if own.any() and set(step[own]) <= set(step[others]) == set(range(int(step[others].max()) + 1)):
-            fitted = fit({name: values[others] for name, values in signs.items()}, least, step[others], error[others])
-            expected[own] = np.asarray(fitted([values[own] for values in signs.values()], step[own]))
-    return expected
+            found = fit({name: values[others] for name, values in signs.items()}, least, step[others], error[others])
+            yield own, found
 
 
 def save(path: Path, found: ErrorMap, attributes: dict[str, Any]) -> None:

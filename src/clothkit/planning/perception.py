@@ -11,7 +11,7 @@ from clothkit.cloth.mesh import ProbabilisticMesh, best_label, mean_sigma
 from clothkit.cloth.silhouette import centred
 from clothkit.cloth.symmetry import relabel
 from clothkit.cloth.voxels import VIEWPORT, Viewport
-from clothkit.estimation.estimate import estimate, estimate_probabilistic, estimate_unrefined
+from clothkit.estimation.estimate import estimate, estimate_probabilistic, estimate_unrefined, with_prediction
 from clothkit.estimation.refine import RefineConfig
 from clothkit.models.net import Net
 from clothkit.planning.batches import in_batches
@@ -50,16 +50,23 @@ class Perception(Protocol):
 class Unsure(Protocol):
     """A perception that tells how unsure it is."""
 
-    def sigma(self, observation: Observation, cloth: Float[np.ndarray, "task 3"]) -> Float[np.ndarray, " task"]:
+    def sigma(
+        self, observation: Observation, expected: Expected | None, cloth: Float[np.ndarray, "task 3"]
+    ) -> Float[np.ndarray, " task"]:
         """The root of the mean predicted variance of a vertex of each state [cloth length]."""
         ...
 
 
 def sigma_of(
-    perception: Perception, observation: Observation, cloth: Float[np.ndarray, "task 3"]
+    perception: Perception, observation: Observation, expected: Expected | None, cloth: Float[np.ndarray, "task 3"]
 ) -> Float[np.ndarray, " task"]:
-    """How unsure a perception is of the states [cloth length]; 0 if it does not tell, or takes what it observes."""
-    return perception.sigma(observation, cloth) if isinstance(perception, Unsure) else np.zeros(len(cloth), np.float32)
+    """How unsure a perception is of the states [cloth length]; 0 if it does not tell, or takes what it observes.
+
+    `expected` are the predictions that it takes into account, if any.
+    """
+    if isinstance(perception, Unsure):
+        return perception.sigma(observation, expected, cloth)
+    return np.zeros(len(cloth), np.float32)
 
 
 @dataclass(frozen=True)
@@ -93,13 +100,19 @@ class Estimation:
             inputs = (observation.voxels, cloth, *(() if expected is None else _as_observed(expected)))
             return in_batches(meshes, self.batch, *inputs)
 
-    def sigma(self, observation: Observation, cloth: Float[np.ndarray, "task 3"]) -> Float[np.ndarray, " task"]:
+    def sigma(
+        self, observation: Observation, expected: Expected | None, cloth: Float[np.ndarray, "task 3"]
+    ) -> Float[np.ndarray, " task"]:
         assert observation.voxels is not None, "an observation to estimate from has voxels"
 
-        def unsure(voxels: np.ndarray, cloth: np.ndarray) -> jax.Array:
-            return mean_sigma(estimate_probabilistic(self.vtm, voxels, cloth=cloth))
+        def unsure(voxels: np.ndarray, cloth: np.ndarray, *expected: np.ndarray) -> jax.Array:
+            if not expected or not self.refine:
+                return mean_sigma(estimate_probabilistic(self.vtm, voxels, *expected[:1], cloth=cloth))
+            predicted = ProbabilisticMesh(*expected)
+            return mean_sigma(with_prediction(self.vtm, voxels, self.refinement, predicted, cloth=cloth))
 
-        return in_batches(unsure, self.batch, observation.voxels, cloth)
+        inputs = (observation.voxels, cloth, *(() if expected is None else _as_observed(expected)))
+        return in_batches(unsure, self.batch, *inputs)
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 `search` is compiled once per plan length, for all batches of tasks of that length.
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import Annotated, Any
 
@@ -45,7 +46,7 @@ class SearchConfig:
     sees a cloth's outline, where hands grasp, and most of an outline is edge. For meshes only."""
 
 
-@partial(jax.jit, static_argnames=("model", "representation", "settings", "length"))
+@partial(jax.jit, static_argnames=("model", "representation", "settings", "length", "evaluation"))
 def search(
     model: ForwardModel,
     representation: Representation,
@@ -56,10 +57,12 @@ def search(
     length: int,
     settings: SearchConfig,
     keys: Shaped[PRNGKeyArray, " tasks"],
+    evaluation: Callable[..., objectives.Evaluation] = objectives.evaluate,
 ) -> Found:
     """Search for the best plan of each problem of a batch; every field of `problems` has a leading axis of tasks.
 
-    `keys` has one key per task, so that a task's result does not depend on the other tasks of the batch.
+    `keys` has one key per task, so that a task's result does not depend on the other tasks of the batch. `evaluation`
+    evaluates plans as `objective.evaluate` does, which asks for their last states alone.
     """
 
     def one(problem: Problem, key: PRNGKeyArray) -> Found:
@@ -69,7 +72,7 @@ def search(
 
         def evaluate(plans: Plans, *, steps: Array | None = None, exact: bool = False) -> Evaluation:
             common, relative = plans.labels
-            found = objectives.evaluate(
+            found = evaluation(
                 posed,
                 model,
                 representation,
@@ -124,21 +127,23 @@ def evaluated(
     objective: Objective,
     plan: Float[Array | np.ndarray, "tasks n 6"],
     relative: Int[Array | np.ndarray, " tasks"],
+    keys: Shaped[PRNGKeyArray, " tasks"],
 ) -> Found:
     """Plans that nobody searched for as a search would return them, found in the labels of their states.
 
-    `relative` are the relabellings of the goals that their losses refer to.
+    `relative` are the relabellings of the goals that their losses refer to. `keys` are those of the searches that the
+    plans are compared with, so that a term that is posed with plans is posed with the same ones.
     """
 
-    def one(problem: Problem, plan: Array, relative: Array) -> Found:
+    def one(problem: Problem, plan: Array, relative: Array, key: PRNGKeyArray) -> Found:
         problem = jax.tree.map(jnp.asarray, problem)
         fixed, common = fix(model, representation, nets, problem), jnp.zeros((), jnp.int32)
-        posed = posed_objective(objective, model, representation, nets, problem, plan.shape[0], jax.random.key(0))
+        posed = posed_objective(objective, model, representation, nets, problem, plan.shape[0], key)
         found = objectives.evaluate(posed, model, representation, nets, fixed, plan[None], common[None], relative[None])
         loss, terms = found.loss[0], {name: term[0] for name, term in found.terms.items()}
         return Found(plan, loss, terms, common, relative, found.loss[None])
 
-    return jax.vmap(one)(problems, jnp.asarray(plan), jnp.asarray(relative, jnp.int32))
+    return jax.vmap(one)(problems, jnp.asarray(plan), jnp.asarray(relative, jnp.int32), keys)
 
 
 def space_of(representation: Representation, problem: Problem, length: int, *, fold: bool, edge: float = 0.0) -> Space:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from clothkit.planning import error_map
 from clothkit.planning.error_map import ErrorMap
@@ -36,7 +36,8 @@ class Signs(NamedTuple):
     model_error: Float[np.ndarray, " task"]
     """Expected error of the predicted outcome; NaN where the planner has no such measure."""
     sigma: Float[np.ndarray, " task"]
-    """How unsure the perception is of the first state; 0 where it is known."""
+    """How unsure the perception is of the state that the plan starts from, with what was predicted of it taken into
+    account; 0 where it is known."""
 
 
 class Trusted(NamedTuple):
@@ -75,6 +76,17 @@ def tells(trust: ErrorMap, signs: Signs) -> bool:
 def trusted(trust: ErrorMap, signs: Signs, length: Int[np.ndarray, " task"]) -> Trusted:
     """Return what plans of that many manipulations with such signs came to."""
     return of_error(trust, np.asarray(trust([getattr(signs, name) for name in trust.signs], length - 1)))
+
+
+def ends_worse(
+    trust: ErrorMap, signs: Signs, length: Int[np.ndarray, " task"], now: Float[np.ndarray, " task"]
+) -> Bool[np.ndarray, " task"]:
+    """Return whether plans with such signs ended farther from their goals, in the mean, than `now`.
+
+    `now` are the distances of the cloths as they lie [cloth length]. False where the map can't tell of the plans.
+    """
+    told = np.all([np.isfinite(getattr(signs, name)) for name in trust.signs], axis=0)
+    return told & (trusted(trust, signs, length).error > now)
 
 
 def load(path: Path) -> ErrorMap:

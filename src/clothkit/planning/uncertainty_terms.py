@@ -4,7 +4,8 @@ paper        u of eq. (15): the nets' difference, in deviations over all states,
 conditional  the same relative to plans on the support of the very state (`conditional.py`)
 support      how surprising the manipulations are (`model_error.Surprise`)
 expected     the expected error of the predicted outcome [cloth length], with the accuracy term in the same unit:
-             the objective is the expected distance of the real outcome from the goal, and alpha = 1 needs no tuning
+             with alpha = 1, which needs no tuning, the objective is an upper bound (by the triangle inequality) of the
+             expected distance of the real outcome from the goal, if the expected error is right in the mean
 """
 
 from collections.abc import Mapping

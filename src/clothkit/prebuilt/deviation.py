@@ -155,6 +155,6 @@ def expected_errors(judge: Planner, tasks: Tasks, plans: Plan) -> Errors:
 
 def outcome_errors(planner: Planner, tasks: Tasks, execute: Execute) -> Errors:
     """Errors of the outcomes of a planner's sessions."""
-    sessions = run_sessions(tasks, planner, execute)
+    sessions = run_sessions(tasks, planner, execute, refined=False)
     outcome = sessions.state[np.arange(len(sessions)), sessions.length]
     return np.asarray(errors(outcome, sessions.goal, aligned=True, cloth=sessions.cloth))

@@ -32,6 +32,13 @@ class Picture:
     title: str
     caption: str
     """In Markdown."""
+    file: str = ""
+    """Path of its PNG in the report's folder; empty: `figures/<name>.png`."""
+
+    @property
+    def png(self) -> str:
+        """Path of its PNG in the report's folder."""
+        return self.file or f"figures/{self.name}.png"
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,9 @@ from clothkit.report.settings import ReportConfig
 PREDICTOR_OF = {"main": "main", "b1": "a1"}
 """For a planner, the predictor with the same input: estimates or true meshes."""
 
+VOXEL_TABLES = ("table_4", "table_4_025", "table_7", "table_7_025")
+"""Tables that stand beside the paper's alone: their voxels are those of its viewport, whatever the nets' own is."""
+
 SESSIONS_PER_ROW = {1: 2, 2: 2, 3: 1}
 """Number of sessions side by side in a picture, by length."""
 
@@ -70,6 +73,7 @@ def build(folder: Path, inputs: Inputs, settings: ReportConfig) -> dict[str, pd.
         "doubt": doubt_tables.doubt(inputs.doubt),
         "doubt_intervals": inputs.doubt,
         "trust": doubt_tables.trust(inputs.trust),
+        "hypotheses": tables.hypotheses(inputs.estimation),
         "sigma_ratio": tables.sigma_ratio(inputs.estimation, found),
         "splits": tables.splits(inputs.dataset),
         "attempts": tables.attempts(inputs.attempts),
@@ -78,8 +82,10 @@ def build(folder: Path, inputs: Inputs, settings: ReportConfig) -> dict[str, pd.
         for measure, name in (("error", "goals"), ("softgym", "goals_softgym"), ("iou", "goals_iou")):
             built[name] = goal_tables.goals(inputs.goals, measure)
     if not settings.paper:
-        built = {name: without_paper(table) for name, table in built.items()}
-    for name in ("by_cloth", "comparisons"):
+        built = {name: without_paper(table) for name, table in built.items() if name not in VOXEL_TABLES}
+        compared = built["planning_comparisons"]
+        built["planning_comparisons"] = compared[compared["measure"] != "voxel_error"]
+    for name in ("by_cloth", "comparisons", "hypotheses"):
         if built[name].empty:
             del built[name]
     drawn = draw_figures(folder / "figures", inputs, built["largest"], settings)
@@ -91,10 +97,10 @@ def build(folder: Path, inputs: Inputs, settings: ReportConfig) -> dict[str, pd.
     means = metrics.means(
         estimation=built["table_2"],
         prediction=built["table_3"],
-        prediction_voxels=built["table_4"],
+        prediction_voxels=built.get("table_4"),
         position=built["table_5"],
         planning=built["table_6"],
-        planning_voxels=built["table_7"],
+        planning_voxels=built.get("table_7"),
         sigma_ratio=built["sigma_ratio"],
     )
     means.to_csv(folder / "metrics.csv", index=False, float_format="%.5g", lineterminator="\n")
@@ -117,14 +123,16 @@ def draw_figures(folder: Path, inputs: Inputs, errors: pd.DataFrame, settings: R
     """
     dataset, planner = inputs.dataset, settings.planners[0]
     sequences(dataset, folder / "sequences.png", count=settings.sequences)
-    estimates(dataset, inputs.estimates, inputs.estimation, folder / "estimates.png", count=settings.estimates)
+    seen = inputs.viewport
+    found, count = inputs.estimates, settings.estimates
+    estimates(dataset, found, inputs.estimation, folder / "estimates.png", count=count, viewport=seen)
     predictions(dataset, inputs.predictions, inputs.prediction, folder / "predictions.png", count=settings.predictions)
     calibration(inputs.calibration, folder / "calibration.png")
     curves(inputs.forward_histories, inputs.vtm_history, folder / "curves.png")
     measures(inputs.doubt, folder / "doubt.png")
     trust(inputs.probes, inputs.trust, folder / "trust.png")
     conditions = list(dict.fromkeys(inputs.camera_comparisons["system"]))
-    camera(dataset, inputs.pictures, inputs.estimates, conditions, folder / "camera.png")
+    camera(dataset, inputs.pictures, found, conditions, folder / "camera.png", viewport=seen)
     names = [
         "camera",
         "sequences",
@@ -181,7 +189,7 @@ def representations(folder: Path, inputs: Inputs) -> list[str]:
     label = int(found["label"][place, state])
     mean, std = (np.asarray(relabel(found[name][place, state], label)) for name in ("mean", "std"))
     meshes(dataset.vertices[sequence, state], mean, std, folder / "meshes.png")
-    voxels(dataset.vertices[sequence, state], folder / "voxels.png")
+    voxels(dataset.vertices[sequence, state], folder / "voxels.png", viewport=inputs.viewport)
     equivalents(dataset.vertices[sequence, 1], folder / "equivalents.png")
     # Folded states are tried first, because the silhouette of the flat cloth shows little.
     steps = [(sequence, step) for step in (1, 2, 0) for sequence in test if step < dataset.length[sequence]]

@@ -4,14 +4,22 @@ Texts that depend on a report's settings or figures are in `texts.py`.
 """
 
 INTRO = (
-    "Errors are mean distances between vertices, in lengths of the cloth's side. Each is the smallest over the cloth's "
-    "eight equivalent labellings. Outcomes and *no action* (the start compared with the goal) are translated onto the "
-    "goal first; estimates and predictions are not. Columns: number of manipulations / state from which they start. "
-    "*main* observes voxels only. *a1* predicts and *b1* plans from true meshes. *b2* plans with one net, and *b3* "
-    "without the uncertainty term. *b4* and *b5* plan in voxels, with an ensemble and with one net. The pictures show "
-    "the first test sequences, which were not selected by their results, except for the largest errors and the median "
-    "cases.\n"
+    "Errors are mean distances between vertices, in lengths of the cloth's side. Each is the smallest over "
+    "{labellings}. Outcomes and *no action* (the start compared with the goal) are translated onto the goal first; "
+    "estimates and predictions are not. Columns: number of manipulations / state from which they start. {systems} The "
+    "pictures show the first test sequences, which were not selected by their results, except for the largest errors "
+    "and the median cases.\n"
 )
+LABELLINGS = "the cloth's eight equivalent labellings"
+LABELLINGS_VARIED = "the cloth's equivalent labellings (eight of a square, four of a rectangle)"
+INTRODUCED = {
+    ("main",): "*main* observes voxels only.",
+    ("a1", "b1"): "*a1* predicts and *b1* plans from true meshes.",
+    ("b2", "b3"): "*b2* plans with one net, and *b3* without the uncertainty term.",
+    ("b3",): "*b3* plans without the uncertainty term.",
+    ("b4", "b5"): "*b4* and *b5* plan in voxels, with an ensemble and with one net.",
+}
+"""Sentences about systems; each stands where all of them are in the report, and none of them in a sentence before."""
 CANONICAL = (
     "The input of the nets that predict meshes is one canonical description of each cloth, which does not depend on "
     "the cloth's direction and labels"
@@ -39,6 +47,9 @@ PAPER = (
 UNCERTAINTY = (
     "Median over meshes of the mean of abs(error) / σ. The ideal is 0.798; a smaller value means that σ is too large. "
     "Columns: estimates, then predictions after one, two and three manipulations.\n"
+)
+UNCERTAINTY_STATES = (
+    "*estimate* is over all states; *estimate 1*, *2* and *3* are those after one, two and three manipulations.\n"
 )
 UNCERTAINTY_PAPER = "The paper gives values for the test set only.\n"
 
@@ -120,6 +131,14 @@ STATES = (
     "By number of manipulations before the state. *no action* takes the state before the last manipulation as the "
     "estimate.\n"
 )
+HYPOTHESES = (
+    "VtM answers with several hypotheses of the shape, of which the chosen one is the most probable after their "
+    "refinement. *several*: share of states with more than one that is distinct (at least 0.05 away from the chosen "
+    "one, and of a probability of at least 0.02). *probability*: mean, of the chosen one. *error*: mean error of the "
+    "chosen refined mesh; *best*: of the distinct hypothesis that is nearest to the truth, which nobody can know "
+    "beforehand; what lies between them is lost by the choice. The columns *.._several* count the states with several "
+    "alone.\n"
+)
 ATTEMPTS = "Tried sequences by result: accepted, or the reason for the rejection.\n"
 FAILURES = (
     "On the test set; the first plan of each session and its outcome. *search_failure*: share of plans with a higher "
@@ -171,7 +190,8 @@ DOUBT_MEASURES = (
 DOUBT_TABLE = (
     "*wrong*: area under the ROC curve for telling errors above 0.08 from those below; *off_support*: for telling "
     "probes from recorded manipulations and the first ones of random plans; *rank*: Spearman's correlation with the "
-    "error. Measures: u of eq. (15) in *deviations*; the *distance* of the nets' predictions; their *sigma*; the "
+    "error. Measures: u of eq. (15) in *deviations*; the same in deviations of plans on the support of the very state, "
+    "in logarithms (*conditional*); the *distance* of the nets' predictions; their *sigma*; the "
     "*surprise* of the support model, which tells recorded manipulations from random ones; and the *expected* error, a "
     "map from distance, sigma and surprise that was fitted to the other sequences' probes. Intervals: "
     "[doubt_intervals.csv](tables/doubt_intervals.csv).\n"
@@ -179,7 +199,8 @@ DOUBT_TABLE = (
 TRUST_PICTURED = (
     "Expected against real errors, in lengths of the cloth's side: at the left those of the probes' predictions, at "
     "the right the distances of plans' outcomes from their goals, of validation plans that were executed to their end. "
-    "Each is expected by a map that was fitted to the other sequences."
+    "Each is expected by a map that was fitted to the other sequences. The band is the interval that is told, in the "
+    "median."
 )
 TRUST = (
     "Validation plans by their *trust*: the share of plans with such an expectation that end at most 0.05 lengths of "
@@ -195,7 +216,7 @@ GOALS = (
     "table, or crumpled, by a hand that lets them fall; each lies at another angle, and its goal with it. *script*: "
     "nothing is planned, the goal's own folds are executed; what is left is due to hands that are faster than those "
     "that made the goal, and may grasp one layer alone. Plans have at most three manipulations; for a goal of more, "
-    "another plan follows.\n"
+    "another plan follows. Of so few cloths (*cloths*), means are rough: *_std* is the standard deviation over them.\n"
 )
 GOALS_ERROR = "Mean errors of outcomes, by how the cloth lay at first.\n"
 GOALS_SOFTGYM = (
@@ -223,6 +244,63 @@ CAMERA_COMPARISONS = (
     "Each condition compared with *voxels* on the same tasks: mean difference of errors (above zero, errors are larger "
     "with the camera), its 95 % bootstrap interval, and p of a two-sided paired sign-flip test, both over sequences. "
     "Interval and p are not given for fewer than ten sequences.\n"
+)
+PLAN_LENGTH = (
+    "The agent may choose how many manipulations are worth it (section 8 of the paper; `clothkit plan --steps auto`), "
+    "three at most. Here all tasks were also run with one, two and three manipulations, whatever number their goals "
+    "were recorded with.\n"
+)
+PLAN_LENGTH_PICTURED = (
+    "Mean error of the outcomes against the mean number of executed manipulations, by the number with which the goals "
+    "were recorded. Lines join sessions of one, two and three manipulations; a diamond marks those in which the agent "
+    "chose, with the 95 % interval of their error, a ring those with the recorded number, and a cross the error of "
+    "doing nothing."
+)
+PLAN_LENGTH_TABLE = (
+    "Sessions in which the agent chose (*chosen*) and those with the recorded number (*given*), by that number, over "
+    "all starts. *used*: mean number of executed manipulations. *difference*: mean error of *chosen* minus that of "
+    "*given* on the same tasks (below zero, choosing is better), with its 95 % bootstrap interval and p of a two-sided "
+    "paired sign-flip test, both over sequences.\n"
+)
+MARGINS = (
+    "By how much nearer to the goal each manipulation beyond the first has to be expected to bring the cloth, in "
+    "lengths of the cloth's side: what each margin would have come to on validation tasks. *chosen*: the largest "
+    "margin whose mean error is within one standard error of the lowest; *difference* and *standard_error* are "
+    "relative to that.\n"
+)
+PLAN_WAYS = (
+    "Validation plans that were cut from a plan of three manipulations (*cut*), which was searched for with a loss "
+    "over all predicted states, as section 8 of the paper proposes, and plans of as many manipulations that were "
+    "searched for themselves (*own*), by the number with which the goals were recorded. *expected*: mean predicted "
+    "distance from the goal; *error*: that of the outcome, executed without a look in between. *difference*: *cut* "
+    "minus *own*.\n"
+)
+REACH = (
+    "Plans whose hands have to stay within a region, for validation tasks and a cloth of 0.4 m in the middle of the "
+    "table. *square*: x and y are at most *size* (in m) from the middle; *side*: x is at least minus *size*. A plan "
+    "that leaves the region is turned and mirrored by the cloth's symmetries first. That is all of the way *turning*; "
+    "the way *terms* (`clothkit plan --reach`) else searches anew with reach as a term of the objective.\n"
+)
+REACH_PICTURED = (
+    "Share of tasks with a plan that stays inside, and mean error of the outcomes, against the size of the region, "
+    "with 95 % intervals over sequences. Where there is no plan, nothing is done. Dotted lines are the errors without "
+    "limits and of no action."
+)
+REACH_TABLE = (
+    "*inside*: share of tasks with a plan that stays inside; *turned*, *searched*: shares of those that came about so. "
+    "*error*: mean over all tasks, of the cloth as it lies where there is no plan; *error_inside*: over tasks with a "
+    "plan, and *error_free_inside* that of the plans without limits for the same tasks.\n"
+)
+DOUBT_TEST = (
+    "Test plans by what the search minimises, executed to their end: mean errors of outcomes with 95 % intervals over "
+    "sequences, by number of manipulations and by the rule for first manipulations. Rings are plans without doubt, "
+    "numbers below are the weight alpha of the doubt; a star marks a paired difference to eq. (13) without doubt, "
+    "which is the dotted line, with p < 0.01. [Means and differences](studies/doubt_test_summary.csv)."
+)
+DOUBT_AMOUNT = (
+    "What doubt is worth with nets that were trained on less data, and with more nets: mean errors of the outcomes of "
+    "validation plans with 95 % intervals over sequences. A star marks a paired difference to no doubt with the same "
+    "nets with p < 0.01. [Means and differences](studies/doubt_amount_summary.csv)."
 )
 SYSTEMS = {
     "main": "observes voxels only; an ensemble of mesh nets",

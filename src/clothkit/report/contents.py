@@ -1,7 +1,7 @@
 """Reads a report's folder: the settings, tables and captions from which its pages are made."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -42,6 +42,8 @@ class Contents:
     """The tables that exist, by name; intervals and p from fewer than `LEAST` sequences are NaN."""
     figures: Mapping[str, str]
     """The captions of the pictures that exist, by name."""
+    drawn: frozenset[str]
+    """Paths in the report's folder of the studies' pictures that exist."""
     planned: Mapping[str, int]
     """Number of sequences that were planned for, by split."""
     memory: pd.DataFrame | None
@@ -50,10 +52,13 @@ class Contents:
     """Planners with and without doubt compared on more test sequences (studies/doubt.py), if they are."""
 
 
-def read(folder: Path, columns: Mapping[str, tuple[str, ...]], captions: Mapping[str, str]) -> Contents:
+def read(
+    folder: Path, columns: Mapping[str, tuple[str, ...]], captions: Mapping[str, str], studies: Collection[str] = ()
+) -> Contents:
     """The contents of reports/<scale>/. Raises InputError for a file that can't be read or lacks a column.
 
-    `columns` are those that each table must have, by its path in the folder; `captions` are those of figures, by name.
+    `columns` are those that each table must have, by its path in the folder; `captions` are those of figures, by name;
+    `studies` are paths of the studies' pictures.
     """
     settings = run_settings.read(folder / "params.yaml")
     paths = {folder / path: needed for path, needed in {**columns, "tables/planned.csv": PLANNED}.items()}
@@ -65,6 +70,7 @@ def read(folder: Path, columns: Mapping[str, tuple[str, ...]], captions: Mapping
         settings=settings,
         tables={name: enough(table, planned) for name, table in tables.items()},
         figures=_figures(folder / "figures", captions),
+        drawn=frozenset(path for path in studies if (folder / path).is_file()),
         planned=planned,
         memory=_study(folder / "studies/memory.csv", MEMORY),
         doubt=_study(folder / "studies/doubt_test_comparisons.csv", COMPARED),

@@ -59,17 +59,21 @@ class Text:
 
 @dataclass(frozen=True)
 class Figure:
-    """A picture; it is there if the report stage has drawn it."""
+    """A picture; it is there if the report stage, or a study, has drawn it."""
 
     name: str
     title: str
     """A figure that is also in the paper has the paper's number."""
     caption: str
     """In Markdown. Pictures that were drawn by older code keep the captions that are stored beside them."""
+    file: str = ""
+    """Path of a study's picture in the report's folder; empty: `figures/<name>.png`."""
 
     def blocks(self, report: Report) -> Iterator[blocks.Block]:
         """The picture, if it is there."""
-        if self.name in report.contents.figures:
+        if self.file in report.contents.drawn:
+            yield blocks.Picture(self.name, self.title, self.caption, self.file)
+        elif self.name in report.contents.figures:
             yield blocks.Picture(self.name, self.title, report.contents.figures[self.name])
 
 
@@ -92,7 +96,7 @@ class Table:
     ideal: float = -math.inf
     heads: Mapping[str, str] = field(default_factory=dict)
     unit: str = ""
-    noted: bool = False
+    noted: bool | Callable[[Report], bool] = False
     """Whether a note stands in its place where it is not there."""
     file: str = ""
     """Path of its CSV in the report's folder; empty: `tables/<name>.csv`."""
@@ -119,7 +123,7 @@ class Table:
                 self.heads,
                 self.unit,
             )
-        elif self.noted:
+        elif self.noted(report) if callable(self.noted) else self.noted:
             yield blocks.Note(self.title, captions.MISSING)
 
 

@@ -3,6 +3,8 @@
 The words are made from the paired comparisons of planners, so that they stay true when a chain is run again.
 """
 
+from typing import Any
+
 import pandas as pd
 
 from clothkit.report.formatting import LEAST, number
@@ -31,18 +33,34 @@ RULE = (
 
 
 STUDIED = {
-    ("main", "b3"): "compared with plans without the term, those with it were",
-    ("main", "b2"): "compared with plans of one net without it, they were",
-    ("main", "eq13"): "compared with plans by the accuracy term of eq. (13) alone, they were",
-    ("eq15", "eq13"): "plans by the whole of eq. (13), with the doubt of eq. (15), were compared with those",
+    ("main", "b3"): "compared with plans without the term ({count} test sequences), those with it were",
+    ("main", "b2"): "compared with plans of one net without it ({count}), they were",
+    ("main", "eq13"): "compared with plans by the accuracy term of eq. (13) alone ({count}), they were",
+    ("eq15", "eq13"): "plans by the whole of eq. (13), with the doubt of eq. (15), were compared with those ({count})",
 }
-"""The comparisons of the study of doubt (studies/doubt.py --split test), in words."""
+"""The comparisons of the study of doubt (studies/doubt.py --split test), in words, with their test sequences."""
+
+STUDY = "studies/doubt_test_comparisons.csv"
+
+CLAIM = 0.01
+"""p below which the paper's claim counts as confirmed: *main* better than *b3* and *b2* where plans are longer."""
+
+CLAIMED = {
+    ("main", "b3"): ("*b3*", "without the uncertainty term"),
+    ("main", "b2"): ("*b2*", "one net, without it"),
+}
+"""What *main* shall be better than, by pair of the study, and what that is."""
+
+LENGTHS = {"1/all": "one-step plans", "2/all": "two-step plans", "3/all": "three-step plans"}
+AIMED = ("2/all", "3/all")
+"""Columns of the claim: of plans of one manipulation the term has little to tell."""
 
 
 def findings(comparisons: pd.DataFrame, study: pd.DataFrame | None = None, *, beside_paper: bool = True) -> list[str]:
     """Paragraphs in Markdown from the table of planners' comparisons; an empty list if nothing was compared.
 
-    `study` are the comparisons of the study of doubt, which planned for more test sequences, if there are any.
+    `study` are the comparisons of the study of doubt, which planned for more test sequences, if there are any; with
+    them, what they tell of the paper's claim comes first.
     `beside_paper` tells whether findings are set beside the paper's.
     """
     errors = comparisons[(comparisons["split"] == "test") & (comparisons["measure"] == "error")]
@@ -51,7 +69,8 @@ def findings(comparisons: pd.DataFrame, study: pd.DataFrame | None = None, *, be
     if "b3" in pairs:
         sentences.append(_term(pairs["b3"]))
     if study is not None and len(study) and sentences:
-        sentences.append(_studied(study))
+        # What most sequences tell comes first.
+        sentences = [*([_claim(study)] if beside_paper else []), *sentences, *_studied(study)]
     others = {name: pairs[name] for name in ("b2", "b3") if name in pairs}
     if others and beside_paper:
         sentences.append(_lead(others))
@@ -75,20 +94,53 @@ def _term(rows: pd.DataFrame) -> str:
     return f"Between plans with {TERM} and without it {which} no difference was found.\n"
 
 
-def _studied(study: pd.DataFrame) -> str:
+def _claim(study: pd.DataFrame) -> str:
+    """Whether the paper's claim is confirmed by the study of doubt, with the figures of each plan length."""
+    told, verdicts = [], []
+    for pair, (short, what) in CLAIMED.items():
+        rows = _pair(study, pair).set_index("column")
+        count = _sequences(rows)
+        if count < LEAST:
+            why = f"only {count} sequences were planned for with both" if count else "the study has no such rows"
+            told.append(f"With {short} ({what}) *main* was not compared: {why}.")
+            verdicts.append(f"not tested against {short}")
+            continue
+        shown = [f"{_apart(rows.loc[column])} in {plans}" for column, plans in LENGTHS.items() if column in rows.index]
+        told.append(f"Mean error of *main* beside {short} ({what}; {count} test sequences): {', '.join(shown)}.")
+        difference, p = rows["difference"].to_dict(), rows["p"].to_dict()
+        met = {column: difference[column] < 0 and p[column] < CLAIM for column in AIMED if column in p}
+        for word, wanted in (("confirmed", True), ("not confirmed", False)):
+            if columns := [LENGTHS[column] for column, found in met.items() if found == wanted]:
+                verdicts.append(f"{word} against {short} for {' and '.join(columns)}")
+    return (
+        "The paper claims that a planner plans better if it knows what it does not know. Here that counts as confirmed "
+        "where *main* is better than *b3* and than *b2* in plans of two and of three manipulations, each with p below "
+        f"{CLAIM:g}. [A study]({STUDY}) executed plans for test sequences to their end without a look in between. "
+        f"{' '.join(told)} So the claim is {', '.join(verdicts)}.\n"
+    )
+
+
+def _apart(row: Any) -> str:
+    return f"{number(abs(row['difference']))} {'smaller' if row['difference'] < 0 else 'larger'} (p {row['p']:.2g})"
+
+
+def _pair(study: pd.DataFrame, pair: tuple[str, str]) -> pd.DataFrame:
+    return study[(study["system"] == pair[0]) & (study["against"] == pair[1])]
+
+
+def _studied(study: pd.DataFrame) -> list[str]:
+    """The differences that the study of doubt found, each pair with its number of sequences, if there are any."""
     parts = []
-    for (system, against), words in STUDIED.items():
-        rows = study[(study["system"] == system) & (study["against"] == against)]
-        if _sequences(rows) < LEAST:
+    for pair, words in STUDIED.items():
+        rows = _pair(study, pair)
+        count = _sequences(rows)
+        if count < LEAST:
             continue
         found = {"better": _found(rows, better=True), "worse": _found(rows, better=False)}
         told = [f"{how} in {plans}" for how, plans in found.items() if plans]
-        parts.append(f"{words} {' and '.join(told) or 'neither better nor worse'}")
-    count = _sequences(study)
-    return (
-        f"[A study](studies/doubt_test_comparisons.csv) of {count} test sequences, whose plans were executed to their "
-        f"end without a look in between: {'; '.join(parts)}.\n"
-    )
+        parts.append(f"{words.format(count=count)} {' and '.join(told) or 'neither better nor worse'}")
+    start = f"Column by column, [the study]({STUDY}) of plans that were executed without a look in between found this"
+    return [f"{start}: {'; '.join(parts)}.\n"] if parts else []
 
 
 def _lead(others: dict[str, pd.DataFrame]) -> str:

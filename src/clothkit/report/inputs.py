@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from clothkit.cloth.voxels import Viewport
 from clothkit.dataset import store, tables
 from clothkit.dataset.raw import ATTEMPTS
 from clothkit.dataset.store import Dataset
@@ -15,7 +16,7 @@ from clothkit.episodes.record import Sessions
 from clothkit.evaluation import arrays, doubt, tidy
 from clothkit.goals import tidy as goals_tidy
 from clothkit.models.ensemble import folders
-from clothkit.models.store import HISTORY
+from clothkit.models.store import ATTRIBUTES, HISTORY, configuration
 from clothkit.report import rows
 from clothkit.report.settings import ReportConfig
 
@@ -29,6 +30,8 @@ class Inputs:
     forward_histories: Mapping[str, pd.DataFrame]
     """Histories of training of the ensemble's forward models, by member."""
     vtm_history: pd.DataFrame
+    viewport: Viewport
+    """That of the voxels from which VtM estimates."""
     estimation: pd.DataFrame
     prediction: pd.DataFrame
     calibration: pd.DataFrame
@@ -67,7 +70,7 @@ def paths(data: Path, members: Sequence[int], settings: ReportConfig) -> list[Pa
         data / "meshes.zarr",
         data / "raw/attempts.parquet",
         *(folder / HISTORY for folder in folders(data / "nets", "pemd", members).values()),
-        data / "nets/vtm" / HISTORY,
+        *(data / "nets/vtm" / name for name in (HISTORY, ATTRIBUTES)),
         evaluation / "estimation.parquet",
         evaluation / "estimates.zarr",
         evaluation / "prediction.parquet",
@@ -95,6 +98,7 @@ def read(data: Path, members: Sequence[int], settings: ReportConfig) -> Inputs:
         attempts=tables.read(data / "raw/attempts.parquet", ATTEMPTS),
         forward_histories={str(m): tables.read(folder / HISTORY, tidy.HISTORY) for m, folder in forward.items()},
         vtm_history=tables.read(data / "nets/vtm" / HISTORY, tidy.HISTORY),
+        viewport=configuration(data / "nets/vtm", "vtm").viewport,
         estimation=tables.read(evaluation / "estimation.parquet", tidy.ESTIMATION),
         prediction=tables.read(evaluation / "prediction.parquet", tidy.PREDICTION),
         calibration=tables.read(evaluation / "calibration.parquet", tidy.CALIBRATION),

@@ -18,10 +18,10 @@ def means(
     *,
     estimation: pd.DataFrame,
     prediction: pd.DataFrame,
-    prediction_voxels: pd.DataFrame,
+    prediction_voxels: pd.DataFrame | None,
     position: pd.DataFrame,
     planning: pd.DataFrame,
-    planning_voxels: pd.DataFrame,
+    planning_voxels: pd.DataFrame | None,
     sigma_ratio: pd.DataFrame,
 ) -> pd.DataFrame:
     """A row for each of our means: measure, split, system (for estimates the kind), column of the table, mean.
@@ -37,7 +37,7 @@ def means(
         "planning_voxels": planning_voxels,
     }
     parts = {"estimation": _means(estimation.rename(columns={"kind": "system"}))}
-    parts |= {measure: _means(table) for measure, table in by_system.items()}
+    parts |= {measure: _means(table) for measure, table in by_system.items() if table is not None}
     ratios = sigma_ratio[sigma_ratio["source"] == "clothkit"]
     parts["sigma_ratio"] = _long(ratios.drop(columns="source"))
     rows = pd.concat([part.assign(measure=measure) for measure, part in parts.items()], ignore_index=True)

@@ -9,10 +9,14 @@ from clothkit.report.html import page as html
 from clothkit.report.layout import NO_ACTION
 from clothkit.report.markdown import page as markdown
 from clothkit.report.paper import without_paper
-from clothkit.report.sections import CAPTIONS, TABLES, sections
+from clothkit.report.sections import CAPTIONS, DRAWN, TABLES, sections
 
-STUDIES = ("studies/memory.csv", "studies/doubt_test_comparisons.csv")
-"""Studies that the pages quote, if there are any."""
+STUDIES = (
+    *("studies/memory.csv", "studies/doubt_test_comparisons.csv"),
+    *(path for path in TABLES if path.startswith("studies/")),
+    *DRAWN,
+)
+"""Tables and pictures of studies that the pages quote or show, if there are any."""
 
 INPUTS = ("params.yaml", "tables", "figures", "timings.csv", "table_8.csv", *STUDIES)
 """Inputs of the pages in the report's folder; those after the figures may be missing."""
@@ -34,9 +38,9 @@ def write(report: Path, folder: Path) -> None:
     table.to_csv(folder / "budgets.csv", index=False, float_format="%.5g", lineterminator="\n")
     parts, title = sections(shown, table), f"Report: {shown.settings.scale}"
     (folder / "README.md").write_text(markdown.page(title, parts))
-    (folder / "index.html").write_text(html.page(title, parts, report / "figures"))
+    (folder / "index.html").write_text(html.page(title, parts, report))
 
 
 def read(report: Path) -> Contents:
     """The contents of reports/<scale>/. Raises InputError, as `contents.read`."""
-    return contents.read(report, TABLES, CAPTIONS)
+    return contents.read(report, TABLES, CAPTIONS, DRAWN)

@@ -10,154 +10,34 @@ import pandas as pd
 
 from clothkit.report import blocks, captions, selections, texts
 from clothkit.report.contents import Contents
-from clothkit.report.entries import Card, Cards, Figure, Folded, Report, Section, Table, Text, Timings
+from clothkit.report.entries import Figure, Folded, Report, Section, Table, Text, Timings
 from clothkit.report.formatting import IDEAL_RATIO
-from clothkit.report.layout import BY_CLOTH, GOALS, LENGTHS, PROBED, SPLITS, STATES, TASKS, TRUST
-
-OUTCOMES = ("source", "split", "system", "statistic", *TASKS)
-COMPARISON = ("column", "sequences", "difference", "low", "high", "p")
-COMPARISONS = ("split", "measure", "system", "against", *COMPARISON)
-
-BY_SYSTEM = ("split", "system", "statistic")
-"""Keys of the tables with the paper's figures beside ours."""
-
-CLOTH_LENGTHS = "lengths of the cloth's side"
-VOXEL_DIFFERENCE = "mean voxel value difference"
+from clothkit.report.in_short import IN_SHORT
+from clothkit.report.layout import (
+    BY_CLOTH,
+    CLOTH_LENGTHS,
+    COMPARISONS,
+    HYPOTHESES,
+    LENGTHS,
+    OUTCOMES,
+    PROBED,
+    SPLITS,
+    STATES,
+    TRUST,
+    VOXEL_DIFFERENCE,
+)
+from clothkit.report.planning_sections import (
+    BY_SYSTEM,
+    CAMERA,
+    LENGTHS_OF_PLANS,
+    NAMED_GOALS,
+    SESSIONS,
+    WITHIN_REACH,
+)
 
 SECTIONS = (
-    Section(
-        "short",
-        "In short",
-        (
-            Text(texts.findings_on_planners),
-            Text(texts.planned),
-            Cards(
-                (
-                    Card(
-                        "Estimation",
-                        "table_2",
-                        "kind",
-                        "dmr",
-                        "all",
-                        "Mean error of meshes estimated from voxels",
-                    ),
-                    Card(
-                        "Prediction",
-                        "table_3",
-                        "system",
-                        "main",
-                        "3/all",
-                        "Mean error of states predicted after three manipulations",
-                    ),
-                    Card(
-                        "Planning, one step",
-                        "table_6",
-                        "system",
-                        "main",
-                        "1/all",
-                        "Mean distance of the cloth from its goal after a one-step plan",
-                    ),
-                    Card(
-                        "Planning, three steps",
-                        "table_6",
-                        "system",
-                        "main",
-                        "3/all",
-                        "Mean distance of the cloth from its goal after a three-step plan",
-                    ),
-                )
-            ),
-            Table(
-                "means",
-                "Mean errors on the test set",
-                words=(
-                    texts.with_paper(captions.LABELLED_SHORT, captions.LABELLED_SHORT_PAPER),
-                    texts.replay,
-                    texts.unequal_budgets,
-                ),
-                rows=selections.means,
-                keys=("what", "system"),
-                judged=selections.systems_of_means,
-                unit=CLOTH_LENGTHS,
-                file="tables/table_6.csv",
-            ),
-            Text(captions.INTRO),
-            Text(texts.descriptions),
-        ),
-    ),
-    Section(
-        "planning",
-        "Planning",
-        (
-            Figure("sessions_1", "Figure 12, one step", f"Planning in one step. {captions.SESSIONS}"),
-            Figure("sessions_2", "Figure 12, two steps", f"Planning in two steps. {captions.SESSIONS}"),
-            Figure("sessions_3", "Figure 12, three steps", f"Planning in three steps. {captions.SESSIONS}"),
-            Table(
-                "table_6",
-                "Table 6: planning, in meshes",
-                OUTCOMES,
-                (
-                    texts.with_paper(captions.LABELLED, captions.LABELLED_PAPER),
-                    captions.INTERVALS,
-                    texts.unequal_budgets,
-                ),
-                selections.mark_systems,
-                keys=BY_SYSTEM,
-                unit=CLOTH_LENGTHS,
-                noted=True,
-            ),
-            Figure("scatter", "Figure 11", captions.SCATTER),
-            Table(
-                "table_7",
-                "Table 7: planning, in voxels",
-                OUTCOMES,
-                (captions.PLANNING_VOXELS, texts.viewport_of_planning, texts.unequal_budgets),
-                selections.mark_systems,
-                keys=BY_SYSTEM,
-                unit=VOXEL_DIFFERENCE,
-                noted=True,
-            ),
-            Table(
-                "table_7_025",
-                "Table 7 for a viewport of height 0.25",
-                OUTCOMES,
-                (texts.with_paper(captions.TALL, captions.TALL_PAPER), texts.unequal_budgets),
-                selections.mark_systems,
-                keys=BY_SYSTEM,
-                unit=VOXEL_DIFFERENCE,
-                noted=True,
-            ),
-            Table(
-                "budgets",
-                "Budgets",
-                (),
-                (texts.with_paper(captions.BUDGETS, captions.BUDGETS_PAPER),),
-                selections.budgets,
-                file="budgets.csv",
-            ),
-            Table(
-                "planning_comparisons",
-                "Planners compared",
-                COMPARISONS,
-                (captions.PLANNING_COMPARISONS, texts.unequal_budgets),
-                selections.comparisons_of_planners,
-            ),
-            Table(
-                "failures",
-                "Failures",
-                ("split", "system", "length", "tasks"),
-                (captions.FAILURES,),
-                selections.of_test_set,
-            ),
-            Table(
-                "largest",
-                "Largest errors",
-                ("sequence", "start", "length", "error", "diagnosis"),
-                (captions.LARGEST,),
-            ),
-            Figure("largest", "Largest errors", captions.LARGEST_PICTURED),
-        ),
-    ),
+    IN_SHORT,
+    SESSIONS,
     Section(
         "prediction",
         "Prediction",
@@ -180,7 +60,7 @@ SECTIONS = (
                 selections.mark_systems,
                 keys=BY_SYSTEM,
                 unit=VOXEL_DIFFERENCE,
-                noted=True,
+                noted=texts.is_beside_paper,
             ),
             Table(
                 "table_4_025",
@@ -190,7 +70,7 @@ SECTIONS = (
                 selections.mark_systems,
                 keys=BY_SYSTEM,
                 unit=VOXEL_DIFFERENCE,
-                noted=True,
+                noted=texts.is_beside_paper,
             ),
             Table(
                 "comparisons",
@@ -227,36 +107,16 @@ SECTIONS = (
                 heads={"1": "after 1", "2": "after 2", "3": "after 3"},
                 noted=True,
             ),
-        ),
-    ),
-    Section(
-        "camera",
-        "Depth camera",
-        (
-            Text(captions.CAMERA),
             Table(
-                "camera_estimation",
-                "Camera: observation and estimation",
-                ("condition", "tilt", "noise", "states"),
-                (captions.CAMERA_ESTIMATION,),
-            ),
-            Figure("camera", "Depth cameras", captions.CAMERA_PICTURED),
-            Table(
-                "camera_planning",
-                "Camera: planning",
-                ("condition", "tilt", "noise", "tasks"),
-                (captions.CAMERA_PLANNING,),
-            ),
-            Table(
-                "camera_comparisons",
-                "Camera: conditions compared",
-                ("condition", *COMPARISON),
-                (captions.CAMERA_COMPARISONS,),
-                selections.comparisons,
+                "hypotheses",
+                "Several hypotheses",
+                HYPOTHESES,
+                (captions.HYPOTHESES,),
+                unit=CLOTH_LENGTHS,
             ),
         ),
-        needs=("camera_estimation", "camera_planning", "camera_comparisons"),
     ),
+    CAMERA,
     Section(
         "doubt",
         "Doubt",
@@ -275,19 +135,16 @@ SECTIONS = (
         needs=("doubt", "trust"),
     ),
     Section(
-        "goals",
-        "Named goals",
+        "doubt_studies",
+        "What doubt is worth",
         (
-            Text(captions.GOALS),
-            Figure("goals", "Named goals", captions.GOALS_PICTURED),
-            Table("goals", "Named goals: errors", GOALS, (captions.GOALS_ERROR,), unit=CLOTH_LENGTHS),
-            Table(
-                "goals_softgym", "Named goals: SoftGym's measure", GOALS, (captions.GOALS_SOFTGYM,), unit=CLOTH_LENGTHS
-            ),
-            Table("goals_iou", "Named goals: silhouettes", GOALS, (captions.GOALS_IOU,)),
+            Figure("doubt_test", "Planning by what is minimised", captions.DOUBT_TEST, file="studies/doubt_test.png"),
+            Figure("doubt_amount", "Doubt by data and nets", captions.DOUBT_AMOUNT, file="studies/doubt_amount.png"),
         ),
-        needs=("goals",),
     ),
+    NAMED_GOALS,
+    LENGTHS_OF_PLANS,
+    WITHIN_REACH,
     Section(
         "cloths",
         "Cloths",
@@ -310,7 +167,7 @@ SECTIONS = (
                 "sigma_ratio",
                 "Stated and actual uncertainty",
                 ("source", "split", "system", "estimate", *LENGTHS),
-                (texts.with_paper(captions.UNCERTAINTY, captions.UNCERTAINTY_PAPER),),
+                (texts.with_paper(captions.UNCERTAINTY, captions.UNCERTAINTY_PAPER), texts.estimates_by_state),
                 selections.sigma_ratios,
                 keys=("split",),
                 judged=list(SPLITS.values()),
@@ -396,10 +253,13 @@ TABLES: Mapping[str, tuple[str, ...]] = {
 }
 """Paths of the sections' tables in a report's folder, and the columns that each must have."""
 
-CAPTIONS: Mapping[str, str] = {
-    entry.name: entry.caption for section in SECTIONS for entry in section.entries if isinstance(entry, Figure)
-}
-"""Captions of all figures, by name."""
+_FIGURES = [entry for section in SECTIONS for entry in section.entries if isinstance(entry, Figure)]
+
+CAPTIONS: Mapping[str, str] = {figure.name: figure.caption for figure in _FIGURES if not figure.file}
+"""Captions of all figures of the report stage, by name."""
+
+DRAWN = tuple(figure.file for figure in _FIGURES if figure.file)
+"""Paths of the studies' figures in a report's folder."""
 
 
 def sections(contents: Contents, budgets: pd.DataFrame) -> list[blocks.Section]:

@@ -4,7 +4,7 @@ import pandas as pd
 
 from clothkit.report.entries import Report
 from clothkit.report.formatting import TOO_FEW
-from clothkit.report.layout import BY_LENGTH, LABELLED, SPLITS, TASKS
+from clothkit.report.layout import BY_LENGTH, LABELLED, PLAN_LENGTH, PLAN_WAYS, REACH, SPLITS, TASKS
 
 
 def mark_systems(report: Report, rows: pd.DataFrame) -> pd.DataFrame:
@@ -75,3 +75,26 @@ def speed(report: Report, rows: pd.DataFrame) -> pd.DataFrame:
     named = {"1": "1 step", "2": "2 steps", "3": "3 steps", "estimate": "an estimate"}
     table = rows.astype({"machine": object}).fillna({"machine": ""}).rename(columns=named)
     return table[["system", "source", *table.columns[2:]]]
+
+
+def plan_length(report: Report, rows: pd.DataFrame) -> pd.DataFrame:
+    """Sessions of the test set whose number of manipulations was chosen, beside those with the recorded number."""
+    rows = rows[(rows["split"] == "test") & rows["steps"].isin(["given", "chosen"])]
+    order = {column: place for place, column in enumerate((*BY_LENGTH, "all"))}
+    rows = rows[rows["column"].isin(order)].sort_values("column", key=lambda names: names.map(order), kind="stable")
+    return rows[[name for name in PLAN_LENGTH if name != "split"]]
+
+
+def margins(report: Report, rows: pd.DataFrame) -> pd.DataFrame:
+    """The margins, and which was chosen in a word."""
+    return rows.assign(chosen=rows["chosen"].map(lambda chosen: "yes" if chosen else "no"))
+
+
+def plan_ways(report: Report, rows: pd.DataFrame) -> pd.DataFrame:
+    """The comparisons by recorded length, with TOO_FEW in place of missing intervals and p."""
+    return comparisons(report, rows.loc[rows["column"].isin(BY_LENGTH), list(PLAN_WAYS)])
+
+
+def reach(report: Report, rows: pd.DataFrame) -> pd.DataFrame:
+    """The columns of the table of reach."""
+    return rows[list(REACH)]

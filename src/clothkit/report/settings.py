@@ -27,6 +27,8 @@ class ReportConfig:
     goals: bool = False
     """Whether plans for named goals were evaluated (`evaluate_goals`)."""
     paper: bool = True
-    """Whether tables have the paper's rows; False where the cloths are not the paper's."""
+    """Whether tables have the paper's rows, and tables 4 and 7 are there, whose voxels are those of its viewport.
+
+    False where the cloths are not the paper's."""
     largest: Count = 10
     """Number of test tasks with the largest planning errors."""

@@ -12,7 +12,16 @@ import pandas as pd
 
 from clothkit.dataset.store import SPLITS, Dataset
 from clothkit.report import paper, rows
-from clothkit.report.layout import LENGTHS, NO_ACTION, NO_ACTION_OCCLUDED, RATIO, STATES, STATISTICS, TASKS
+from clothkit.report.layout import (
+    HYPOTHESES,
+    LENGTHS,
+    NO_ACTION,
+    NO_ACTION_OCCLUDED,
+    RATIO,
+    STATES,
+    STATISTICS,
+    TASKS,
+)
 
 
 def estimation(tidy: pd.DataFrame) -> pd.DataFrame:
@@ -72,14 +81,46 @@ def task_table(
 
 
 def sigma_ratio(estimates: pd.DataFrame, predictions: pd.DataFrame) -> pd.DataFrame:
-    """Median sigma ratios of main: of estimates, and of predictions after 1, 2 and 3 manipulations; 0.798 is ideal."""
+    """Median sigma ratios of main; 0.798 is ideal.
+
+    Columns: estimate (all states), estimate 1, 2 and 3 (states after so many manipulations; the paper tells them not),
+    and 1, 2, 3: predictions after so many.
+    """
     estimated = estimates[estimates["kind"] == "pmr"].groupby("split")["sigma_ratio"].median()
+    by_state = estimates[estimates["kind"] == "pmr"].groupby(["split", "state"])["sigma_ratio"].median().unstack()
+    by_state = by_state.set_axis([f"estimate {state}" for state in by_state.columns], axis=1)
     chosen = predictions[predictions["better"] & (predictions["system"] == "main")]
     predicted = chosen.groupby(["split", "length"])["sigma_ratio"].median().unstack()
     predicted.columns = [str(length) for length in predicted.columns]
-    table = predicted.assign(estimate=estimated)[["estimate", *predicted.columns]].reset_index()
+    table = predicted.assign(estimate=estimated).join(by_state).reset_index()
     table = table.assign(source="clothkit", system="main")
-    return pd.concat([table, paper.sigma_ratios()], ignore_index=True)[paper.sigma_ratios().columns]
+    published = paper.sigma_ratios()
+    first = ["source", "split", "system", "estimate", *by_state.columns]
+    rest = [name for name in published.columns if name not in first]
+    return pd.concat([table, published], ignore_index=True)[[*first, *rest]]
+
+
+def hypotheses(tidy: pd.DataFrame) -> pd.DataFrame:
+    """What several hypotheses of a state give, by split and state; empty if every state has one.
+
+    Errors are those of refined meshes [cloth length]. Columns: split, state (1, 2, 3, all), states (their number),
+    several (share of those with more than one distinct hypothesis), probability (mean, of the chosen hypothesis), error
+    (of the chosen), best (of the hypothesis with the smallest error), and probability_several, error_several and
+    best_several: the same of the states with several hypotheses.
+    """
+    rows = tidy[tidy["kind"] == "dmr"]
+    if "hypotheses" not in rows or rows["hypotheses"].max() <= 1:
+        return pd.DataFrame(columns=list(HYPOTHESES))
+    counted = pd.concat([rows.assign(state=rows["state"].astype(str)), rows.assign(state="all")])
+    measures = {"probability": "probability", "error": "error", "best": "error_best"}
+    found = []
+    for split in (split for split in SPLITS if split in set(rows["split"])):
+        for state in STATES:
+            own = counted[(counted["split"] == split) & (counted["state"] == state)]
+            several = own[own["hypotheses"] > 1]
+            means = [part[name].mean() for part in (own, several) for name in measures.values()]
+            found.append((split, state, len(own), len(several) / max(len(own), 1), *means))
+    return pd.DataFrame(found, columns=list(HYPOTHESES))
 
 
 def _table(

@@ -21,6 +21,11 @@ def with_paper(text: str, about_paper: str) -> Callable[[Report], str]:
     return words
 
 
+def is_beside_paper(report: Report) -> bool:
+    """Whether the paper's figures are in the report, and with them the tables in the paper's voxels."""
+    return report.contents.settings.beside_paper
+
+
 def findings_on_planners(report: Report) -> list[str]:
     """What the comparisons of planners say, a paragraph each."""
     compared, beside_paper = report.table("planning_comparisons"), report.contents.settings.beside_paper
@@ -32,6 +37,19 @@ def planned(report: Report) -> str:
     counts = " and ".join(f"{count} {split}" for split, count in report.contents.planned.items())
     told = f"This report planned and executed every task of {counts} sequences."
     return f"{told} {captions.PAPER}" if report.contents.settings.beside_paper else f"{told}\n"
+
+
+def intro(report: Report) -> str:
+    """How errors and columns are meant, and the systems that the report has."""
+    there = {system for name in ("table_3", "table_6") for system in report.table(name).get("system", [])}
+    sentences: list[str] = []
+    told: set[str] = set()
+    for systems, sentence in captions.INTRODUCED.items():
+        if there.issuperset(systems) and told.isdisjoint(systems):
+            sentences.append(sentence)
+            told |= set(systems)
+    labellings = captions.LABELLINGS_VARIED if report.contents.settings.varied else captions.LABELLINGS
+    return captions.INTRO.format(labellings=labellings, systems=" ".join(sentences))
 
 
 def replay(report: Report) -> str:
@@ -116,6 +134,11 @@ def _times(table: pd.DataFrame, system: str) -> str:
     pairs = [(mean(table, "clothkit", system, column), mean(table, "paper", system, column)) for column in BY_LENGTH]
     found = [own / other for own, other in pairs if not math.isnan(own / other)]
     return f"{min(found):.2f} to {max(found):.2f} times" if found else ""
+
+
+def estimates_by_state(report: Report) -> str:
+    """What the sigma ratios by state are; "" in older reports, which have none."""
+    return captions.UNCERTAINTY_STATES if "estimate 1" in report.table("sigma_ratio") else ""
 
 
 def unequal_budgets(report: Report) -> str:

@@ -5,7 +5,7 @@ Both sources of sequences, our solver and ARCSim's runs, use the schemas declare
 
 import itertools
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from clothkit.simulation.settings import DRAWN
 from clothkit.simulation.solver import flat_grid
 
 SHARD = 500  # sequences in a file of states
+TOGETHER = 4096  # rectangles in a row group of topologies: some 130 MB, far from 2^31 values, which a list column holds
 QUALITY = ("height", "strain_p99", "strain_worst", "intersections", "gap", "residual_speed")
 """Columns measured on every state, accepted or not."""
 
@@ -117,19 +118,30 @@ def _shards(pieces: Iterable[np.ndarray], count: int) -> Iterator[tuple[int, np.
 
 
 def write_tables(
-    folder: Path, states: Iterable[pa.Table], others: dict[str, pa.Table], attributes: dict[str, Any]
+    folder: Path,
+    states: Iterable[pa.Table],
+    others: Mapping[str, pa.Table | Iterable[pa.Table]],
+    attributes: dict[str, Any],
 ) -> None:
-    """Write `states/0000.parquet` ... and one file per other table; `attributes` go into each file's metadata."""
+    """Write `states/0000.parquet` ... and one file per other table; `attributes` go into each file's metadata.
+
+    A table may come in parts, each of which becomes a row group of its file.
+    """
     metadata = {"clothkit": json.dumps(attributes, sort_keys=True)}
     (folder / "states").mkdir(parents=True, exist_ok=True)
     for number, shard in enumerate(states):
-        _write(folder / "states" / f"{number:04d}.parquet", shard, metadata)
+        _write(folder / "states" / f"{number:04d}.parquet", [shard], metadata)
     for name, table in others.items():
-        _write(folder / f"{name}.parquet", table, metadata)
+        parts = [table] if isinstance(table, pa.Table) else table
+        _write(folder / f"{name}.parquet", parts, metadata)
 
 
-def _write(path: Path, table: pa.Table, metadata: dict[str, str]) -> None:
-    pq.write_table(table.replace_schema_metadata(metadata), path, compression="zstd")
+def _write(path: Path, parts: Iterable[pa.Table], metadata: dict[str, str]) -> None:
+    tables = (part.replace_schema_metadata(metadata) for part in parts)
+    first = next(tables)
+    with pq.ParquetWriter(path, first.schema, compression="zstd") as writer:
+        for table in itertools.chain([first], tables):
+            writer.write_table(table)
 
 
 def _states(part: Attempts, first: int, topology: np.ndarray) -> pa.Table:
@@ -184,15 +196,17 @@ def _reached(values: np.ndarray, count: np.ndarray) -> np.ndarray:
     return np.where(np.arange(values.shape[1]) < count[:, None], values, np.nan).astype(np.float32)
 
 
-def _topologies(sides: np.ndarray, shape: Shape) -> pa.Table:
-    """Return a row per pair of sides, in metres: grids of `shape` vertices."""
-    material = [flat_grid(shape, (along_u, along_v)).ravel() for along_u, along_v in sides]
-    columns = {
-        "topology": np.arange(len(sides), dtype=np.int32),
-        "material": _lists(np.stack(material)),
-        "triangles": _lists(np.tile(triangles(shape).ravel(), (len(sides), 1))),
-    }
-    return pa.table(columns, schema=TOPOLOGIES)
+def _topologies(sides: np.ndarray, shape: Shape) -> Iterator[pa.Table]:
+    """Yield a row per pair of sides, in metres: grids of `shape` vertices, TOGETHER of them in a table."""
+    for first in range(0, len(sides), TOGETHER):
+        part = sides[first : first + TOGETHER]
+        material = [flat_grid(shape, (along_u, along_v)).ravel() for along_u, along_v in part]
+        columns = {
+            "topology": np.arange(first, first + len(part), dtype=np.int32),
+            "material": _lists(np.stack(material)),
+            "triangles": _lists(np.tile(triangles(shape).ravel(), (len(part), 1))),
+        }
+        yield pa.table(columns, schema=TOPOLOGIES)
 
 
 def _cloths(accepted: Attempts) -> pa.Table:

@@ -115,7 +115,9 @@ class Limits:
 
     height: Positive = 0.125  # normalised, of the highest vertex; the default is the viewport's height
     residual_speed: Positive = 0.01  # m/s
-    strain_p99: Positive = 0.03  # 99th percentile of |length / rest - 1| over the grid's edges
+    strain_p99: Positive = 0.03
+    """99th percentile of the strain of the grid's edges: length / rest - 1; of shortened ones, only what they lack of
+    the chord of the fold over which they are bent (`Quality.strain_p99`)."""
     strain_worst: Positive = 0.1
     intersections: Annotated[int, Ge(0)] = 0
     gap: NotNegative = 0.5  # thicknesses, least distance of a vertex to the surface outside its two-ring
@@ -227,5 +229,5 @@ class SimulateConfig:
     @property
     def decisive(self) -> "SimulateConfig":
         """The same with INDIFFERENT settings at their defaults; runs with equal ones have equal outcomes."""
-        usual: dict[str, Any] = {each.name: each.default for each in fields(self) if each.name in INDIFFERENT}
-        return replace(self, **usual)
+        defaults: dict[str, Any] = {each.name: each.default for each in fields(self) if each.name in INDIFFERENT}
+        return replace(self, **defaults)

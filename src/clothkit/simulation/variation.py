@@ -2,7 +2,8 @@
 
 The longer side of every cloth is `SimulationConfig.cloth_side`. A cloth of another size behaves like one of that side
 whose thickness, and whose bending stiffness per weight, are scaled to it: they decide how it bends under its own
-weight, by (bending stiffness / (density g))^(1/3), a length. So ranges of these two cover cloths of all sizes.
+weight, by (bending stiffness / (density g))^(1/3), a length. So ranges of these two cover cloths of all sizes;
+`similarity.resized` does this for a material.
 """
 
 import math

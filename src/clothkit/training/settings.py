@@ -69,6 +69,11 @@ class CameraNoise:
     """Standard deviation of each point in x, y and z [normalised]."""
     bias: NotNegative = 0.004
     """Standard deviation of the height of all points of an example [normalised]: the table's plane is found, too."""
+    tilt: NotNegative = 0.01
+    """Standard deviation of the slope of the table along x and along y [rad], by which its plane is found askew."""
+    step: NotNegative = 0.007
+    """Largest step in which heights are told [normalised]: 2 mm for a cloth of 0.4 m, as of depth in millimetres seen
+    from 0.8 m. Each example draws its own, from 0 on, and where the steps begin."""
     holes: Annotated[int, Ge(0), Le(16)] = 3
     """Largest number of round holes."""
     radius: NotNegative = 0.12

@@ -116,7 +116,7 @@ def displaced(
 def by_camera(
     mesh: Float[Array, "batch u v 3"], camera: CameraNoise, viewport: voxels.Viewport, *, key: PRNGKeyArray
 ) -> Bool[Array, "batch 32 32 16"]:
-    """The voxels of meshes as a depth camera above shows them: doubled, with noise and holes, occluded."""
+    """The voxels of meshes as a depth camera above shows them: doubled, with noise, tilt, steps and holes, occluded."""
     point_key, bias_key, hole_key, radius_key, count_key, share_key, missing_key = jax.random.split(key, 7)
     points = voxels.double(mesh).reshape(len(mesh), -1, 3)
     batch, count = points.shape[:2]
@@ -129,9 +129,23 @@ def by_camera(
     gone = jnp.any(away < radius[:, None], axis=-1) | jax.random.bernoulli(missing_key, share, (batch, count))
     noise = camera.noise * jax.random.normal(point_key, points.shape)
     noise = noise.at[..., 2].add(camera.bias * jax.random.normal(bias_key, (batch, 1)))
+    slope_key, step_key, begin_key = jax.random.split(jax.random.fold_in(key, 1), 3)
+    slope = camera.tilt * jax.random.normal(slope_key, (batch, 1, 2))
+    found = points + noise
+    found = found.at[..., 2].add(jnp.sum(slope * found[..., :2], axis=-1))
+    step = camera.step * jax.random.uniform(step_key, (batch, 1))
+    found = found.at[..., 2].set(stepped(found[..., 2], step, jax.random.uniform(begin_key, (batch, 1))))
     # Points outside the viewport are dropped.
-    seen = jnp.where(gone[..., None], 2.0, points + noise)
+    seen = jnp.where(gone[..., None], 2.0, found)
     return voxels.occlude(voxels.voxelise(seen, viewport=viewport))
+
+
+def stepped(
+    z: Float[Array, "batch points"], step: Float[Array, "batch 1"], begin: Float[Array, "batch 1"]
+) -> Float[Array, "batch points"]:
+    """Heights rounded to whole steps from `begin` steps on; a step of 0 leaves them as they are."""
+    size = jnp.maximum(step, 1e-9)
+    return jnp.where(step > 0, size * (jnp.round(z / size - begin) + begin), z)
 
 
 def shown(

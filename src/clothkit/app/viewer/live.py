@@ -14,21 +14,23 @@ import numpy as np
 from jaxtyping import Float
 
 from clothkit.app import agent_state
+from clothkit.app.advice import Signs, is_flat, told_of
 from clothkit.app.agent_state import AgentState
+from clothkit.app.agreement import compare_goal, compare_state
+from clothkit.app.describe import unsure_of
 from clothkit.app.inputs import Input, Settings
 from clothkit.app.lengths import AUTO, check_can_choose
-from clothkit.app.planner import Planned, estimate_mesh, load_vtm, mesh_of
+from clothkit.app.plan_file import UNLIKELY, WORSE
+from clothkit.app.planner import Planned, estimate_mesh, load_vtm, mesh_of, trusted_of
 from clothkit.app.reach import limits_of
 from clothkit.app.viewer.search_progress import OnProgress, Progress, search_in_batches
 from clothkit.app.viewer.session import Mesh, Session, StateEstimate, Step, error_of, matched, shown_plan
 from clothkit.cloth.silhouette import centred
 from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.dataset.store import STEPS
-from clothkit.estimation.estimate import estimate_probabilistic
 from clothkit.manipulation.vector import is_null, is_single
 from clothkit.observation.observe import observe
 from clothkit.observation.states import MeshState
-from clothkit.planning.perception import Estimation
 from clothkit.planning.planner import Planner
 from clothkit.planning.types import Memory
 from clothkit.runtime.errors import InputError
@@ -102,15 +104,36 @@ def begin(
 
 
 def estimate_of(agent: AgentState) -> StateEstimate:
-    """Return what an agent perceives, with standard deviations if it is a refined estimate."""
-    perceived, perception, sigma = agent.perceived, agent.planner.perception, None
+    """Return what an agent perceives, with standard deviations if it is an estimate."""
+    perceived = agent.perceived
     assert perceived is not None, "an agent that has observed the cloth"
-    state, voxels, points = perceived.state, perceived.observation.voxels, perceived.candidates
-    if isinstance(perception, Estimation) and perception.refine and voxels is not None:
-        # Of several hypotheses, that which the state was refined from is the nearest one.
-        found = estimate_probabilistic(perception.vtm, voxels, state[None], cloth=agent.memory.cloth)
-        sigma = np.asarray(found.std[0])
-    return StateEstimate(state, sigma, points[np.isfinite(points).all(-1)])
+    points = perceived.candidates
+    return StateEstimate(perceived.state, perceived.std, points[np.isfinite(points).all(-1)])
+
+
+def notices_of(live: Live) -> list[str]:
+    """Return what speaks against the agent's estimates and its plan, if there is one, and what to do about it."""
+    agent = live.agent
+    perceived, system = agent.perceived, agent.planner.system
+    assert perceived is not None, "a session that has begun"
+    agreements = (
+        compare_state(system, perceived.source, perceived.state, agent.settings),
+        compare_goal(system, agent.goal, agent.target, agent.settings),
+    )
+    pose, planned = perceived.source.pose, agent.planned
+    signs = Signs(*agreements, unsure_of(perceived.source, perceived.state, perceived.std, pose))
+    if planned is not None:
+        told = trusted_of(planned, agent.settings, system)
+        worse = told is not None and float(told.error[0]) > planned.expected_no_action
+        signs = signs._replace(
+            trust=None if told is None else float(told.trust[0]),
+            warning=(WORSE if worse else None) if planned.improves else UNLIKELY,
+            away=None if system.voxels else planned.expected_no_action,
+            steps=len(planned.plan),
+            flat=is_flat(perceived.state, perceived.source.cloth),
+            named=None if agent.goal.variant is None else agent.goal.file,
+        )
+    return [*(a.sentence for a in agreements if a is not None and not a.reliable), *told_of(signs)]
 
 
 def plan(live: Live, *, seed: int, on_progress: OnProgress) -> Live:

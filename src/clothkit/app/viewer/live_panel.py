@@ -6,20 +6,23 @@ from pathlib import Path
 
 import viser
 
-from clothkit.app.inputs import Settings, keep_compiled_programs, read_input
+from clothkit.app.inputs import Input, Settings, keep_compiled_programs, read_input
 from clothkit.app.lengths import AUTO
-from clothkit.app.named_goals import goal_like, goal_name
+from clothkit.app.named_goals import TURNS, goal_like, goal_name
 from clothkit.app.options import ObservationOptions
 from clothkit.app.planner import load_planner
-from clothkit.app.viewer.live import Live, begin, perform, plan, with_progress
+from clothkit.app.viewer.live import Live, begin, notices_of, perform, plan, with_progress
 from clothkit.app.viewer.player import Player, assign, by_hand
 from clothkit.app.viewer.search_progress import Progress
 from clothkit.app.viewer.tasks import SessionFiles
 from clothkit.dataset.store import STEPS
+from clothkit.goals.variants import Turn
 from clothkit.planning.systems import SYSTEMS, system
 from clothkit.runtime.errors import InputError, system_error
 
 OWN = "own files"
+AS_IT_COMES = "as it comes"
+"""No turn is chosen, as for a goal that is a file."""
 
 
 class LivePanel:
@@ -56,6 +59,12 @@ class LivePanel:
         with gui.add_folder("Own files", expand_by_default=own is not None or not tasks):
             self._state = gui.add_text("state", own.state if own else "", hint="A file of this machine, or upload one")
             self._goal = gui.add_text("goal", own.goal if own else "", hint="Likewise, or a name of clothkit goals")
+            self._turn = gui.add_dropdown(
+                "turn",
+                (AS_IT_COMES, *TURNS),
+                hint="Of a named goal: degrees by which its folds are turned",
+            )
+            self._mirror = gui.add_checkbox("mirror", False, hint="Of a named goal: its folds are mirrored before that")
             steps = own.steps if own else 1
             self._steps = gui.add_slider("steps", 1, STEPS, 1, 1 if steps == AUTO else steps)
             self._auto = gui.add_checkbox("as many as are worth it", steps == AUTO)
@@ -128,11 +137,11 @@ class LivePanel:
         keep_compiled_programs()
         planner = load_planner(system(self._system.value), self._data, self._settings)
         start = read_input(files.state, self._options, mask=files.mask)
-        named = goal_name(files.goal, None, None)
-        if named:
-            goal = goal_like(start, named, None, None, self._options, self._settings._replace(data=self._data))
-        else:
-            goal = read_input(files.goal, self._options)
+        # The form of a named goal; what was chosen for one is not for a task's goal, which is a file.
+        form: tuple[Turn | None, bool | None] = (None, None)
+        if files is own:
+            form = TURNS.get(self._turn.value), self._mirror.value or None
+        goal = goal_of_form(start, files.goal, *form, self._options, self._settings._replace(data=self._data))
         title = f"{Path(files.state).name} to {Path(files.goal).name}" if files is own else name
         title = f"{planner.system.name}, {title}"
         self._live = begin(planner, start, goal, files.steps, title=title, data=self._data, settings=self._settings)
@@ -140,7 +149,7 @@ class LivePanel:
         return "\n\n".join(
             [
                 f"{'at most ' if files.steps == AUTO else ''}{_count(self._live.left)} to plan.",
-                *(f"⚠ {n}" for n in (*start.notices, *goal.notices)),
+                *(f"⚠ {n}" for n in dict.fromkeys((*start.notices, *goal.notices, *notices_of(self._live)))),
             ]
         )
 
@@ -177,9 +186,9 @@ class LivePanel:
         if self._live.agent.over:
             return "nothing more is worth doing: the session is over."
         planned = session.steps[live.at].plan
-        if planned is not None and not planned.improves:
-            return "planned, but it is not expected to help: plan again with another seed, or execute all the same."
-        return "planned: look at it, then *execute* its first manipulation."
+        helps = planned is None or planned.improves
+        said = "look at it, then *execute* its first manipulation." if helps else "it is not expected to help."
+        return "\n\n".join([f"planned: {said}", *(f"⚠ {notice}" for notice in notices_of(self._live))])
 
     def _perform(self) -> str:
         assert self._live is not None
@@ -189,6 +198,14 @@ class LivePanel:
             return "executed; the session is over."
         most = "" if self._live.agent.choosing is None else "at most "
         return f"executed; {most}{_count(self._live.left)} left: plan again from what is seen now."
+
+
+def goal_of_form(
+    start: Input, goal: str, turn: Turn | None, mirror: bool | None, options: ObservationOptions, settings: Settings
+) -> Input:
+    """Return a goal that is a file or a name; one with a name is made of the cloth, in that form. Raises InputError."""
+    name = goal_name(goal, turn, mirror)
+    return goal_like(start, name, turn, mirror, options, settings) if name else read_input(goal, options)
 
 
 def keep_upload(folder: Path, what: str, name: str, content: bytes) -> Path:

@@ -2,7 +2,7 @@
 
 import os
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -10,10 +10,12 @@ from clothkit.app.viewer.session import Session, ShownPlan, StateEstimate, Step,
 from clothkit.cloth.mesh import distance_aligned
 from clothkit.cloth.symmetry import relabel
 from clothkit.dataset import tables
+from clothkit.dataset.zarr_store import open_store
 from clothkit.episodes import record
 from clothkit.evaluation import tidy
 from clothkit.manipulation.vector import is_null
 from clothkit.planning.systems import SYSTEMS
+from clothkit.planning.uncertainty_terms import MEASURES, Measure
 
 _KEYS = ("sequence", "start", "length")
 
@@ -69,16 +71,29 @@ def _errors(path: Path) -> dict[tuple[str, int, int, int], float]:
 def session_of(data: Path, system: str, entry: Entry) -> Session:
     """A recorded session. Raises InputError."""
     chosen = record.load(_store(data, system), slice(entry.place, entry.place + 1))
-    members = record.load_members(_store(data, system))
+    members, measure = record.load_members(_store(data, system)), _measure_of(_store(data, system), system)
+    weighs = SYSTEMS[system].doubts
     one = {name: np.asarray(values[0]) for name, values in vars(chosen).items()}
     n = entry.length
     states = tuple(one["state"][: n + 1])
-    steps = tuple(matched(_step(one, i, n, members), states[i], one["cloth"]) for i in range(n))
+    steps = tuple(matched(_step(one, i, n, members, measure, weighs=weighs), states[i], one["cloth"]) for i in range(n))
     title = f"{system}, {entry.split} {entry.title}"
     return Session(title, n, one["goal"], states, steps, tuple(one["centre"][: n + 1]), one["cloth"])
 
 
-def _step(one: dict[str, np.ndarray], i: int, length: int, members: tuple[int, ...]) -> Step:
+def _measure_of(store: Path, name: str) -> Measure | None:
+    """Return which measure of uncertainty the last of a record's terms is, by its attributes; None: they don't tell."""
+    if SYSTEMS[name].voxels:
+        return "paper"
+    told: Any = open_store(store, {}, lengths={}, holds="which a record of sessions holds").attributes
+    for key in ("params", "uncertainty", "measure"):
+        told = told.get(key) if isinstance(told, dict) else None
+    return next((measure for measure in MEASURES if measure == told), None)
+
+
+def _step(
+    one: dict[str, np.ndarray], i: int, length: int, members: tuple[int, ...], measure: Measure | None, *, weighs: bool
+) -> Step:
     points, left = one["candidates"][i], length - i
     sigmas = one["prediction_std"][i, :left].astype(np.float32)
     means = np.swapaxes(one["prediction_mean"][i, :left].astype(np.float32), 0, 1)
@@ -90,7 +105,7 @@ def _step(one: dict[str, np.ndarray], i: int, length: int, members: tuple[int, .
         means=means,
         # Predictions in voxels have no standard deviations.
         sigmas=np.swapaxes(sigmas, 0, 1) if sigmas.shape[2:] == means.shape[2:] else None,
-        uncertainty=float(one["terms"][i, -1]) if len(means) > 1 else None,
+        uncertainty=float(one["terms"][i, -1]) if weighs and len(means) > 1 else None,
         loss=float(one["loss"][i]),
         progress=progress[np.isfinite(progress)],
         tried=int(one["tried"][i]),
@@ -98,6 +113,7 @@ def _step(one: dict[str, np.ndarray], i: int, length: int, members: tuple[int, .
         expected=expected,
         expected_no_action=no_action,
         note=_note(one, i),
+        measure=measure,
     )
     return Step(StateEstimate(one["estimate"][i], None, points[np.isfinite(points).all(-1)]), plan)
 

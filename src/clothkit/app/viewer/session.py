@@ -11,7 +11,8 @@ from jaxtyping import Float, Shaped
 
 from clothkit.app.inputs import Settings
 from clothkit.app.plan_file import UNLIKELY
-from clothkit.app.planner import Planned, epistemic_uncertainty, trusted_of
+from clothkit.app.planner import Planned, trusted_of
+from clothkit.app.uncertainty import epistemic_uncertainty, measure_of
 from clothkit.cloth.mesh import error
 from clothkit.cloth.symmetry import relabel, relabel_manipulation
 from clothkit.cloth.topology import CLOTH_LENGTH, PAPERS_CLOTH, SQUARE
@@ -19,10 +20,20 @@ from clothkit.evaluation.errors import labels_of_truth
 from clothkit.manipulation.geometry import to_cartesian
 from clothkit.models.ensemble import pairs
 from clothkit.planning.planner import Planner
+from clothkit.planning.uncertainty_terms import Measure
 
 Mesh = Float[np.ndarray, "u v 3"]
 State = Shaped[np.ndarray, "*state"]
 """A mesh [u v 3], or voxels [x y z] for a system that plans in voxels."""
+
+
+_UNCERTAINTY: dict[Measure | None, str] = {
+    "paper": "epistemic uncertainty u = {:.3g}",
+    "conditional": "uncertainty term {:.3g} (measure conditional)",
+    "support": "surprise of the manipulations {:.3g}",
+    "expected": "the predicted outcome is expected to be off by {:.3f}",
+    None: "uncertainty term {:.3g}, of a measure that the record does not name",
+}
 
 
 class StateEstimate(NamedTuple):
@@ -44,7 +55,7 @@ class ShownPlan(NamedTuple):
     means: Shaped[np.ndarray, "net m *state"]
     sigmas: Float[np.ndarray, "net m u v 3"] | None
     uncertainty: float | None
-    """u of eq. (15); None if there is only one net."""
+    """The uncertainty term that the search weighed, in the unit of its measure; None: none, or not known."""
     loss: float
     progress: Float[np.ndarray, " evaluations"]
     """The lowest loss up to each iteration of the search."""
@@ -63,6 +74,8 @@ class ShownPlan(NamedTuple):
     """The share of such plans that came true."""
     note: str = ""
     """What happened to the plan, in words."""
+    measure: Measure | None = "paper"
+    """What `uncertainty` measures; None: not known."""
 
 
 class Step(NamedTuple):
@@ -106,12 +119,13 @@ def shown_plan(
     With `settings`, it is told how far such plans can be trusted, if that is known.
     """
     told = None if settings is None else trusted_of(planned, settings, planner.system)
+    measure = measure_of(planner)
     return ShownPlan(
         manipulations=planned.plan,
         members=planner.members,
         means=planned.means,
         sigmas=planned.stds,
-        uncertainty=epistemic_uncertainty(planner, planned),
+        uncertainty=epistemic_uncertainty(planner, planned) if measure == "paper" else planned.prediction_error,
         loss=planned.loss,
         progress=np.zeros(0, np.float32) if progress is None else progress,
         tried=tried,
@@ -120,6 +134,7 @@ def shown_plan(
         expected_no_action=None if planner.system.voxels else planned.expected_no_action,
         outcome_error=None if told is None else (float(told.error[0]), float(told.low[0]), float(told.high[0])),
         trust=None if told is None else float(told.trust[0]),
+        measure=measure,
     )
 
 
@@ -202,7 +217,7 @@ def _facts_of(plan: ShownPlan | None) -> list[str]:
         ended = f"such plans ended at {error:.3f}, 80 % of them at {low:.3f} to {high:.3f}"
         lines.append(f"- {ended}; trust **{plan.trust:.2f}**")
     if plan.uncertainty is not None:
-        lines.append(f"- epistemic uncertainty u = {plan.uncertainty:.3g}")
+        lines.append(f"- {_UNCERTAINTY[plan.measure].format(plan.uncertainty)}")
     apart = disagreement(plan)
     if apart is not None:
         by = ", ".join(f"{after.mean():.3f}" for after in apart / CLOTH_LENGTH)

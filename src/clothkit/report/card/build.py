@@ -6,7 +6,7 @@ from pathlib import Path
 from clothkit.report.card import croissant, figures, page, tables
 from clothkit.report.card.inputs import examples, read
 from clothkit.report.card.meanings import settings_table
-from clothkit.report.card.measures import limits
+from clothkit.report.card.measures import highest, limits
 from clothkit.report.card.settings import CardConfig
 from clothkit.simulation.settings import SimulateConfig
 
@@ -31,7 +31,7 @@ def build(folder: Path, raw: Path, settings: CardConfig, *, located: str = crois
         quality=tables.quality(inputs.states, bounds),
         quality_tried=tables.quality(inputs.tried, bounds),
         against_tried=tables.against_tried(inputs),
-        viewport=tables.viewport(inputs.tried),
+        viewport=tables.viewport(inputs.tried, highest(bounds)),
         worst=worst,
         pictured=len(drawn),
         seed=settings.seed,
@@ -42,7 +42,8 @@ def build(folder: Path, raw: Path, settings: CardConfig, *, located: str = crois
     figures.histograms(inputs.states, bounds, folder / "figures/histograms.png")
     figures.sequences(examples(raw, drawn, inputs.manipulations), folder / "figures/sequences.png")
     shown = examples(raw, sorted(set(worst["sequence"].tolist())), inputs.manipulations)
-    figures.worst(worst, {example.sequence: example for example in shown}, folder / "figures/worst.png")
+    by_sequence = {example.sequence: example for example in shown}
+    figures.worst(worst, by_sequence, folder / "figures/worst.png", highest=highest(bounds))
     (folder / "README.md").write_text(page.page(contents))
     described = croissant.describe(inputs, raw, located=located)
     (folder / "croissant.json").write_text(json.dumps(described, indent=1) + "\n")

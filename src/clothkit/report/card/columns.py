@@ -8,8 +8,11 @@ _QUALITY = {
     "height": ("normalised", "of the highest vertex"),
     "strain_p99": (
         "1",
-        "99th percentile of abs(length / rest length - 1) over the edges along the grid's rows and columns, over all "
-        "edges of an irregular triangulation",
+        "99th percentile of strains. Of an edge along the grid's rows or columns, with l its length over that at rest: "
+        "l - 1 if it is longer than at rest; if it is shorter, only what it lacks of the chord, max(c - l, 0), because "
+        "an edge that is bent over a fold is shorter than its arc. c = sqrt((1 + t) / 2), from 0.3 to 1, where t is "
+        "the scalar product of the edges before and after it, over their lengths at rest: the cosine of the angle by "
+        "which the cloth turns. At the border, c = 1. Over all edges of an irregular triangulation: abs(l - 1)",
     ),
     "strain_worst": ("1", "the largest of these"),
     "intersections": ("count", "pairs of an edge and a triangle that pierce each other"),

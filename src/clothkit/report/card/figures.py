@@ -10,7 +10,6 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
-from clothkit.cloth.voxels import HEIGHT
 from clothkit.report import panels
 from clothkit.report.card.inputs import Example
 from clothkit.report.card.measures import HISTOGRAMS, WORST, Measure, of_name
@@ -81,10 +80,10 @@ def sequences(examples: Sequence[Example], path: Path) -> None:
     draw_strips(strips, path, title="Sequences drawn at random: states, manipulations, heights (normalised)")
 
 
-def worst(rows: pd.DataFrame, examples: Mapping[int, Example], path: Path) -> None:
+def worst(rows: pd.DataFrame, examples: Mapping[int, Example], path: Path, *, highest: float) -> None:
     """Writes a figure of the worst states: a column per measure, each state from above and coloured by height.
 
-    Below each state is the measure's value and its rank.
+    Below each state is the measure's value and its rank; `highest` [normalised] is the upper end of the colours.
     """
     names = [name for name in WORST if (rows["measure"] == name).any()]
     depth = int(rows.groupby("measure").size().max()) if len(rows) else 0
@@ -98,9 +97,9 @@ def worst(rows: pd.DataFrame, examples: Mapping[int, Example], path: Path) -> No
             above, relief, text = axes[1 + 3 * place : 4 + 3 * place, column]
             mesh = mesh - np.append((mesh.max((0, 1)) + mesh.min((0, 1)))[:2] / 2, 0).astype(np.float32)
             panels.show(above, _close(draw(mesh, pixels=CLOSE), mesh))
-            panels.show(relief, _close(draw_relief(mesh, highest=HEIGHT, pixels=CLOSE), mesh))
+            panels.show(relief, _close(draw_relief(mesh, highest=highest, pixels=CLOSE), mesh))
             text.text(0.5, 0.9, _caption(row, of_name(name)), fontsize=7, color=panels.INK, ha="center", va="top")
-    _scale(axes[2, -1])
+    _scale(axes[2, -1], highest)
     panels.save(figure, path)
 
 
@@ -117,14 +116,14 @@ def _caption(row: pd.Series, measure: Measure) -> str:
     return f"{value} (no. {row['rank']})\nsequence {row['sequence']}, state {row['state']}"
 
 
-def _scale(axis: Axes) -> None:
+def _scale(axis: Axes, highest: float) -> None:
     """Draws the colour scale of heights beside the pictures."""
     shades = relief_colours(np.linspace(1, 0, 64)[:, None])
     axis.set_axis_on()
-    axis.imshow(shades, extent=(0, 1, 0, HEIGHT), aspect="auto", interpolation="none")
+    axis.imshow(shades, extent=(0, 1, 0, highest), aspect="auto", interpolation="none")
     # A third of the column is colour, the rest is for the numbers.
     axis.set_xlim(0, 3)
     axis.spines[:].set_visible(False)
     axis.set(xticks=[], yticks=[])
-    for height in (0, HEIGHT / 2, HEIGHT):
+    for height in (0, highest / 2, highest):
         axis.text(1.15, height, f"{height:.3g}", fontsize=6.5, color=panels.INK, va="center")

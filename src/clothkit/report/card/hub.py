@@ -62,9 +62,9 @@ def write_hub(folder: Path, source: Path, sequences: Sequence[int] | None) -> No
     raw: Path | None = source
     if not is_raw(source):
         raw = source.parent / "raw" if sequences is None and (source.parent / "raw/states").is_dir() else None
-        dataset = store.load(source)
-        chosen = chosen_sequences(source, sequences, list(range(len(dataset))))
-        parts.append(_write_meshes(folder, dataset, np.array(chosen)))
+        split, _ = store.load_splits(source)
+        chosen = np.array(chosen_sequences(source, sequences, list(range(len(split)))))
+        parts.append(_write_meshes(folder, source, [chosen[split[chosen] == code] for code in range(len(SPLITS))]))
         text, count = _about_meshes(parts[0]), len(chosen)
     if raw is not None:
         count = max(count, _copy_raw(raw, folder / RAW, sequences if is_raw(source) else None))
@@ -75,15 +75,16 @@ def write_hub(folder: Path, source: Path, sequences: Sequence[int] | None) -> No
     readme.write_text("\n".join(part for part in (_header(parts, count), text, card) if part))
 
 
-def _write_meshes(folder: Path, dataset: Dataset, chosen: np.ndarray) -> Configuration:
+def _write_meshes(folder: Path, source: Path, of_splits: Sequence[np.ndarray]) -> Configuration:
+    """Write the sequences of each split of a store of meshes, a file of them in memory at a time."""
     files = {}
-    for code, split in enumerate(SPLITS):
-        own = chosen[dataset.split[chosen] == code]
+    for split, own in zip(SPLITS, of_splits, strict=True):
         shards = [own[k : k + ROWS_PER_FILE] for k in range(0, len(own), ROWS_PER_FILE)]
         for number, shard in enumerate(shards):
             path = folder / f"data/meshes/{split}-{number:05d}-of-{len(shards):05d}.parquet"
             path.parent.mkdir(parents=True, exist_ok=True)
-            pq.write_table(_meshes(dataset.take(shard), shard), path, row_group_size=50)
+            dataset = store.join(store.Parts(len(shard), store.load_parts(source, shard)))
+            pq.write_table(_meshes(dataset, shard), path, row_group_size=50)
         if shards:
             files[split] = f"data/meshes/{split}-*.parquet"
     return Configuration("meshes", files)

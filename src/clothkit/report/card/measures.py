@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from clothkit.cloth.voxels import HEIGHT
 from clothkit.manipulation.vector import SHORTEST
 from clothkit.report.card.meanings import flatten
 
@@ -59,11 +60,20 @@ def of_name(name: str) -> Measure:
 
 
 def limits(params: Mapping[str, Any]) -> dict[str, float]:
-    """Limits of acceptance by column, in the files' units: those in the artifacts' settings, and the null length."""
+    """Limits of acceptance by column, in the files' units: those in the artifacts' settings, and the null length.
+
+    The limit of gaps is a share of the thickness: where each sequence draws its own, it is no one length and left out.
+    """
     stated = params.get("limits")
     stated = stated if isinstance(stated, Mapping) else {}
     found = {m.name: float(stated[m.name]) for m in QUALITY if isinstance(stated.get(m.name), int | float)}
-    share, thickness = found.pop("gap", None), flatten(params).get("simulation.material.thickness")
-    if share is not None and thickness is not None:
+    told = flatten(params)
+    share, thickness = found.pop("gap", None), told.get("simulation.material.thickness")
+    if share is not None and thickness is not None and told.get("variation.thickness") is None:
         found["gap"] = share * thickness
     return {**found, MOVE.name: SHORTEST}
+
+
+def highest(limits: Mapping[str, float]) -> float:
+    """The greatest height that a state may have [normalised]; that of the paper's viewport where no limit is known."""
+    return limits.get("height", HEIGHT)

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import pandas as pd
 
 from clothkit.cloth.topology import CLOTH_LENGTH
-from clothkit.cloth.voxels import HEIGHT
 from clothkit.report.card.columns import described
 from clothkit.report.card.inputs import PARTS, Inputs
 from clothkit.report.card.meanings import flatten
+from clothkit.report.card.measures import highest, limits
 from clothkit.report.card.tables import TOLERANCE, WITHIN
 from clothkit.report.markdown import tables as markdown
 
@@ -104,6 +104,7 @@ def page(contents: Contents) -> str:
         markdown.plain(contents.hands),
         "## Quality\n",
         "States of accepted sequences after each manipulation. The worst is the largest, of gaps the smallest.\n",
+        _gap_of_each(inputs),
         _csv("quality"),
         markdown.plain(contents.quality),
         _tried(contents),
@@ -150,6 +151,14 @@ def in_words(inputs: Inputs) -> str:
 def _are_drawn(inputs: Inputs) -> bool:
     """Whether each sequence has another cloth."""
     return "variation.thickness" in flatten(inputs.params)
+
+
+def _gap_of_each(inputs: Inputs) -> str:
+    """The sentence on the limit of gaps where it is another for each cloth; "" where it is one, or unknown."""
+    share = flatten(inputs.params).get("limits.gap")
+    if not _are_drawn(inputs) or share is None:
+        return ""
+    return f"The limit of the gap is {_value(share)} of each cloth's own thickness, so it is no one length.\n"
 
 
 def _value(value: object) -> str:
@@ -217,12 +226,15 @@ def _tried(contents: Contents) -> str:
     parts = []
     if contents.quality_tried["states"].any():
         share = contents.viewport["higher"].sum() / max(contents.viewport["tried states"].sum(), 1)
+        bounds = limits(contents.inputs.params)
+        meaning = "the limit of acceptance" if "height" in bounds else "the paper's viewport"
         parts += [
             "### Tried states\n",
             "The same for all tried states, those of rejected sequences among them.\n",
             _csv("quality_tried"),
             markdown.plain(contents.quality_tried),
-            f"**{_percent(share)} of the tried states** stand higher than {HEIGHT} (normalised), the viewport:\n",
+            f"**{_percent(share)} of the tried states** stand higher than {highest(bounds):g} (normalised), "
+            f"{meaning}:\n",
             markdown.plain(contents.viewport),
         ]
     if (contents.against_tried[WITHIN] != "–").any():

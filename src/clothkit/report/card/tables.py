@@ -6,7 +6,6 @@ from itertools import islice
 import numpy as np
 import pandas as pd
 
-from clothkit.cloth.voxels import HEIGHT
 from clothkit.report.card.inputs import Inputs
 from clothkit.report.card.measures import QUALITY, SHAPE, WORST, Measure, of_name
 
@@ -71,12 +70,12 @@ def against_tried(inputs: Inputs) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["measure", "step", *columns])
 
 
-def viewport(tried: pd.DataFrame) -> pd.DataFrame:
-    """Number and share of tried states that are higher than the voxels' viewport, after each step."""
+def viewport(tried: pd.DataFrame, highest: float) -> pd.DataFrame:
+    """Number and share of tried states that are higher than `highest` [normalised], after each step."""
     rows = []
     for k in STEPS:
         height = tried.loc[tried["state"] == k, "height"].dropna()
-        higher = int((height > HEIGHT).sum())
+        higher = int((height > highest).sum())
         rows.append((k, len(height), higher, 100 * higher / len(height) if len(height) else np.nan))
     return pd.DataFrame(rows, columns=["step", "tried states", "higher", "share [%]"])
 

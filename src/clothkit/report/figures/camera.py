@@ -11,6 +11,7 @@ from clothkit.cloth import voxels
 from clothkit.cloth.mesh import best_label
 from clothkit.cloth.symmetry import relabel
 from clothkit.cloth.topology import SQUARE
+from clothkit.cloth.voxels import Viewport
 from clothkit.dataset.store import Dataset
 from clothkit.evaluation.camera_settings import UNMEASURED
 from clothkit.report import panels
@@ -32,10 +33,13 @@ def camera(
     estimates: Mapping[str, np.ndarray],
     conditions: list[str],
     path: Path,
+    *,
+    viewport: Viewport,
 ) -> None:
     """Writes a figure with a block per example: a column without a camera, then a column per condition.
 
-    The rows of a block show heights (without a camera the true mesh), voxels, and the refined estimate.
+    The rows of a block show heights (without a camera the true mesh), voxels, and the refined estimate. `viewport` is
+    that of the pictures' voxels.
     """
     count = len(pictures["sequence"])
     heights = [*([1.0] * 3 + [0.12]) * count, _BAR, 0.12]
@@ -49,7 +53,7 @@ def camera(
         truth = dataset.vertices[sequence, state]
         place = int(np.flatnonzero(estimates["sequence"] == sequence)[0])
         panels.show(rows[0, 0], draw(truth), mark="R")
-        panels.show(rows[1, 0], draw_heights(np.asarray(voxels.observe(truth))))
+        panels.show(rows[1, 0], draw_heights(np.asarray(voxels.observe(truth, viewport=viewport))))
         panels.show(rows[2, 0], draw(labelled(estimates["mesh"][place, state], truth)), mark="E")
         for column in range(len(conditions)):
             panels.show(rows[0, 1 + column], relief(pictures["height"][number, column]))

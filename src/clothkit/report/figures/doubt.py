@@ -15,6 +15,7 @@ from clothkit.report.layout import PROBED
 
 NAMES = {
     "deviations": "u of eq. (15)",
+    "conditional": "z of the state",
     "distance": "nets' distance",
     "sigma": "predicted sigma",
     "surprise": "surprise",
@@ -27,6 +28,9 @@ STATISTICS = {
 }
 """Titles of the statistics of `evaluation.doubt`, and what a measure comes to that tells nothing."""
 
+COLOURS = (*NETS, "#c2528b")
+"""Colours of measures, in order."""
+
 LEAST = 0.003
 """Errors below are drawn at that place [cloth length]."""
 
@@ -38,9 +42,9 @@ def measures(summary: pd.DataFrame, path: Path) -> None:
     for axis, (statistic, (title, nothing)) in zip(axes, STATISTICS.items(), strict=True):
         own = summary[summary["statistic"] == statistic]
         axis.axhline(nothing, color="#999999", linewidth=0.9, linestyle=(0, (4, 3)))
-        for place, (name, colour) in enumerate(zip(shown, NETS, strict=False)):
+        for place, (name, colour) in enumerate(zip(shown, COLOURS, strict=False)):
             rows = own[own["measure"] == name].set_index("group").reindex(list(PROBED))
-            x = np.arange(len(PROBED)) + (place - (len(shown) - 1) / 2) * 0.15
+            x = np.arange(len(PROBED)) + (place - (len(shown) - 1) / 2) * 0.13
             axis.vlines(x, rows["low"], rows["high"], color=colour, linewidth=1.4)
             axis.plot(x, rows["value"], "o", color=colour, markersize=4, label=NAMES[name])
         axis.set_xticks(range(len(PROBED)), PROBED)

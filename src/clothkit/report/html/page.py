@@ -16,9 +16,9 @@ from clothkit.report.layout import SPLITS
 HERE = Path(__file__).parent
 
 
-def page(title: str, sections: list[Section], figures: Path) -> str:
-    """The page as one HTML document, with the pictures in the folder `figures`. Equal sections give equal bytes."""
-    writer = _Writer(figures)
+def page(title: str, sections: list[Section], folder: Path) -> str:
+    """The page as one HTML document, with the pictures of a report's folder. Equal sections give equal bytes."""
+    writer = _Writer(folder)
     links = [element("li", element("a", section.title, href=f"#{section.id}")) for section in sections]
     parts = []
     for section in sections:
@@ -35,7 +35,7 @@ def page(title: str, sections: list[Section], figures: Path) -> str:
 
 @dataclass(frozen=True)
 class _Writer:
-    figures: Path
+    folder: Path
 
     @singledispatchmethod
     def render(self, block: Block) -> Html:
@@ -48,7 +48,7 @@ class _Writer:
 
     @render.register
     def _(self, block: Picture) -> Html:
-        return picture(block, self.figures / f"{block.name}.png")
+        return picture(block, self.folder / block.png)
 
     @render.register
     def _(self, block: DataTable) -> Html:

@@ -18,7 +18,7 @@ LEAST = (0.55, 860)
 def picture(block: Picture, file: Path) -> Html:
     """A figure element with title and caption.
 
-    `file` is the PNG to read. The element links to it as `figures/<name>.png` beside the page.
+    `file` is the PNG to read. The element links to it as it lies beside the page.
     """
     image = cv2.imread(str(file))
     assert image is not None, f"{file} is a picture"
@@ -34,7 +34,7 @@ def picture(block: Picture, file: Path) -> Html:
         style=f"min-width:{min(round(LEAST[0] * width), LEAST[1])}px",
     )
     title = element("strong", f"{block.title}.")
-    link = element("a", "PNG", href=f"figures/{block.name}.png")
+    link = element("a", "PNG", href=block.png)
     below = element("figcaption", title, " ", inline(block.caption), " ", link)
     frame = element(
         "div", shown, class_="frame scroll", tabindex=0, role="region", aria_label=f"{block.title}, picture"

@@ -31,7 +31,7 @@ def _(block: Paragraph) -> str:
 
 @render.register
 def _(block: Picture) -> str:
-    return f"![{block.name}](figures/{block.name}.png)\n\n*{block.caption}*\n"
+    return f"![{block.name}]({block.png})\n\n*{block.caption}*\n"
 
 
 @render.register

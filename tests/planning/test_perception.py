@@ -1,0 +1,41 @@
+"""How unsure a perception is, against the formulas by hand."""
+
+import jax
+import numpy as np
+import pytest
+
+from clothkit.cloth.silhouette import centred
+from clothkit.cloth.topology import PAPERS_CLOTH
+from clothkit.estimation.estimate import estimate_probabilistic
+from clothkit.estimation.refine import RefineConfig
+from clothkit.models.net import Net
+from clothkit.models.vtm import VtMConfig, initial
+from clothkit.planning.perception import Estimation, Expected, sigma_of
+from clothkit.planning.types import Observation
+from tests.planning import toy
+
+
+def sigma(std: np.ndarray) -> float:
+    """In lengths of a cloth of 1.4."""
+    return float(np.sqrt((std.astype(np.float64) ** 2).sum(-1).mean())) / 1.4
+
+
+def test_what_was_predicted_makes_estimates_surer() -> None:
+    config = VtMConfig(hidden=4)
+    net = Net(config, initial(config, key=jax.random.key(0)))
+    seen = np.zeros((1, 32, 32, 16), bool)
+    seen[:, 8:24, 8:24, 0] = True
+    observation, cloth = Observation(voxels=seen), PAPERS_CLOTH[None]
+    perception = Estimation(net, RefineConfig(prior=2.0), batch=1)
+    alone = sigma_of(perception, observation, None, cloth)
+    assert alone == pytest.approx(sigma(np.asarray(estimate_probabilistic(net, seen, cloth=cloth).std)), rel=1e-4)
+    guess = centred(toy.bent())[0][None].astype(np.float32)
+    own = np.asarray(estimate_probabilistic(net, seen, guess, cloth=cloth).std)
+    # With `prior`, predictions count with twice their deviations.
+    for std in (0.005, 0.05):
+        expected = Expected(toy.bent()[None], np.full_like(guess, std))
+        both = (own**-2.0 + np.full_like(own, 2 * std) ** -2.0) ** -0.5
+        assert sigma_of(perception, observation, expected, cloth) == pytest.approx(sigma(both), rel=1e-3)
+        assert sigma(both) < sigma(own)
+    nothing = Expected(toy.bent()[None], np.full_like(guess, np.inf))
+    assert sigma_of(perception, observation, nothing, cloth) == pytest.approx(sigma(own), rel=1e-4)
