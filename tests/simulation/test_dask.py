@@ -1,13 +1,16 @@
 """Sequences that a Dask cluster records, of which a worker is killed half-way: the same bytes as on one machine."""
 
 import dataclasses
+import os
 import threading
 import time
+from concurrent.futures import BrokenExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from clothkit.simulation import executor
 from clothkit.simulation.executor import end_workers, make_simulator
 from clothkit.simulation.settings import SimulateConfig
 from clothkit.simulation.solver import flat_state
@@ -15,6 +18,15 @@ from tests.simulation.test_generation import SCALE, SETTINGS, SIMULATION, conten
 
 distributed = pytest.importorskip("distributed")
 psutil = pytest.importorskip("psutil")
+
+
+FOLDS = (
+    np.stack([flat_state(SIMULATION) / np.float32(SCALE)] * 4),
+    np.array([[[-0.7, -0.7], [-0.7, 0.7]], [[-0.7, -0.7]] * 2, [[0.7, 0.7]] * 2, [[0.7, -0.7], [0.7, 0.7]]]),
+    np.array([[1.3, 0.0], [0.7, 0.7], [-0.6, -0.7], [-1.0, 0.1]]),
+    np.array([False, True, True, False]),
+)
+"""Four flat cloths, and a manipulation of each."""
 
 
 def kill_a_worker(work: Path, killed: list[int]) -> None:
@@ -53,10 +65,7 @@ def test_a_worker_that_is_lost_changes_no_byte(tmp_path: Path) -> None:
 
 def test_execution_does_not_depend_on_who_executes() -> None:
     """As stages and studies execute plans; each of the two workers has two cloths."""
-    meshes = np.stack([flat_state(SIMULATION) / np.float32(SCALE)] * 4)
-    grasps = np.array([[[-0.7, -0.7], [-0.7, 0.7]], [[-0.7, -0.7]] * 2, [[0.7, 0.7]] * 2, [[0.7, -0.7], [0.7, 0.7]]])
-    moves, single = np.array([[1.3, 0.0], [0.7, 0.7], [-0.6, -0.7], [-1.0, 0.1]]), np.array([False, True, True, False])
-    alone = make_simulator(SETTINGS)(meshes, grasps, moves, single)
+    alone = make_simulator(SETTINGS)(*FOLDS)
     with distributed.LocalCluster(
         n_workers=2,
         threads_per_worker=2,
@@ -66,9 +75,20 @@ def test_execution_does_not_depend_on_who_executes() -> None:
         silence_logs=50,
     ) as made:
         elsewhere = dataclasses.replace(SETTINGS, executor="dask", scheduler=made.scheduler_address)
-        found = make_simulator(elsewhere)(meshes, grasps, moves, single)
+        found = make_simulator(elsewhere)(*FOLDS)
         end_workers()
     np.testing.assert_array_equal(found, alone)
+
+
+def test_a_pool_that_has_lost_a_process_is_not_used_again() -> None:
+    """The call fails in which it is noticed; the next one gets processes of its own."""
+    pool = executor._shared_pool("processes", 2, "")
+    with pytest.raises(BrokenExecutor):
+        pool.submit(os._exit, 1).result()
+    with pytest.raises(BrokenExecutor):
+        executor.execute(*FOLDS, settings=SIMULATION, workers=2)
+    assert executor._shared_pool("processes", 2, "") is not pool
+    end_workers()
 
 
 def test_a_scheduler_without_its_executor_is_a_mistake() -> None:
