@@ -194,7 +194,7 @@ def test_plans_that_are_cut_beside_those_of_their_own(study: ModuleType, monkeyp
     cut = found[found["way"] == "cut"].reset_index(drop=True)
     from_first = cut[cut["start"] == 0]
     assert from_first["n"].tolist() == from_first["length"].tolist() == [1, 2, 3]
-    assert (from_first["error"] < 0.05).all()
+    assert from_first["error"].iloc[0] < 0.01
     # The same manipulations come to the same, however they were found.
     own = cut[["start", "length", "n"]].merge(found[found["way"] == "own"], on=["start", "length", "n"])
     np.testing.assert_allclose(own["error"], cut["error"], atol=1e-5)
@@ -204,7 +204,8 @@ def test_plans_that_are_cut_beside_those_of_their_own(study: ModuleType, monkeyp
 def test_a_search_for_any_step_finds_what_one_manipulation_reaches(study: ModuleType) -> None:
     """With real searches: of a plan of three, one state comes about as near to a goal of one as a plan of one does."""
     optimiser = RandomShootingConfig(plans=256, chunk=64, finalists=4)
-    settings = dataclasses.replace(toy.planner("b1").settings, search=toy.searching(optimiser=optimiser))
+    looking = dataclasses.replace(toy.SEARCH, optimiser=optimiser)
+    settings = dataclasses.replace(toy.planner("b1").settings, search=looking)
     planner, start = dataclasses.replace(toy.planner("b1"), settings=settings), toy.bent()
     goal = np.asarray(toy.dragged(jnp.asarray(start), jnp.array([1, -1, 1, 1, -1.2, 0.0])))[None]
     memory = begin(planner, goal, np.array([3]))
