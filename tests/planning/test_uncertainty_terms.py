@@ -142,7 +142,7 @@ def test_the_expected_error_has_a_finite_gradient_however_far_nets_are_apart(err
         std = jnp.broadcast_to(sigma * 1.4 / 3**0.5, mesh.shape)
         states = ProbabilisticMesh(mesh, std), ProbabilisticMesh(mesh + distance * apart, std)
         # The mean over the two manipulations.
-        surprises = mock.Mock(spec=Surprise, side_effect=lambda outlook: surprise / 2)
+        surprises = mock.Mock(spec=Surprise, side_effect=lambda outlook: jnp.full(1, surprise / 2))
         return jnp.sum(ModelError(1.0, error, surprises)(Outlook(MESH, plan, states)))
 
     signs = np.array(list(product([0, 1e-4, 1e-3, 0.05, 1, 5], [1e-4, 0.02, 1], [0, 1, 50])), np.float32)

@@ -3,6 +3,7 @@
 The words are made from the paired comparisons of planners, so that they stay true when a chain is run again.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 import pandas as pd
@@ -98,17 +99,16 @@ def _claim(study: pd.DataFrame) -> str:
     """Whether the paper's claim is confirmed by the study of doubt, with the figures of each plan length."""
     told, verdicts = [], []
     for pair, (short, what) in CLAIMED.items():
-        rows = _pair(study, pair).set_index("column")
-        count = _sequences(rows)
+        compared = _pair(study, pair)
+        rows, count = {str(row["column"]): row for row in compared.to_dict("records")}, _sequences(compared)
         if count < LEAST:
             why = f"only {count} sequences were planned for with both" if count else "the study has no such rows"
             told.append(f"With {short} ({what}) *main* was not compared: {why}.")
             verdicts.append(f"not tested against {short}")
             continue
-        shown = [f"{_apart(rows.loc[column])} in {plans}" for column, plans in LENGTHS.items() if column in rows.index]
+        shown = [f"{_apart(rows[column])} in {plans}" for column, plans in LENGTHS.items() if column in rows]
         told.append(f"Mean error of *main* beside {short} ({what}; {count} test sequences): {', '.join(shown)}.")
-        difference, p = rows["difference"].to_dict(), rows["p"].to_dict()
-        met = {column: difference[column] < 0 and p[column] < CLAIM for column in AIMED if column in p}
+        met = {c: rows[c]["difference"] < 0 and rows[c]["p"] < CLAIM for c in AIMED if c in rows}
         for word, wanted in (("confirmed", True), ("not confirmed", False)):
             if columns := [LENGTHS[column] for column, found in met.items() if found == wanted]:
                 verdicts.append(f"{word} against {short} for {' and '.join(columns)}")
@@ -120,7 +120,7 @@ def _claim(study: pd.DataFrame) -> str:
     )
 
 
-def _apart(row: Any) -> str:
+def _apart(row: Mapping[Any, Any]) -> str:
     return f"{number(abs(row['difference']))} {'smaller' if row['difference'] < 0 else 'larger'} (p {row['p']:.2g})"
 
 
