@@ -152,7 +152,7 @@ def regularised(raw: Path, settings: RegulariseConfig, topology: Topology = SQUA
 
 
 def _meshes(
-    raw: Path, states: pd.DataFrame, sequences: Sequence[int], mesher: Mesher, bar: tqdm
+    raw: Path, states: pd.DataFrame, sequences: Sequence[int], mesher: "Mesher", bar: tqdm
 ) -> tuple[np.ndarray, np.ndarray]:
     """The centred meshes [sequence state u v 3] of sequences, and their centres [sequence state 2]."""
     vertices = np.full((len(sequences), STATES, *mesher.topology.shape, 3), np.nan, np.float32)
