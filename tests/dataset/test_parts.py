@@ -56,6 +56,8 @@ def moved_raw(folder: Path, count: int) -> Path:
     raw = write_raw(folder, count)
     whole = pd.read_parquet(raw / "states/0.parquet")
     (raw / "states/0.parquet").unlink()
+    moves = pd.read_parquet(raw / "manipulations.parquet")
+    moves.assign(dy=moves["dy"] / count).to_parquet(raw / "manipulations.parquet")
     rng = np.random.default_rng(0)
     whole["vertices"] = [own + rng.normal(scale=1e-4, size=own.shape).astype(np.float32) for own in whole["vertices"]]
     for number, first in enumerate(reversed(range(0, count, 7))):

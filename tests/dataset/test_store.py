@@ -19,8 +19,8 @@ def make(count: int = 5, seed: int = 0) -> Dataset:
         manipulation=rng.uniform(-1, 1, (count, 3, 6)).astype(np.float32),
         hands=rng.integers(1, 3, (count, 3)).astype(np.int8),
         length=np.full(count, 3, np.int8),
-        split=np.array([0, 0, 1, 2, 2], np.int8)[:count],
-        evaluated=np.array([True, False, False, True, True])[:count],
+        split=np.resize(np.array([0, 0, 1, 2, 2], np.int8), count),
+        evaluated=np.resize(np.array([True, False, False, True, True]), count),
         **papers_cloths(count)._asdict(),
     )
 

@@ -5,25 +5,14 @@ formulae and a pairwise algorithm for computing sample variances".
 """
 
 from collections.abc import Sequence
-from typing import Protocol
 
 import cv2
 import numpy as np
 import pyarrow as pa
-from jaxtyping import Float, UInt8
+from jaxtyping import Shaped, UInt8
 
 QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 _BLOCK = 256  # places whose values are float64 at a time
-
-
-class Statistics(Protocol):
-    """Minimum, maximum, mean, standard deviation, count and quantiles at each place of a feature."""
-
-    def add(self, columns: Sequence[pa.ChunkedArray], sampled: Sequence[pa.ChunkedArray] = ()) -> None:
-        """Add frames; quantiles are those of the `sampled` ones, which are kept in memory."""
-
-    def found(self) -> dict[str, np.ndarray]:
-        """The statistics of what was added, with quantiles if frames were sampled."""
 
 
 class OfValues:
@@ -64,7 +53,7 @@ class OfValues:
     def _blocks(self) -> list[slice]:
         return [slice(first, first + _BLOCK) for first in range(0, self._width, _BLOCK)]
 
-    def _values(self, columns: Sequence[pa.ChunkedArray]) -> Float[np.ndarray, "frame place"]:
+    def _values(self, columns: Sequence[pa.ChunkedArray]) -> Shaped[np.ndarray, "frame place"]:
         chunks = [chunk.flatten() if self._width > 1 else chunk for column in columns for chunk in column.chunks]
         found = np.concatenate([chunk.to_numpy(zero_copy_only=False) for chunk in chunks])
         return found.reshape(-1, self._width)
@@ -101,6 +90,10 @@ class OfPictures:
                 name: np.array([levels[np.searchsorted(row, q)] for row in below]) for name, q in QUANTILES.items()
             }
         return {**{name: values.reshape(3, 1, 1) for name, values in found.items()}, "count": np.array([self._count])}
+
+
+Statistics = OfValues | OfPictures
+"""Minimum, maximum, mean, standard deviation, count and quantiles at each place of a feature."""
 
 
 def decoded(png: bytes) -> UInt8[np.ndarray, "row column 3"]:
