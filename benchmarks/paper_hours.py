@@ -138,7 +138,9 @@ def main() -> None:
     rows = [part.row() for part in parts]
     total = sum(row["hours"] for row in rows if row["hours"] is not None)
     missing = sum(row["hours"] is None for row in rows)
-    rows.append({"part": f"sum; {missing} parts have no rows", "device": "", "hours": float(f"{total:.3g}")})
+    rows.append(
+        {"part": f"sum; {missing} parts have no rows", "device": "", "number": "", "hours": float(f"{total:.3g}")}
+    )
     show("paper hours: scale paper", rows, csv=asked.csv)
 
 
