@@ -39,9 +39,10 @@ def load_nets(data: Path, told: Mapping[str, Any] | None = None) -> tuple[Path, 
             found = prebuilt(PREBUILT)
     if found is None:
         return data, load_settings(data)
+    made = _unpacked(found)
     if found != data:
         click.echo(f"notice: no trained nets in {data}/nets: those of {found} are used", err=True)
-    return _unpacked(found)
+    return made
 
 
 def _unpacked(prebuilt: Path) -> tuple[Path, Settings]:
