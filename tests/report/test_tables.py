@@ -250,7 +250,7 @@ def test_the_page_shows_tables_and_figures(tmp_path: Path) -> None:
     assert "| planning | main, labelled | clothkit | 0.1" in text
     assert "| planning | no action | clothkit | 0.355 |" in text
     assert "| test | a1 | mean | paper | 0.0269 | 0.0379 | 0.0506 |" in text
-    assert "| Test set | paper | 0.770 | **0.750** | **0.785** |" in text
+    assert "| Test set | paper | 0.770 | – | – | – | **0.750** | **0.785** |" in text
     assert "| test | b4 † | mean | paper | 0.00768 | 0.0182 |" in text
     assert "| error | main | b5 † | 3/all | 12 |" in text
     assert "| error | b4 | b5 | 3/all | 12 |" in text

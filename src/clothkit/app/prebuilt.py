@@ -43,12 +43,13 @@ def load_nets(data: Path, told: Mapping[str, Any] | None = None) -> tuple[Path, 
             _tell_of_others(data)
     if found is None:
         return data, load_settings(data)
+    made = _unpacked(found)
     if found != data:
         lacking = f"no trained nets in {data}/nets"
         if _has_some(data):
             lacking = f"the nets in {data} lack {', '.join(missing)}"
         click.echo(f"notice: {lacking}: those of {found} are used", err=True)
-    return _unpacked(found)
+    return made
 
 
 def _unpacked(prebuilt: Path) -> tuple[Path, Settings]:
