@@ -57,7 +57,8 @@ def _knowing(data: Path, told: Mapping[str, Any]) -> tuple[Path, Settings] | Non
     if not (PREBUILT / FIRST / MANIFEST).exists():
         return None
     own = load_settings(data)
-    options = observation_options(own.app, **{name: told.get(name) for name in ("side", "sides", "thickness")})
+    cloth: dict[str, Any] = {name: told.get(name) for name in ("side", "sides", "thickness")}
+    options = observation_options(own.app, **cloth)
     if own.alarms is None or own.alarms.knows(options.cloth):
         return None
     folder, settings = _unpacked(PREBUILT / FIRST)
