@@ -1,14 +1,14 @@
 """What does it take to record a million sequences?  python benchmarks/million.py [SEQUENCES ..] [options]
 
 A dry run of stage simulate: attempts are made once and copied, so that all time is spent on handing out, storing and
-reading blocks and on writing the dataset. It runs for each number of SEQUENCES (default: 2000 and 4000), with `--block`
-attempts in a block (default: 64). CPU seconds are told, which do not depend on what else the machine does.
+reading blocks and on writing the dataset. It runs for each number of SEQUENCES (default: 2000 and 4000) with each
+number of attempts in a `--block` (default: 4 and 64). CPU seconds are told, which other programs change little.
 - `--dask N`: the copies are made by N workers of a Dask cluster on this machine, whose scheduler is a process of its
   own. Its CPU seconds are told, and the bytes on the loopback interface, those of other programs included.
 - `--variation`: every sequence has a rectangle of its own, as in a world with `simulate.variation`.
 - `--files N`: what it takes to make, find and open so many empty files in one folder, beside a thousand.
 
-From the largest run and `--cpu` seconds of one core for an accepted sequence (default: those of stage simulate in
+From the largest runs and `--cpu` seconds of one core for an accepted sequence (default: those of stage simulate in
 reports/laptop), the second table tells by arithmetic what `--wanted` sequences (default: a million) take on 1, 16 and
 256 cores: hours, and how busy the processes are through which all blocks pass. `--csv FOLDER` writes the tables.
 """
@@ -103,10 +103,12 @@ def cluster(folder: Path, workers: int) -> Iterator[Cluster]:
         yield Cluster(place, processes[0])
 
 
-def run(sequences: int, asked: argparse.Namespace, made: Path, topology: Topology, dask: Cluster | None) -> dict:
+def run(
+    sequences: int, block: int, asked: argparse.Namespace, made: Path, topology: Topology, dask: Cluster | None
+) -> dict:
     """Record sequences that are copies, and return the row of the table."""
     chosen: dict[str, Any] = {} if dask is None else {"executor": "dask", "scheduler": dask.address}
-    settings = SimulateConfig(sequences=sequences, block=asked.block, workers=1, **chosen)
+    settings = SimulateConfig(sequences=sequences, block=block, workers=1, **chosen)
     stub = functools.partial(copies, made, variation=asked.variation)
     with (
         tempfile.TemporaryDirectory(dir=made.parent) as folder,
@@ -119,14 +121,14 @@ def run(sequences: int, asked: argparse.Namespace, made: Path, topology: Topolog
         )
         seconds = time.process_time() - started
         files = [path for path in Path(folder).rglob("*") if path.is_file()]
-        own = {kind: [path for path in files if kind in path.parts] for kind in ("work", "raw")}
+        own = {kind: [path for path in files if Path(folder, kind) in path.parents] for kind in ("work", "raw")}
         size = {kind: sum(path.stat().st_size for path in paths) for kind, paths in own.items()}
     row = {
         "sequences": sequences,
         "workers": asked.dask,
         "rectangles": sequences if asked.variation else 1,
         "attempts": found.attempts,
-        "block": asked.block,
+        "block": block,
         "storing CPU s": round(seconds, 2),
         "blocks' files": len(own["work"]),
         "dataset's files": len(own["raw"]),
@@ -154,6 +156,7 @@ def projected(row: dict, wanted: int, cpu: float) -> list[dict]:
             {
                 "sequences": wanted,
                 "cores": cores,
+                "block": row["block"],
                 "CPU s a sequence": round(cpu, 3),
                 "hours of simulation": round(hours, 1),
                 **{f"hours of {name}": round(own, 2) for name, own in busy.items()},
@@ -201,7 +204,7 @@ def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sequences", type=int, nargs="*", default=[2000, 4000])
-    parser.add_argument("--block", type=int, default=64)
+    parser.add_argument("--block", type=int, nargs="+", default=[4, 64])
     parser.add_argument("--dask", type=int, default=0, metavar="WORKERS")
     parser.add_argument("--variation", action="store_true")
     parser.add_argument("--files", type=int, default=0)
@@ -221,9 +224,11 @@ def main() -> None:
         made = Path(folder).resolve() / "made.npz"
         BLOCKS.save(made, attempt_sequences(range(MADE), dataclasses.replace(settings, block=MADE), topology))
         dask = stack.enter_context(cluster(made.parent, asked.dask)) if asked.dask else None
-        rows = [run(count, asked, made, topology, dask) for count in sorted(asked.sequences)]
+        tried = [(count, block) for count in sorted(asked.sequences) for block in asked.block]
+        rows = [run(*pair, asked, made, topology, dask) for pair in tried]
+    told = [one for row in rows[-len(asked.block) :] for one in projected(row, asked.wanted, cpu)]
     show(f"{title}: a dry run", rows, csv=asked.csv)
-    show(f"{title} a million: by arithmetic", projected(rows[-1], asked.wanted, cpu), csv=asked.csv)
+    show(f"{title} a million: by arithmetic", told, csv=asked.csv)
 
 
 if __name__ == "__main__":

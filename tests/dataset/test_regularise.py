@@ -67,6 +67,7 @@ def test_too_few_sequences_and_bad_rows_are_refused_by_name(tmp_path: Path) -> N
     raw = write_raw(tmp_path / "raw", 3)
     with pytest.raises(InputError, match="holds 3 sequences, params ask for 4"):
         regularise(raw, SETTINGS)
+    raw = write_raw(tmp_path / "enough")
     states = pd.read_parquet(raw / "states/0.parquet")
     states.at[5, "vertices"] = np.full(3072, np.nan, np.float32)
     states.to_parquet(raw / "states/0.parquet")

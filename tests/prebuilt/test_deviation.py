@@ -104,8 +104,9 @@ def test_outcomes_are_told_and_not_held(monkeypatch: pytest.MonkeyPatch) -> None
     data = dataset(1)
     tasks = all_tasks(data, [0])
 
-    def replayed(tasks: Tasks, planner: Planner, execute: Execute) -> Sessions:
+    def replayed(tasks: Tasks, planner: Planner, execute: Execute, *, refined: bool) -> Sessions:
         """Sessions in which all that was recorded came about."""
+        assert not refined, "nothing shows them"
         done = record(tasks, [], sizes_of(planner))
         for row, way in enumerate(tasks.recorded or []):
             done.state[row, : len(way.states)] = way.states

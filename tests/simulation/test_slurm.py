@@ -26,7 +26,7 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
 ]
 
-SIMULATE = {
+SIMULATE: dict[str, Any] = {
     "sequences": 1,
     "seed": 4,
     "block": 1,
@@ -66,6 +66,8 @@ def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     write_params(folder / "params.yaml")
     params = json.loads((folder / "params.yaml").read_text())
     params["scales"]["smoke"]["simulate"] = SIMULATE
+    # As high as the states may be.
+    params["scales"]["smoke"]["train_vtm"]["net"]["viewport"] = {"height": SIMULATE["limits"]["height"]}
     (folder / "params.yaml").write_text(json.dumps(params))
     for name in ("src", "stages"):
         (folder / name).symlink_to(ROOT / name)

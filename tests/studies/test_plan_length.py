@@ -171,10 +171,12 @@ def test_the_loss_over_intermediate_states_is_that_of_the_best_prefix(study: Mod
         common, relative = jnp.zeros(1, jnp.int32), jnp.full(1, UNKNOWN)
         # Each prefix by itself, with the objective of its own length.
         losses = [
-            float(objectives.evaluate(planner.objective(n), *of, folds[None, :n], common, relative).loss[0])
+            float(
+                objectives.evaluate(planner.objective(n), *of, jnp.asarray(folds[None, :n]), common, relative).loss[0]
+            )
             for n in (1, 2, 3)
         ]
-        found = study.intermediate.nearest_step(planner.objective(3), *of, folds[None], common, relative)
+        found = study.intermediate.nearest_step(planner.objective(3), *of, jnp.asarray(folds[None]), common, relative)
         assert float(found.loss[0]) == pytest.approx(min(losses), rel=1e-4)
         assert int(np.argmin(losses)) == count - 1
         assert found.terms["accuracy"].shape == (1, 2)

@@ -3,6 +3,7 @@
 import dataclasses
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 from unittest import mock
 
 import jax.numpy as jnp
@@ -120,11 +121,12 @@ def test_what_a_search_finds_for_a_turned_goal_is_not_what_turning_finds(study: 
     tasks = tasks_of_dataset(from_flat(), [Task(0, 0, 1)], "validation")
     wanted = {("side", 0.06): Limits((Box((0.06, -0.02, -9), (9, 9, 9)),))}
 
-    def known(self: Planner, problems: Problem, keys: object, *, length: int) -> Found:
+    def known(self: Planner, problems: Problem, keys: Any, *, length: int) -> Found:
         plan, of = (ACROSS if "out_of_reach" in self.terms else CORNER)[None], (problems, self.objective(length))
         # In the goal's labelling that fits it best, as a search would find it.
         each = [
-            evaluated(self.model, self.representation, self.nets, *of, plan, np.full(1, label)) for label in range(8)
+            evaluated(self.model, self.representation, self.nets, *of, plan, np.full(1, label), keys)
+            for label in range(8)
         ]
         return min(each, key=lambda found: float(found.terms["accuracy"].sum()))
 

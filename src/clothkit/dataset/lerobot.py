@@ -4,7 +4,7 @@ Frames and episodes are parquet files; `meta/` describes them. A frame's `observ
 its `action` the manipulation that leads to the next one. The last frame of an episode has the manipulation of zeros,
 which does nothing. Frames follow each other at one per second: their timestamps count manipulations.
 
-Source: the documentation "LeRobotDataset v3.0" of lerobot 0.4 to 0.6, whose reader opens what is written here.
+Source: the documentation "LeRobotDataset v3.0" of lerobot; the reader of lerobot 0.4.4 opens what is written here.
 """
 
 import json

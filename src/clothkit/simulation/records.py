@@ -19,7 +19,7 @@ from clothkit.simulation.settings import DRAWN
 from clothkit.simulation.solver import flat_grid
 
 SHARD = 500  # sequences in a file of states
-TOGETHER = 4096  # rectangles in a row group of topologies: some 130 MB, far from 2^31 values, which a list column holds
+TOGETHER = 1024  # rectangles in a row group of topologies: far from the 2^31 values that a list column holds
 QUALITY = ("height", "strain_p99", "strain_worst", "intersections", "gap", "residual_speed")
 """Columns measured on every state, accepted or not."""
 
