@@ -226,7 +226,8 @@ def test_a_plan_that_makes_nothing_better_says_so(here: Path, files: Path) -> No
     del old["notices"], old["state"]["agreement"], old["goal"]["agreement"]
     (here / "old.json").write_text(json.dumps(old))
     assert plan.notices, "of trust, which is not known"
-    assert read_plan(here / "old.json") == plan.model_copy(update={"notices": ()})
+    back, expected = read_plan(here / "old.json"), plan.model_dump() | {"notices": []}
+    assert back.model_dump() == expected
 
 
 TOWARDS, AWAY = np.float32([[-1, -1, -1, -1, 0.6, 0.5]]), np.float32([[-1, -1, -1, -1, -0.6, -0.5]])
