@@ -195,9 +195,8 @@ def in_one_folder(count: int) -> dict:
 def measured(report: Path) -> float:
     """Return CPU seconds of stage simulate for an accepted sequence, in a report."""
     params = YAML(typ="safe").load(report / "params.yaml")
-    stages = pd.read_csv(report / "timings.csv").set_index("stage")
-    seconds: Any = stages.at["simulate", "cpu_seconds"]
-    return float(seconds) / params["scales"][params["scale"]]["simulate"]["sequences"]
+    seconds = pd.read_csv(report / "timings.csv").set_index("stage")["cpu_seconds"].to_dict()
+    return float(seconds["simulate"]) / params["scales"][params["scale"]]["simulate"]["sequences"]
 
 
 def main() -> None:
