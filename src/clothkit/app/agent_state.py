@@ -21,11 +21,12 @@ from clothkit.app.planner import (
     planned_of,
 )
 from clothkit.app.reach import reached
-from clothkit.estimation.estimate import estimate_probabilistic
+from clothkit.cloth.mesh import ProbabilisticMesh
+from clothkit.estimation.estimate import estimate_probabilistic, with_prediction
 from clothkit.manipulation.vector import is_null
 from clothkit.planning import agent
 from clothkit.planning.lengths import LengthConfig
-from clothkit.planning.perception import Estimation, KnownMeshes
+from clothkit.planning.perception import Estimation, Expected, KnownMeshes, as_observed
 from clothkit.planning.planner import Planner
 from clothkit.planning.reach import Limits
 from clothkit.planning.types import UNKNOWN, Memory, Observation, Plan
@@ -117,8 +118,16 @@ def _std_of(
     perception, voxels = planner.perception, observation.voxels
     if not isinstance(perception, Estimation) or voxels is None:
         return None
-    # Of several hypotheses, that which the state was refined from is the nearest one.
-    return np.asarray(estimate_probabilistic(perception.vtm, voxels, state[None], cloth=memory.cloth).std[0])
+    if perception.refine and memory.planned[0] and not memory.still[0]:
+        # What was predicted counts, as it does in the state.
+        expected = as_observed(Expected(memory.expected, memory.unsure))
+        found = with_prediction(
+            perception.vtm, voxels, perception.refinement, ProbabilisticMesh(*expected), cloth=memory.cloth
+        )
+    else:
+        # Of several hypotheses, that which the state was refined from is the nearest one.
+        found = estimate_probabilistic(perception.vtm, voxels, state[None], cloth=memory.cloth)
+    return np.asarray(found.std[0])
 
 
 def plan(now: AgentState, *, seed: int, limits: Limits = Limits()) -> AgentState:  # noqa: B008

@@ -97,7 +97,7 @@ class Estimation:
 
         # The last batch is padded; its copies count, because they take as long.
         with timed("estimates", -(-len(observation.voxels) // self.batch) * self.batch):
-            inputs = (observation.voxels, cloth, *(() if expected is None else _as_observed(expected)))
+            inputs = (observation.voxels, cloth, *(() if expected is None else as_observed(expected)))
             return in_batches(meshes, self.batch, *inputs)
 
     def sigma(
@@ -111,7 +111,7 @@ class Estimation:
             predicted = ProbabilisticMesh(*expected)
             return mean_sigma(with_prediction(self.vtm, voxels, self.refinement, predicted, cloth=cloth))
 
-        inputs = (observation.voxels, cloth, *(() if expected is None else _as_observed(expected)))
+        inputs = (observation.voxels, cloth, *(() if expected is None else as_observed(expected)))
         return in_batches(unsure, self.batch, *inputs)
 
 
@@ -145,7 +145,7 @@ class ObservedVoxels:
         return observation.voxels
 
 
-def _as_observed(expected: Expected) -> Expected:
+def as_observed(expected: Expected) -> Expected:
     """Predicted meshes, centred as observations are."""
     return expected._replace(mean=np.stack([centred(mesh)[0] for mesh in expected.mean]).astype(np.float32))
 
