@@ -34,9 +34,12 @@ def augment(training: Dataset, settings: AugmentConfig) -> Dataset:
 def augmented(meshes: Path, settings: AugmentConfig) -> Parts:
     """What `augment` makes of the training split of a store of meshes, one part in memory at a time.
 
-    Raises InputError for a store that is damaged or not as declared; faulty values are told when their part is made.
+    Raises InputError for a store that is damaged, not as declared, or has values out of range in any split.
     """
     split, _ = load_splits(meshes)
+    # All splits are checked, before anything is made: later stages read the others.
+    for _ in load_parts(meshes, np.arange(len(split))):
+        pass
     copies = np.repeat(np.flatnonzero(split == SPLITS.index("train")), settings.variants)
     rng = np.random.default_rng(settings.seed)
     return Parts(len(copies), (_varied(part, settings, rng) for part in load_parts(meshes, copies)))
