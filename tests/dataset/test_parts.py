@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pytest
+import zarr
 
 from clothkit.dataset import regularise as regularising
 from clothkit.dataset import store
@@ -142,3 +143,12 @@ def test_memory_does_not_grow_with_the_number_of_sequences(tmp_path: Path, monke
         assert found > 7 * mesh_bytes, name
         # All meshes of the larger one take 60 times `mesh_bytes` more than those of the smaller one.
         assert found - few[name] < 10 * mesh_bytes, name
+
+
+def test_a_fault_in_another_split_is_told_before_training_sequences_are_varied(tmp_path: Path) -> None:
+    path = tmp_path / "meshes.zarr"
+    save(path, many(40), ABOUT)
+    zarr.open_group(path)["vertices"][38, 1, 3, 4, 0] = float("nan")  # type: ignore[index]
+    assert many(40).split[38] != 0
+    with pytest.raises(InputError, match="vertices of sequence 38, state 1 is not finite"):
+        augmented(path, VARIED)
