@@ -146,10 +146,10 @@ def write_report(
     for name, table in made.items():
         path = folder / places.get(name, f"tables/{name}.csv")
         table.to_csv(path, index=False, float_format="%.5g", lineterminator="\n")
-    for path in (*(f"figures/{name}.png" for name in figures), *studies):
+    for picture_path in (*(f"figures/{name}.png" for name in figures), *studies):
         picture = np.full((300, 1700, 3), 255, np.uint8)
         cv2.circle(picture, (850, 150), 120, (190, 120, 60), -1)
-        cv2.imwrite(str(folder / path), picture)
+        cv2.imwrite(str(folder / picture_path), picture)
     shutil.copy(LAPTOP / "params.yaml", folder)
     return folder
 
