@@ -116,7 +116,7 @@ def trusted_errors(
     if trust is None:
         return unknown
     observation, _ = exact_sensor(planner.perception)(tasks.start, None)
-    sigma = sigma_of(planner.perception, observation, None, sessions.cloth)
+    sigma = sigma_of(planner.perception, observation, sessions.estimate[:, 0], None, sessions.cloth)
     model_error = sessions.terms[:, 0, -1] if planner.settings.uncertainty.measure == "expected" else unknown
     return trusted(trust, Signs(sessions.expected[:, 0], model_error, sigma), length).error
 

@@ -9,7 +9,8 @@ from clothkit.cloth.topology import PAPERS_CLOTH
 from clothkit.estimation.estimate import estimate_probabilistic
 from clothkit.estimation.refine import RefineConfig
 from clothkit.models.net import Net
-from clothkit.models.vtm import VtMConfig, initial
+from clothkit.models.settings import Start
+from clothkit.models.vtm import VtMConfig, hypotheses, initial
 from clothkit.planning.perception import Estimation, Expected, sigma_of
 from clothkit.planning.types import Observation
 from tests.planning import toy
@@ -27,7 +28,8 @@ def test_what_was_predicted_makes_estimates_surer() -> None:
     seen[:, 8:24, 8:24, 0] = True
     observation, cloth = Observation(voxels=seen), PAPERS_CLOTH[None]
     perception = Estimation(net, RefineConfig(prior=2.0), batch=1)
-    alone = sigma_of(perception, observation, None, cloth)
+    state = np.asarray(estimate_probabilistic(net, seen, cloth=cloth).mean)
+    alone = sigma_of(perception, observation, state, None, cloth)
     assert alone == pytest.approx(sigma(np.asarray(estimate_probabilistic(net, seen, cloth=cloth).std)), rel=1e-4)
     guess = centred(toy.bent())[0][None].astype(np.float32)
     own = np.asarray(estimate_probabilistic(net, seen, guess, cloth=cloth).std)
@@ -35,7 +37,25 @@ def test_what_was_predicted_makes_estimates_surer() -> None:
     for std in (0.005, 0.05):
         expected = Expected(toy.bent()[None], np.full_like(guess, std))
         both = (own**-2.0 + np.full_like(own, 2 * std) ** -2.0) ** -0.5
-        assert sigma_of(perception, observation, expected, cloth) == pytest.approx(sigma(both), rel=1e-3)
+        assert sigma_of(perception, observation, state, expected, cloth) == pytest.approx(sigma(both), rel=1e-3)
         assert sigma(both) < sigma(own)
     nothing = Expected(toy.bent()[None], np.full_like(guess, np.inf))
-    assert sigma_of(perception, observation, nothing, cloth) == pytest.approx(sigma(own), rel=1e-4)
+    assert sigma_of(perception, observation, state, nothing, cloth) == pytest.approx(sigma(own), rel=1e-4)
+
+
+def test_doubt_is_that_of_the_hypothesis_that_the_state_was_refined_from() -> None:
+    config = VtMConfig(hidden=4, hypotheses=2)
+    net = Net(config, initial(config, Start(sigma=-3.0), key=jax.random.key(3)))
+    seen = np.zeros((1, 32, 32, 16), bool)
+    seen[:, 8:24, 6:20, 0] = True
+    observation, cloth = Observation(voxels=seen), PAPERS_CLOTH[None]
+    found = hypotheses(net, seen, cloth)
+    perception = Estimation(net, RefineConfig(), batch=1)
+    stds = np.asarray(found.mesh.std[0])
+    assert not np.allclose(stds[0], stds[1], rtol=1e-3)
+    for number in range(2):
+        # The less probable one, too: refinement may explain the observation better from there.
+        state = np.asarray(found.mesh.mean[:, number])
+        assert sigma_of(perception, observation, state, None, cloth) == pytest.approx(sigma(stds[number]), rel=1e-4)
+        told = perception.probabilistic(observation, state, None, cloth)
+        assert np.asarray(told.std[0]) == pytest.approx(stds[number], rel=1e-4)

@@ -21,15 +21,13 @@ from clothkit.app.planner import (
     planned_of,
 )
 from clothkit.app.reach import reached
-from clothkit.cloth.mesh import ProbabilisticMesh
-from clothkit.estimation.estimate import estimate_probabilistic, with_prediction
 from clothkit.manipulation.vector import is_null
 from clothkit.planning import agent
 from clothkit.planning.lengths import LengthConfig
-from clothkit.planning.perception import Estimation, Expected, KnownMeshes, as_observed
+from clothkit.planning.perception import Expected, KnownMeshes, Unsure
 from clothkit.planning.planner import Planner
 from clothkit.planning.reach import Limits
-from clothkit.planning.types import UNKNOWN, Memory, Observation, Plan
+from clothkit.planning.types import UNKNOWN, Memory, Observation, Plan, States
 from clothkit.runtime.errors import InputError
 
 
@@ -105,29 +103,21 @@ def observe(now: AgentState, source: Input) -> AgentState:
     """
     observation = observation_of(now.planner, source, now.settings.data, now.settings)
     states, candidates = agent.perceive(now.planner, observation, now.memory)
-    sigma = float(agent.unsure(now.planner, observation, now.memory)[0])
-    std = _std_of(now.planner, observation, states[0], now.memory)
+    sigma = float(agent.unsure(now.planner, observation, states, now.memory)[0])
+    std = _std_of(now.planner, observation, states, now.memory)
     perceived = Perceived(source, observation, states[0], candidates[0], sigma, std)
     return dataclasses.replace(now, perceived=perceived, planned=None)
 
 
 def _std_of(
-    planner: Planner, observation: Observation, state: State, memory: Memory
+    planner: Planner, observation: Observation, states: States, memory: Memory
 ) -> Float[np.ndarray, "u v 3"] | None:
     """The standard deviations of an estimated state; None if the planner does not estimate states."""
-    perception, voxels = planner.perception, observation.voxels
-    if not isinstance(perception, Estimation) or voxels is None:
+    if not isinstance(planner.perception, Unsure):
         return None
-    if perception.refine and memory.planned[0] and not memory.still[0]:
-        # What was predicted counts, as it does in the state.
-        expected = as_observed(Expected(memory.expected, memory.unsure))
-        found = with_prediction(
-            perception.vtm, voxels, perception.refinement, ProbabilisticMesh(*expected), cloth=memory.cloth
-        )
-    else:
-        # Of several hypotheses, that which the state was refined from is the nearest one.
-        found = estimate_probabilistic(perception.vtm, voxels, state[None], cloth=memory.cloth)
-    return np.asarray(found.std[0])
+    moved = memory.planned[0] and not memory.still[0]
+    expected = Expected(memory.expected, memory.unsure) if moved else None
+    return np.asarray(planner.perception.probabilistic(observation, states, expected, memory.cloth).std[0])
 
 
 def plan(now: AgentState, *, seed: int, limits: Limits = Limits()) -> AgentState:  # noqa: B008

@@ -74,7 +74,7 @@ def _planned(dataset: Dataset, chosen: list[Task], planner: Planner, execute: Ex
     memory = begin(planner, goals, length, tasks.cloths.cloth)
     keys = search_keys(tasks, np.arange(len(chosen)), 0, planner.settings.seed)
     plan, _ = decide(planner, observation, memory, key=keys)
-    sigma = sigma_of(planner.perception, observation, None, memory.cloth)
+    sigma = sigma_of(planner.perception, observation, plan.state, None, memory.cloth)
     signs = trust.signs_of(plan, sigma, planner.settings.uncertainty.measure)
     # A plan of which nothing is expected is not executed.
     manipulations = np.where(plan.useless[:, None, None], np.nan, plan.manipulations)

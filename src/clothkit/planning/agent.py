@@ -103,7 +103,7 @@ def decide(
         plan = _planned(planner, state, candidates, memory, key)
     else:
         if sigma is None and trust is not None:
-            sigma = unsure(planner, observation, memory)
+            sigma = unsure(planner, observation, state, memory)
         plan = _chosen(planner, state, candidates, memory, key, length, trust, sigma)
     return plan, remember(planner, memory, plan, executed=~plan.null)
 
@@ -267,8 +267,8 @@ def perceive(
     return state, candidates
 
 
-def unsure(planner: Planner, observation: Observation, memory: Memory) -> Float[np.ndarray, " task"]:
-    """How unsure the perception is of the states that `perceive` gives [cloth length]; 0 if it does not tell.
+def unsure(planner: Planner, observation: Observation, state: States, memory: Memory) -> Float[np.ndarray, " task"]:
+    """How unsure the perception is of the states that `perceive` gave [cloth length]; 0 if it does not tell.
 
     Where a state was predicted, this is the doubt that is left when the prediction counts, too.
     """
@@ -278,7 +278,8 @@ def unsure(planner: Planner, observation: Observation, memory: Memory) -> Float[
         rows = np.flatnonzero(rows)
         if len(rows):
             known = None if expected is None else take(expected, rows)
-            sigma[rows] = sigma_of(planner.perception, take(observation, rows), known, memory.cloth[rows])
+            seen, cloth = take(observation, rows), memory.cloth[rows]
+            sigma[rows] = sigma_of(planner.perception, seen, state[rows], known, cloth)
     return sigma
 
 

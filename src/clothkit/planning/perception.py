@@ -50,23 +50,31 @@ class Perception(Protocol):
 class Unsure(Protocol):
     """A perception that tells how unsure it is."""
 
-    def sigma(
-        self, observation: Observation, expected: Expected | None, cloth: Float[np.ndarray, "task 3"]
-    ) -> Float[np.ndarray, " task"]:
-        """The root of the mean predicted variance of a vertex of each state [cloth length]."""
+    def probabilistic(
+        self, observation: Observation, states: Meshes, expected: Expected | None, cloth: Float[np.ndarray, "task 3"]
+    ) -> ProbabilisticMesh:
+        """What it knows of the states that it took the observation for, in their labels [normalised].
+
+        `expected` are the predictions that it took into account, if any.
+        """
         ...
 
 
 def sigma_of(
-    perception: Perception, observation: Observation, expected: Expected | None, cloth: Float[np.ndarray, "task 3"]
+    perception: Perception,
+    observation: Observation,
+    states: States,
+    expected: Expected | None,
+    cloth: Float[np.ndarray, "task 3"],
 ) -> Float[np.ndarray, " task"]:
-    """How unsure a perception is of the states [cloth length]; 0 if it does not tell, or takes what it observes.
+    """How unsure a perception is of the states that it took an observation for [cloth length].
 
-    `expected` are the predictions that it takes into account, if any.
+    This is the root of the mean predicted variance of a vertex; 0 if the perception does not tell, or takes what it
+    observes. `expected` are the predictions that it took into account, if any.
     """
-    if isinstance(perception, Unsure):
-        return perception.sigma(observation, expected, cloth)
-    return np.zeros(len(cloth), np.float32)
+    if not isinstance(perception, Unsure):
+        return np.zeros(len(cloth), np.float32)
+    return np.asarray(mean_sigma(perception.probabilistic(observation, states, expected, cloth)))
 
 
 @dataclass(frozen=True)
@@ -100,19 +108,21 @@ class Estimation:
             inputs = (observation.voxels, cloth, *(() if expected is None else as_observed(expected)))
             return in_batches(meshes, self.batch, *inputs)
 
-    def sigma(
-        self, observation: Observation, expected: Expected | None, cloth: Float[np.ndarray, "task 3"]
-    ) -> Float[np.ndarray, " task"]:
+    def probabilistic(
+        self, observation: Observation, states: Meshes, expected: Expected | None, cloth: Float[np.ndarray, "task 3"]
+    ) -> ProbabilisticMesh:
+        """VtM's meshes that the states were refined from; of several hypotheses, those nearest to the states."""
         assert observation.voxels is not None, "an observation to estimate from has voxels"
 
-        def unsure(voxels: np.ndarray, cloth: np.ndarray, *expected: np.ndarray) -> jax.Array:
+        def found(
+            voxels: np.ndarray, states: np.ndarray, cloth: np.ndarray, *expected: np.ndarray
+        ) -> ProbabilisticMesh:
             if not expected or not self.refine:
-                return mean_sigma(estimate_probabilistic(self.vtm, voxels, *expected[:1], cloth=cloth))
-            predicted = ProbabilisticMesh(*expected)
-            return mean_sigma(with_prediction(self.vtm, voxels, self.refinement, predicted, cloth=cloth))
+                return estimate_probabilistic(self.vtm, voxels, states, cloth=cloth)
+            return with_prediction(self.vtm, voxels, self.refinement, ProbabilisticMesh(*expected), cloth=cloth)
 
-        inputs = (observation.voxels, cloth, *(() if expected is None else as_observed(expected)))
-        return in_batches(unsure, self.batch, *inputs)
+        inputs = (observation.voxels, states, cloth, *(() if expected is None else as_observed(expected)))
+        return in_batches(found, self.batch, *inputs)
 
 
 @dataclass(frozen=True)
