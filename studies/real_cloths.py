@@ -275,7 +275,8 @@ def main() -> None:
             mesh = estimated(picture, observation, net, params.stages.plan.refine)
             rows.append({"way": way, "seed": seed, **row_of(picture, observation, mesh, net), COLUMN: made})
             if asked.pictures:
-                told = ", ".join(f"{name} {value:.2f}" for name, value in list(rows[-1].items())[3:] if value == value)
+                measured = {name: value for name, value in rows[-1].items() if isinstance(value, float)}
+                told = ", ".join(f"{name} {value:.2f}" for name, value in measured.items() if np.isfinite(value))
                 path = asked.pictures / f"{picture.name}_{way}_{seed}.png"
                 draw(path, picture, observation, mesh, f"{picture.name}: {told}")
     folder = Path("reports") / params.scale / "studies"

@@ -109,9 +109,14 @@ def test_nets_are_trained_in_other_ways(
         return study.store.load(folder)
 
     monkeypatch.setattr(study, "train_estimator", train)
-    for extra in (["--seeds", "1"], ["--ways", "longer", "more data", "--also", "data"], ["--seeds", "1"]):
+    for extra in (
+        ["--seeds", "1", "--pictures", "drawn"],
+        ["--ways", "longer", "more data", "--also", "data"],
+        ["--seeds", "1"],
+    ):
         monkeypatch.setattr(sys, "argv", ["real_cloths", str(images), *extra])
         study.main()
+    assert len(list(Path("drawn").glob("*_chain_*.png"))) == 4
     (seed, longer, more, again) = trained
     own = study.load_params(Path("params.yaml")).stages.train_vtm
     assert seed == again
