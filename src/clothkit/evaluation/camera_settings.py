@@ -46,8 +46,11 @@ class EvaluateCameraConfig:
 class SetAlarmsConfig:
     """Settings of the thresholds from which an observation counts as unknown, or its estimate as wrong."""
 
-    share: Annotated[float, Gt(0), Lt(1)] = 0.02
-    """Share of the validation states that may raise an alarm, as exact voxels and before a depth camera."""
+    share: Annotated[float, Ge(0), Lt(1)] = 0.02
+    """Share of the validation states that may raise an alarm, as exact voxels and before a depth camera.
+
+    Of other states, more do: the fewer sequences the split has, the more.
+    """
     sequences: Annotated[int, Gt(0)] = 100
     """Largest number of validation sequences whose states are observed and estimated."""
     examples: Annotated[int, Gt(0)] = 8192
