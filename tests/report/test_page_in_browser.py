@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from clothkit.report.sections import CAPTIONS
+from clothkit.report.sections import CAPTIONS, DRAWN
 from tests.report.web import made_up_page
 
 CHROMIUM = shutil.which("chromium")
@@ -91,7 +91,7 @@ def test_the_page_is_shown(folder: Path, width: int, dark: bool) -> None:
     assert console == []
     assert seen["inner"] == width
     assert seen["scroll"] <= seen["client"], "the page itself scrolls sideways"
-    assert seen["images"] == len(CAPTIONS)
+    assert seen["images"] == len(CAPTIONS) + len(DRAWN)
     assert seen["cards"] == 4
     # Those of the test set: the training set's are folded away.
     assert seen["tables"] >= 13
