@@ -37,9 +37,9 @@ from clothkit.app.viewer.session import ShownPlan
 from clothkit.cloth.mesh import error
 from clothkit.cloth.silhouette import centred, iou, silhouette
 from clothkit.cloth.topology import CLOTH_LENGTH, triangles
-from clothkit.goals.folds import GOALS
 from clothkit.goals.settings import START_NAMES, EvaluateGoalsConfig
 from clothkit.goals.starts import cloth_of, cloths_of, start_of
+from clothkit.manipulation.named_folds import GOALS
 from clothkit.observation.camera import CameraConfig, back_project, render
 from clothkit.observation.noise import NoiseConfig, noisy
 from clothkit.params import load_params

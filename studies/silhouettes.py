@@ -18,9 +18,9 @@ from clothkit.cloth.silhouette import iou, silhouette
 from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.estimation.estimate import alternatives
 from clothkit.evaluation.errors import errors
-from clothkit.goals.folds import GOALS
 from clothkit.goals.store import WORK
 from clothkit.goals.variants import Variant, goal_mesh
+from clothkit.manipulation.named_folds import GOALS
 from clothkit.models import store
 from clothkit.observation.observe import observe
 from clothkit.observation.silhouettes import points_of

@@ -8,7 +8,7 @@ from clothkit.app.agreement import EstimateAgreement
 from clothkit.app.plan_file import UNLIKELY, WORSE
 from clothkit.app.plan_parts import UnsurePart
 from clothkit.cloth.topology import PAPERS_CLOTH, SQUARE
-from clothkit.goals.folds import GOALS
+from clothkit.manipulation.named_folds import GOALS
 from clothkit.planning.trust import NEAR
 from tests.observation.scenes import folded
 

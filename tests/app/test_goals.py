@@ -15,9 +15,9 @@ from clothkit.cloth.mesh import error
 from clothkit.cloth.topology import SQUARE, rectangle
 from clothkit.dataset.store import STEPS
 from clothkit.goals import store
-from clothkit.goals.folds import GOALS, Goal
 from clothkit.goals.making import Made
 from clothkit.goals.variants import Variant, lay, placed
+from clothkit.manipulation.named_folds import GOALS, Goal
 from clothkit.observation.files import read
 from clothkit.runtime.errors import InputError
 from tests.app.conftest import run, succeed

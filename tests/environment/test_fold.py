@@ -17,10 +17,10 @@ from clothkit.cloth.silhouette import centred
 from clothkit.cloth.topology import Topology, square
 from clothkit.environment.fold import FoldEnv
 from clothkit.goals import store
-from clothkit.goals.folds import GOALS, Goal
 from clothkit.goals.making import Made
 from clothkit.goals.measures import softgym
 from clothkit.goals.variants import lay
+from clothkit.manipulation.named_folds import GOALS, Goal
 from clothkit.observation.camera import CameraConfig, DepthImage, back_project
 from clothkit.runtime.errors import InputError
 from clothkit.simulation.executor import execute

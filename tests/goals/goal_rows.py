@@ -3,8 +3,8 @@
 import numpy as np
 import pandas as pd
 
-from clothkit.goals.folds import GOALS
 from clothkit.goals.settings import START_NAMES, SYSTEM_OF
+from clothkit.manipulation.named_folds import GOALS
 
 
 def goal_rows(goals: tuple[str, ...] = ("half", "quarter"), repeats: int = 2) -> pd.DataFrame:

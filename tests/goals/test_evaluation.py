@@ -19,7 +19,6 @@ from clothkit.episodes.record import Tasks
 from clothkit.evaluation import arrays
 from clothkit.goals import outcomes as outcomes_module
 from clothkit.goals import problems as problems_module
-from clothkit.goals.folds import GOALS
 from clothkit.goals.outcomes import Outcomes, for_any_labels, outcomes, planned, scripted
 from clothkit.goals.problems import Problem, problems
 from clothkit.goals.rows import measured, pictured, rows
@@ -27,6 +26,7 @@ from clothkit.goals.settings import EvaluateGoalsConfig, SourceName, StartName
 from clothkit.goals.starts import Laid, cloth_of, cloths_of, start_of
 from clothkit.goals.tidy import PICTURED, TABLE
 from clothkit.goals.variants import lay
+from clothkit.manipulation.named_folds import GOALS
 from clothkit.planning.perception import KnownMeshes
 from clothkit.runtime.errors import InputError
 from clothkit.simulation.cloths import Cloths

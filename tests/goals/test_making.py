@@ -8,8 +8,8 @@ import pytest
 from clothkit.cloth.silhouette import centred, silhouette
 from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE, Topology, rectangle, square
 from clothkit.goals import making
-from clothkit.goals.folds import GOALS, Fold, Goal, layout
 from clothkit.goals.making import Made, careful, make, rigid
+from clothkit.manipulation.named_folds import GOALS, Fold, Goal, layout
 from clothkit.manipulation.vector import is_single
 from clothkit.runtime.errors import InputError
 from clothkit.simulation.quality import intersections

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from clothkit.cloth.topology import SQUARE, Topology, rectangle, square
-from clothkit.goals.folds import GOALS, Fold, layout
 from clothkit.goals.measures import groups, softgym
+from clothkit.manipulation.named_folds import GOALS, Fold, layout
 
 
 def test_by_hand() -> None:

@@ -9,9 +9,9 @@ import pytest
 
 from clothkit.cloth.topology import SQUARE, rectangle
 from clothkit.goals import store
-from clothkit.goals.folds import GOALS, Goal
 from clothkit.goals.making import Made
 from clothkit.goals.store import key, made, made_all, named, user_folder
+from clothkit.manipulation.named_folds import GOALS, Goal
 from clothkit.runtime.errors import InputError
 from clothkit.simulation.material import Material
 from clothkit.simulation.settings import SimulationConfig

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from clothkit.cloth.mesh import error
 from clothkit.cloth.symmetry import relabel
 from clothkit.cloth.topology import SQUARE, Topology, rectangle
-from clothkit.goals.folds import GOALS, layout
 from clothkit.goals.making import Made
 from clothkit.goals.variants import Turn, Variant, angle_of, base, image, lay, placed
 from clothkit.manipulation.geometry import to_cartesian
+from clothkit.manipulation.named_folds import GOALS, layout
 
 TURNS: tuple[Turn, ...] = (0, 90, 180, 270)
 VARIANTS = st.builds(Variant, turn=st.sampled_from(TURNS), mirror=st.booleans())

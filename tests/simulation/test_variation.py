@@ -12,9 +12,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from clothkit.cloth.topology import CLOTH_LENGTH
+from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE
 from clothkit.dataset.regularise import RegulariseConfig, regularise
-from clothkit.simulation.attempts import to_metres
+from clothkit.manipulation.named_folds import GOALS, manipulations, turned
+from clothkit.manipulation.vector import is_null, is_single
+from clothkit.simulation import variation
+from clothkit.simulation.attempts import attempt_sequences, to_metres
 from clothkit.simulation.executor import perform
 from clothkit.simulation.generation import generate
 from clothkit.simulation.quality import intersections
@@ -28,7 +31,7 @@ from clothkit.simulation.settings import (
     VariationConfig,
 )
 from clothkit.simulation.solver import flat_state
-from clothkit.simulation.variation import draw, opening
+from clothkit.simulation.variation import draw, opening, script
 from clothkit.simulation.world import Worlds
 
 SIMULATION = SimulationConfig(side=16)
@@ -113,6 +116,99 @@ def test_a_hand_takes_a_vertex_along_its_path(start: str) -> None:
     assert done.rested[0]
     assert np.abs(done.states[0] - flat).max() > 0.01
     assert intersections(done.states)[0] == 0
+
+
+NAMED = dataclasses.replace(VARIATION, starts=Starts(), named=0.6)
+
+
+@given(st.integers(0, 10**6), st.integers(0, 10**6))
+def test_a_script_is_nearly_a_goal(seed: int, number: int) -> None:
+    """It moves along or across the cloth, or its diagonals, as far as the goal does less what cloth slides."""
+    drawn = draw(SIMULATION, NAMED, seed=seed, number=number)
+    found = script(drawn, 1.0, seed=seed, number=number)
+    # Of a narrow cloth, a corner that goes in to the middle moves by less than a manipulation may.
+    narrow = drawn.topology.sides[1] < 1.4
+    assert found is not None or narrow
+    if found is None:
+        return
+    folds = GOALS[found.goal].folds(drawn.topology)
+    assert 1 <= len(found.manipulations) <= len(folds)
+    assert len(found.manipulations) == len(folds) or narrow
+    assert np.abs(found.manipulations[:, :4]).max() <= 1
+    for fold, manipulation in zip(folds, found.manipulations, strict=False):
+        assert is_single(manipulation) == (len(fold.grasps) == 1)
+        assert not is_null(manipulation)
+
+
+@pytest.mark.parametrize("quarters", range(4))
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_folds_without_error_bring_edges_together(
+    quarters: int, mirrored: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever side a half fold comes from, both hands hold the ends of an edge, and go to the opposite one."""
+    monkeypatch.setattr(variation, "ASTRAY", 0.0)
+    monkeypatch.setattr(variation, "REACHED", (1.0, 1.0))
+    monkeypatch.setattr(variation, "GOALS", {"half": GOALS["half"]})
+    narrow = VariationConfig(squares=0.0, ratio=(1.5, 1.5))
+    drawn, found = draw(SIMULATION, narrow, seed=0, number=0), set()
+    for number in range(40):
+        told = script(drawn, 1.0, seed=0, number=number)
+        assert told is not None
+        u1, v1, u2, v2, dx, dy = told.manipulations[0]
+        along_u = u1 == u2
+        assert sorted([v1, v2] if along_u else [u1, u2]) == [-1, 1]
+        expected = (-u1 * drawn.topology.sides[0], 0) if along_u else (0, -v1 * drawn.topology.sides[1])
+        assert (dx, dy) == pytest.approx(expected)
+        found.add((float(u1), float(v1), float(u2), float(v2)))
+    assert len(found) == 8, "each of the four edges, and either hand first"
+    exact = turned(manipulations(SQUARE, GOALS["half"].folds(SQUARE)), quarters=quarters, mirrored=mirrored)
+    assert tuple(exact[0, :4]) in found
+
+
+def test_the_shares_of_scripts_and_of_goals() -> None:
+    drawn = draw(SIMULATION, NAMED, seed=0, number=0)
+    found = [script(drawn, NAMED.named, seed=0, number=number) for number in range(2000)]
+    goals = Counter(one.goal for one in found if one is not None)
+    assert goals.total() / len(found) == pytest.approx(0.6, abs=0.04)
+    assert set(goals) == set(GOALS)
+    for count in goals.values():
+        assert count / goals.total() == pytest.approx(1 / len(GOALS), abs=0.03)
+    for start in ("dragged", "dropped"):
+        assert script(drawn._replace(start=start), 1.0, seed=0, number=0) is None
+
+
+def test_sequences_begin_with_folds_of_goals_and_tell_which(tmp_path: Path) -> None:
+    raw = record(tmp_path, dataclasses.replace(SETTINGS, variation=NAMED, sequences=4))
+    cloths = pd.read_parquet(raw / "cloths.parquet").set_index("sequence")
+    moves = pd.read_parquet(raw / "manipulations.parquet").set_index(["sequence", "step"])
+    told = {}
+    for sequence in cloths.index:
+        number = int(moves.at[(sequence, 0), "attempt"])
+        told[sequence] = script(draw(SIMULATION, NAMED, seed=1, number=number), NAMED.named, seed=1, number=number)
+    assert {None} < {one and one.goal for one in told.values()}, "some are scripted, some are not"
+    for sequence, one in told.items():
+        assert (cloths.at[sequence, "goal"] if one else None) == (one and one.goal)
+        assert one or pd.isna(cloths.at[sequence, "goal"])
+        for step, expected in enumerate(one.manipulations[:3] if one else ()):
+            found = moves.loc[(sequence, step), ["u1", "v1", "u2", "v2", "dx", "dy"]].to_numpy(float)
+            np.testing.assert_allclose(found[4:], expected[4:], atol=1e-6)
+            if step == 0:  # of a flat cloth; later, another layer may lie above the point
+                np.testing.assert_allclose(found[:4], expected[:4], atol=1 / 15 + 1e-6)
+    dataset = regularise(raw, RegulariseConfig(train=2, validation=1, test=1, evaluated=1))
+    assert dataset.length.tolist() == [3] * 4
+
+
+def test_what_is_random_is_the_same_whatever_share_is_scripted() -> None:
+    without = dataclasses.replace(NAMED, named=0.0)
+    number = next(
+        n for n in range(50) if script(draw(SIMULATION, NAMED, seed=1, number=n), 0.6, seed=1, number=n) is None
+    )
+    one, other = (
+        attempt_sequences(range(number, number + 1), dataclasses.replace(SETTINGS, variation=each))
+        for each in (NAMED, without)
+    )
+    for found, expected in zip(one, other, strict=True):
+        np.testing.assert_array_equal(found, expected)
 
 
 def contents(folder: Path) -> dict[str, bytes]:

@@ -24,7 +24,7 @@ from clothkit.cloth.silhouette import centred, silhouette
 from clothkit.cloth.topology import SQUARE
 from clothkit.cloth.voxels import RESOLUTION
 from clothkit.dataset.store import STEPS
-from clothkit.goals.folds import GOALS
+from clothkit.manipulation.named_folds import GOALS
 from clothkit.observation.coverage import EXTENT
 from clothkit.planning.trust import NEAR
 

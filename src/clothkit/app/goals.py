@@ -10,9 +10,9 @@ from clothkit.app.options import observation_options, with_cloth_options
 from clothkit.app.output import check_target, part, write_mesh
 from clothkit.app.prebuilt import load_nets
 from clothkit.dataset.export import FORMATS
-from clothkit.goals.folds import GOALS, Goal
 from clothkit.goals.store import made_all, named, user_folder
 from clothkit.goals.variants import Variant, base, image, placed
+from clothkit.manipulation.named_folds import GOALS, Goal
 from clothkit.report.figures.goals import Folded, goals
 from clothkit.runtime.errors import InputError
 from clothkit.runtime.publish import unfinished, unfinished_files

@@ -16,9 +16,9 @@ from clothkit.app.plan_file import Plan
 from clothkit.app.planner import estimate_mesh, load_vtm, mesh_of
 from clothkit.cloth.topology import Topology
 from clothkit.dataset.store import STEPS
-from clothkit.goals.folds import GOALS
 from clothkit.goals.store import user_folder
 from clothkit.goals.variants import Turn, Variant, angle_of, goal_mesh
+from clothkit.manipulation.named_folds import GOALS
 from clothkit.observation.observe import observe
 from clothkit.observation.states import MeshState
 from clothkit.runtime.errors import InputError

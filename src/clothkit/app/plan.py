@@ -24,7 +24,7 @@ from clothkit.app.planner import load_planner
 from clothkit.app.prebuilt import load_nets
 from clothkit.app.reach import limits_of
 from clothkit.dataset.store import STEPS
-from clothkit.goals.folds import GOALS
+from clothkit.manipulation.named_folds import GOALS
 from clothkit.planning.optimisers import OPTIMISERS, optimiser_of
 from clothkit.planning.systems import SYSTEMS, System, system
 from clothkit.planning.trust import NEAR

@@ -100,6 +100,7 @@ CLOTHS = Table(
         "side_u": Column("numbers", _SIDES[0], _SIDES[1]),
         "side_v": Column("numbers", _SIDES[0], _SIDES[1]),
         **dict.fromkeys(DRAWN, _PROPERTY),
+        "goal": Column("text", missing=True, optional=True),
     },
     keys=("sequence",),
 )

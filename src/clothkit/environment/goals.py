@@ -9,12 +9,12 @@ from jaxtyping import Float
 
 from clothkit.cloth.silhouette import centred
 from clothkit.cloth.topology import Topology
-from clothkit.goals.folds import GOALS
 from clothkit.goals.problems import Problem
 from clothkit.goals.settings import START_NAMES, EvaluateGoalsConfig, StartName
 from clothkit.goals.starts import cloth_of, cloths_of, start_of
 from clothkit.goals.store import made, named
 from clothkit.goals.variants import angle_of
+from clothkit.manipulation.named_folds import GOALS
 from clothkit.runtime.errors import InputError
 from clothkit.simulation.settings import SimulateConfig, SimulationConfig
 

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from clothkit.cloth.topology import CLOTH_LENGTH, Topology
-from clothkit.goals.folds import Folds, Goal, Grasps, Layout, layout
 from clothkit.manipulation.geometry import to_cartesian
+from clothkit.manipulation.named_folds import Folds, Goal, Grasps, Layout, layout
 from clothkit.manipulation.vector import SHORTEST
 from clothkit.runtime.errors import InputError
 from clothkit.simulation.executor import perform

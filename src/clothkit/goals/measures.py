@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 from scipy import ndimage
 
 from clothkit.cloth.topology import CLOTH_LENGTH, Topology
-from clothkit.goals.folds import Folds, layout, plane
+from clothkit.manipulation.named_folds import Folds, layout, plane
 
 FIXED = 1.2
 """Weight of the displacement of what shall stay, as in SoftGym's FoldCloth."""

@@ -16,10 +16,10 @@ from clothkit.dataset.tasks import Task
 from clothkit.episodes.record import Tasks
 from clothkit.episodes.sensors import Sensor
 from clothkit.episodes.sessions import Execute, run_sessions
-from clothkit.goals.folds import GOALS
 from clothkit.goals.problems import Problem, joined
 from clothkit.goals.settings import START_NAMES, SourceName
 from clothkit.manipulation.geometry import to_cartesian
+from clothkit.manipulation.named_folds import GOALS
 from clothkit.manipulation.turns import planar, turn_manipulation
 from clothkit.manipulation.vector import is_single
 from clothkit.planning.perception import KnownMeshes

@@ -13,12 +13,12 @@ from clothkit.cloth.symmetry import relabel
 from clothkit.cloth.topology import Topology
 from clothkit.dataset.store import STEPS
 from clothkit.evaluation.errors import labels_of_truth
-from clothkit.goals.folds import GOALS
 from clothkit.goals.making import Made
 from clothkit.goals.settings import EvaluateGoalsConfig, StartName
 from clothkit.goals.starts import Laid, cloth_of, cloths_of, start_of
 from clothkit.goals.store import made_all
 from clothkit.goals.variants import Variant, angle_of, lay, placed
+from clothkit.manipulation.named_folds import GOALS
 from clothkit.runtime.errors import InputError
 from clothkit.runtime.resumable import array_storage, resumable_map
 from clothkit.simulation.cloths import Cloths

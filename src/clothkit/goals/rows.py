@@ -9,13 +9,13 @@ from jaxtyping import Float
 from clothkit.cloth.silhouette import centred, iou, silhouette
 from clothkit.cloth.symmetry import relabel
 from clothkit.evaluation.errors import errors, labels_of_truth
-from clothkit.goals.folds import GOALS
 from clothkit.goals.measures import softgym
 from clothkit.goals.outcomes import Outcomes
 from clothkit.goals.problems import Problem
 from clothkit.goals.settings import SOURCE_NAMES, START_NAMES, SYSTEM_OF, SourceName
 from clothkit.goals.tidy import PICTURED, TABLE
 from clothkit.goals.variants import lay
+from clothkit.manipulation.named_folds import GOALS
 
 Evaluated = list[tuple[SourceName, list[Problem], Outcomes]]
 

@@ -6,7 +6,7 @@ import pydantic
 from annotated_types import Ge, Gt, MinLen
 
 from clothkit.evaluation.camera_settings import Condition
-from clothkit.goals.folds import GOALS
+from clothkit.manipulation.named_folds import GOALS
 from clothkit.runtime.config import config
 
 StartName = Literal["flat", "dragged", "crumpled"]

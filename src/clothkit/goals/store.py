@@ -12,8 +12,8 @@ from tqdm import tqdm
 
 import clothkit
 from clothkit.cloth.topology import Topology
-from clothkit.goals.folds import GOALS, Goal
 from clothkit.goals.making import Made, careful, make
+from clothkit.manipulation.named_folds import GOALS, Goal
 from clothkit.runtime.cache import writable
 from clothkit.runtime.errors import InputError
 from clothkit.runtime.publish import unfinished
@@ -28,7 +28,7 @@ Wanted = tuple[str, Topology, SimulationConfig]
 WORK = Path(".work/goals")
 """Where stages keep goals."""
 
-CODE = ("cloth", "goals/folds.py", "goals/making.py", "manipulation", "simulation")
+CODE = ("cloth", "goals/making.py", "manipulation", "simulation")
 """The code that decides what a goal looks like."""
 
 STORAGE = array_storage(Made)

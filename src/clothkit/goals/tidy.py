@@ -3,8 +3,8 @@
 from clothkit.dataset.store import NORMALISED
 from clothkit.dataset.tables import Column, Rule, Table
 from clothkit.dataset.zarr_store import Declared
-from clothkit.goals.folds import GOALS
 from clothkit.goals.settings import SOURCE_NAMES, START_NAMES
+from clothkit.manipulation.named_folds import GOALS
 
 _LENGTH = Column("numbers", 0)
 _MAYBE = Column("numbers", 0, missing=True)

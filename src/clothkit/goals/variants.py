@@ -12,6 +12,7 @@ from clothkit.cloth.silhouette import centred
 from clothkit.cloth.topology import Topology
 from clothkit.goals.making import Made, rigid
 from clothkit.goals.store import made
+from clothkit.manipulation.named_folds import turned
 from clothkit.manipulation.turns import planar, turn_mesh
 from clothkit.runtime.config import config
 from clothkit.simulation.cloths import topology_of
@@ -44,16 +45,15 @@ def base(topology: Topology, variant: Variant) -> Topology:
 def image(made: Made, variant: Variant) -> Made:
     """The image of a goal of `base`: the cloth lies as before, its folds are turned and mirrored."""
     x, y, z = np.moveaxis(made.states, -1, 0)
-    u1, v1, u2, v2, dx, dy = np.moveaxis(made.manipulations, -1, 0)
     if variant.mirror:
         # The labels follow, so that the upper side stays up.
         x, y, z = x[..., ::-1], -y[..., ::-1], z[..., ::-1]
-        v1, v2, dy = -v1, -v2, -dy
-    for _ in range(variant.turn // 90):
+    quarters = variant.turn // 90
+    for _ in range(quarters):
         # What lay at (u, v) lies at (-v, u).
         x, y, z = (np.swapaxes(part, -1, -2)[..., ::-1, :] for part in (-y, x, z))
-        u1, v1, u2, v2, dx, dy = -v1, u1, -v2, u2, -dy, dx
-    return Made(np.stack([x, y, z], axis=-1), np.stack([u1, v1, u2, v2, dx, dy], axis=-1))
+    manipulations = turned(made.manipulations, quarters=quarters, mirrored=variant.mirror)
+    return Made(np.stack([x, y, z], axis=-1), manipulations)
 
 
 def lay(mesh: Mesh, angle: float) -> Mesh:

@@ -9,12 +9,13 @@ from scipy import ndimage
 
 from clothkit.cloth.silhouette import silhouette
 from clothkit.cloth.topology import CLOTH_LENGTH, Topology
+from clothkit.manipulation import sampling
 from clothkit.manipulation.sampling import draw_hands, sample
 from clothkit.simulation.executor import perform
 from clothkit.simulation.quality import Quality, measure, reason
 from clothkit.simulation.settings import DRAWN, SimulateConfig
 from clothkit.simulation.solver import flat_state
-from clothkit.simulation.variation import Drawn, draw, opening
+from clothkit.simulation.variation import Drawn, Script, draw, opening, script
 from clothkit.simulation.world import Motion, Worlds
 
 STEPS = 3
@@ -33,6 +34,8 @@ class Attempts(NamedTuple):
     """Number of states, including the first one and the rejected one."""
     start: np.ndarray
     """Text [attempts]: how the cloth came to lie as it did at first, one of STARTS."""
+    goal: np.ndarray
+    """Text [attempts]: the named goal whose folds come first; empty if all are random."""
     sides: Float[np.ndarray, "attempts 2"]
     """Sides of the flat cloth along u and along v, in metres."""
     material: Float[np.ndarray, "attempts properties"]
@@ -71,17 +74,21 @@ def attempt_sequences(numbers: range, settings: SimulateConfig, topology: Topolo
     for number in numbers:
         drawn = draw(simulation, variation, seed=settings.seed, number=number)
         first = opening(drawn, variation.starts, seed=settings.seed, number=number)
-        found.append(_attempt(range(number, number + 1), replace(settings, simulation=drawn.simulation), drawn, first))
+        told = script(drawn, variation.named, seed=settings.seed, number=number)
+        own = replace(settings, simulation=drawn.simulation)
+        found.append(_attempt(range(number, number + 1), own, drawn, first, told))
     return Attempts(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
 
-def _attempt(numbers: range, settings: SimulateConfig, drawn: Drawn, first: Motion | None = None) -> Attempts:
-    """Run attempts with one cloth, which is first moved as `first` says."""
+def _attempt(
+    numbers: range, settings: SimulateConfig, drawn: Drawn, first: Motion | None = None, told: Script | None = None
+) -> Attempts:
+    """Run attempts with one cloth, which is first moved as `first` says, and then manipulated as it was told."""
     simulation, topology, count = settings.simulation, drawn.topology, len(numbers)
     scale = simulation.cloth_side / CLOTH_LENGTH
     rngs = [np.random.default_rng([settings.seed, number]) for number in numbers]
     worlds = Worlds(count, simulation, topology)
-    found = _empty(numbers, drawn)
+    found = _empty(numbers, drawn, told.goal if told else "")
     found.states[:, 0] = flat_state(simulation, topology)
     flat = float(np.ptp(found.states[0, 0, ..., 0]))
     if first is not None:
@@ -94,11 +101,14 @@ def _attempt(numbers: range, settings: SimulateConfig, drawn: Drawn, first: Moti
         found.reason[:] = [reason(quality, opened, settings, index) for index in range(count)]
     for step in range(STEPS):
         open_ = np.flatnonzero(found.reason == "")
-        moves = []
+        moves: list[sampling.Drawn | None] = []
         for index in open_:
             mesh = (found.states[index, step] / np.float32(scale)).astype(np.float32)
-            hands = draw_hands(rngs[index], settings.sampling)
-            moves.append(sample(rngs[index], mesh, hands, settings.sampling, settings.candidates, topology))
+            if told and step < len(told.manipulations):
+                moves.append(_told(told.manipulations[step], topology))
+            else:
+                hands = draw_hands(rngs[index], settings.sampling)
+                moves.append(sample(rngs[index], mesh, hands, settings.sampling, settings.candidates, topology))
             if moves[-1] is None:
                 found.reason[index] = "no manipulation"
         chosen = [(index, move) for index, move in zip(open_, moves, strict=True) if move is not None]
@@ -126,6 +136,13 @@ def _attempt(numbers: range, settings: SimulateConfig, drawn: Drawn, first: Moti
     return found._replace(accepted=found.reason == "")
 
 
+def _told(manipulation: Float[np.ndarray, "6"], topology: Topology) -> sampling.Drawn:
+    """The manipulation, by the vertices nearest to its grasp points in the cloth."""
+    uv = topology.geodesic().reshape(-1, 2)
+    first, second = (int(np.argmin(((uv - point) ** 2).sum(1))) for point in (manipulation[:2], manipulation[2:4]))
+    return sampling.Drawn((first, second), manipulation[4:])
+
+
 def to_metres(displacement: Float[np.ndarray, "*batch 2"], scale: float) -> Float[np.ndarray, "*batch 2"]:
     """Convert a recorded displacement (float32, normalised) to metres, with the same bits wherever it is executed."""
     return np.asarray(displacement, np.float64) * scale
@@ -145,7 +162,7 @@ def folds(mesh: Float[np.ndarray, "u v 3"]) -> int:
     return int(ndimage.label(creased, structure=np.ones((3, 3)))[1])
 
 
-def _empty(numbers: range, drawn: Drawn) -> Attempts:
+def _empty(numbers: range, drawn: Drawn, goal: str) -> Attempts:
     count, states, shape = len(numbers), STEPS + 1, drawn.topology.shape
     settings = drawn.simulation
     sides = settings.sides(drawn.topology)
@@ -160,6 +177,7 @@ def _empty(numbers: range, drawn: Drawn) -> Attempts:
         reason=np.full(count, "", "<U16"),
         reached=zeros(kind=np.int32),
         start=np.full(count, drawn.start, "<U16"),
+        goal=np.full(count, goal, "<U32"),
         sides=np.tile(sides, (count, 1)),
         material=np.tile(material, (count, 1)).astype(np.float32),
         states=zeros(states, *shape, 3),

@@ -69,6 +69,9 @@ CLOTHS = pa.schema(
         **{name: pa.float32() for name in ("side_u", "side_v", *DRAWN)},
     }
 )
+GOAL = pa.field("goal", pa.string())
+"""A further column of cloths if sequences begin with folds of named goals: whose, or null."""
+
 SCHEMAS = {
     "states": STATES,
     "manipulations": MANIPULATIONS,
@@ -217,7 +220,10 @@ def _cloths(accepted: Attempts) -> pa.Table:
         "side_v": accepted.sides[:, 1],
     }
     columns |= {name: accepted.material[:, k] for k, name in enumerate(DRAWN)}
-    return pa.table(columns, schema=CLOTHS)
+    if not accepted.goal.any():
+        return pa.table(columns, schema=CLOTHS)
+    columns["goal"] = [goal or None for goal in accepted.goal.tolist()]
+    return pa.table(columns, schema=CLOTHS.append(GOAL))
 
 
 def _lists(rows: np.ndarray) -> pa.Array:

@@ -177,6 +177,9 @@ class VariationConfig:
     squares: Annotated[float, Ge(0), Le(1)] = 1.0  # share of the sequences; the others' cloths are rectangles
     ratio: Range = (1.0, 1.8)  # of a rectangle's longer side to its shorter one
     starts: Starts = Starts()
+    # share of the sequences with a flat start whose first manipulations are, nearly, the folds of a named goal; the
+    # others' are random, as all that follow
+    named: Annotated[float, Ge(0), Le(1)] = 0.0
 
     @pydantic.model_validator(mode="after")
     def _agrees(self) -> "VariationConfig":

@@ -10,8 +10,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from clothkit.cloth.topology import CLOTH_LENGTH, Topology
+from clothkit.manipulation.named_folds import GOALS, manipulations, turned
+from clothkit.manipulation.vector import is_null
 from clothkit.simulation.cloths import topology_of, with_material
 from clothkit.simulation.kernels.state import PATH
 from clothkit.simulation.settings import DRAWN, LEAST_SPACING, STARTS, SimulationConfig, Start, Starts, VariationConfig
@@ -19,7 +22,16 @@ from clothkit.simulation.solver import flat_state
 from clothkit.simulation.world import Motion
 
 STREAM = 1
-"""Number of the stream of random numbers for variation, so that manipulations are drawn from another one."""
+"""Number of the stream of random numbers for variation, so that manipulations are drawn from another one.
+
+The next two are those of openings and of the folds of named goals.
+"""
+
+REACHED = (0.82, 0.98)
+"""By which share of a fold's way the hands move: cloth that is let go slides on, by 0.05 to 0.15 of it."""
+
+ASTRAY = 0.02
+"""Standard deviation of grasps and displacements of the folds of named goals [cloth length]."""
 
 
 class Drawn(NamedTuple):
@@ -77,6 +89,38 @@ def opening(drawn: Drawn, starts: Starts, *, seed: int, number: int) -> Motion |
     path = flat[vertex] + np.stack([offset, offset])
     held = np.array([[[vertex], [-1]]])
     return Motion(held, path[None], np.array([max(far[-1] / settings.hand_speed, settings.shortest_move)]))
+
+
+class Script(NamedTuple):
+    """The first manipulations of a sequence: nearly the folds of a named goal."""
+
+    goal: str
+    manipulations: Float[np.ndarray, "folds 6"]
+
+
+def script(drawn: Drawn, share: float, *, seed: int, number: int) -> Script | None:
+    """The folds with which a sequence begins, or None if they are random: any named goal's, from any side of the cloth.
+
+    Hands that fold as people do leave edges that lie on one another, which random hands hardly ever do. Grasps and
+    displacements differ a little from those of the goal (ASTRAY, REACHED), as those of hands do.
+    """
+    rng = np.random.default_rng([seed, number, STREAM + 2])
+    if drawn.start != "flat" or rng.random() >= share:
+        return None
+    goal = list(GOALS.values())[rng.integers(len(GOALS))]
+    quarters, mirrored = int(rng.integers(4)), bool(rng.integers(2))
+    along_u, along_v = drawn.topology.sides
+    seen = topology_of(drawn.topology.shape[0], (along_v, along_u)) if quarters % 2 else drawn.topology
+    exact = turned(manipulations(seen, goal.folds(seen)), quarters=quarters, mirrored=mirrored)
+    reached = rng.uniform(*REACHED, (len(exact), 1))
+    astray = rng.normal(0.0, ASTRAY * CLOTH_LENGTH, exact.shape)
+    single = (exact[:, :2] == exact[:, 2:4]).all(1)
+    astray[single, 2:4] = astray[single, :2]
+    grasps = np.clip(exact[:, :4] + astray[:, :4], -1, 1)
+    moves = np.concatenate([grasps, exact[:, 4:] * reached + astray[:, 4:]], axis=1)
+    # Of a narrow cloth, a corner may go in by less than a manipulation moves at least: what follows is random.
+    kept = np.logical_and.accumulate(~np.asarray(is_null(moves)))
+    return Script(goal.name, moves[kept]) if kept.any() else None
 
 
 def _between(rng: np.random.Generator, limits: tuple[float, float]) -> float:

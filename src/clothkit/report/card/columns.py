@@ -83,6 +83,7 @@ MEANINGS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "bending_limit": ("1/m", "curvature beyond which the moment no longer grows"),
         "cloth_friction": ("", "coefficient, of the cloth on itself"),
         "table_friction": ("", "coefficient, on the table"),
+        "goal": ("", "named goal whose folds the first manipulations nearly are; none if all are random"),
     },
 }
 

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from clothkit.cloth.silhouette import centred
-from clothkit.goals.folds import GOALS
 from clothkit.goals.settings import SOURCE_NAMES, START_NAMES, SYSTEM_OF
+from clothkit.manipulation.named_folds import GOALS
 from clothkit.report import panels
 from clothkit.report.draw import draw, draw_heights
 from clothkit.report.panels import GOAL

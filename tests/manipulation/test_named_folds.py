@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from clothkit.cloth.silhouette import silhouette
 from clothkit.cloth.topology import SQUARE, Topology, rectangle
-from clothkit.goals.folds import GOALS, Fold, layout, plane
 from clothkit.manipulation.geometry import release_points
+from clothkit.manipulation.named_folds import GOALS, Fold, layout, plane
 
 NAMES = st.sampled_from(sorted(GOALS))
 RATIOS = st.one_of(st.none(), st.floats(0.5, 2.0))

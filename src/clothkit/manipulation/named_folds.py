@@ -90,13 +90,43 @@ def layout(topology: Topology, folds: Folds, points: Float[np.ndarray, "*points 
     """Where points of the cloth (geodesic; default: all its vertices) lie after exact folds."""
     xy = plane(topology, topology.geodesic() if points is None else points)
     moved = np.zeros(xy.shape[:-1], bool)
-    for number, fold in enumerate(folds):
-        start = layout(topology, folds[:number], np.array(fold.point, float)).xy
-        way = plane(topology, np.array(fold.image, float)) - start
+    for number in range(len(folds)):
+        start, way = way_of(topology, folds[: number + 1])
         across = (xy - start - way / 2) @ way / (way @ way)
         over = across < -ON_LINE
         xy, moved = np.where(over[..., None], xy - 2 * across[..., None] * way, xy), moved | over
     return Layout(xy, moved)
+
+
+def way_of(topology: Topology, folds: Folds) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
+    """Where the point of the last of the folds lies before it, and by how much the fold moves it [normalised]."""
+    start = layout(topology, folds[:-1], np.array(folds[-1].point, float)).xy
+    return start, plane(topology, np.array(folds[-1].image, float)) - start
+
+
+def manipulations(topology: Topology, folds: Folds) -> Float[np.ndarray, "folds 6"]:
+    """The folds as manipulations of a cloth that lies flat at first, u along x, as if what is let go did not slide."""
+    return np.array(
+        [
+            [*fold.grasps[0], *fold.grasps[-1], *way_of(topology, folds[: number + 1])[1]]
+            for number, fold in enumerate(folds)
+        ]
+    )
+
+
+def turned(
+    manipulation: Float[np.ndarray, "*batch 6"], *, quarters: int, mirrored: bool
+) -> Float[np.ndarray, "*batch 6"]:
+    """Manipulations of a cloth that lies flat at first, done from another of its sides.
+
+    They are mirrored, so that what was done at v is done at -v, and then turned by quarters, counter-clockwise. After
+    an odd number of quarters, the cloth is one with the sides exchanged.
+    """
+    pairs = manipulation.reshape(*manipulation.shape[:-1], 3, 2)
+    across, along = pairs[..., 0], pairs[..., 1] * (-1 if mirrored else 1)
+    for _ in range(quarters):
+        across, along = -along, across
+    return np.stack([across, along], axis=-1).reshape(manipulation.shape)
 
 
 def _half(topology: Topology) -> Folds:
