@@ -30,11 +30,12 @@ from clothkit.evaluation.comparisons import interval, sign_flip
 from clothkit.evaluation.errors import errors
 from clothkit.models.vtm import seen_by
 from clothkit.params import load_params
-from clothkit.planning.agent import expectation, initial_traces
+from clothkit.planning.agent import initial_traces
 from clothkit.planning.batches import in_batches
 from clothkit.planning.objective import Weights
 from clothkit.planning.perception import Estimation, Expected, labelled_like
 from clothkit.planning.planner import Planner, assemble
+from clothkit.planning.plans import expectation
 from clothkit.planning.predict import predict
 from clothkit.planning.systems import SYSTEMS
 from clothkit.planning.types import Observation

@@ -25,10 +25,11 @@ from clothkit.evaluation.errors import errors
 from clothkit.models.forward import ForwardModel
 from clothkit.planning import objective as objectives
 from clothkit.planning import search
-from clothkit.planning.agent import Keys, begin, conclude, decide, perceive, pose
+from clothkit.planning.agent import begin, decide, perceive
 from clothkit.planning.batches import in_batches
 from clothkit.planning.objective import Evaluation, Fixed, Objective
 from clothkit.planning.planner import Planner
+from clothkit.planning.plans import Keys, conclude, pose
 from clothkit.planning.representation import Representation
 from clothkit.planning.types import Found, Plan, Problem, States
 

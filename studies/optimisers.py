@@ -58,7 +58,7 @@ from clothkit.evaluation.comparisons import compare, interval, totals
 from clothkit.evaluation.diagnosis import labels_of_estimates, planning_losses, recorded_plans
 from clothkit.evaluation.errors import errors
 from clothkit.params import load_params
-from clothkit.planning import agent
+from clothkit.planning import agent, plans
 from clothkit.planning.batches import in_batches, take
 from clothkit.planning.objective import Weights
 from clothkit.planning.optimisers import AnySettings, evaluations
@@ -217,7 +217,7 @@ class Posed(NamedTuple):
     tasks: Tasks
     candidates: Float[np.ndarray, "task candidate 2"]
     problems: Problem
-    keys: agent.Keys
+    keys: plans.Keys
     loss_recorded: Float[np.ndarray, " task"]
 
 
@@ -233,7 +233,7 @@ def pose(planner: Planner, dataset: Dataset, sequences: list[int], split: str = 
         memory = agent.begin(planner, goals, np.full(len(chosen), length), tasks.cloths.cloth)
         observation, _ = exact_sensor(planner.perception)(np.asarray(tasks.start, np.float32), None)
         state, candidates = agent.perceive(planner, observation, memory)
-        problems = agent.pose(planner, state, candidates, memory, length)
+        problems = plans.pose(planner, state, candidates, memory, length)
         keys = search_keys(tasks, np.arange(len(chosen)), 0, planner.settings.seed)
         labels = labels_of_estimates(representation, state, tasks.start, tasks.cloths.cloth)
         recorded = recorded_plans(representation, tasks.recorded or [], labels)
@@ -307,7 +307,7 @@ def plans_of(planner: Planner, optimisers: dict[int, Any], posed: list[Posed], n
         for each in posed:
             own = with_optimiser(planner, optimisers[each.length])
             for rows, found in searches(own, each, bar):
-                plan = agent.conclude(own, take(each.problems, rows), found, each.candidates[rows])
+                plan = plans.conclude(own, take(each.problems, rows), found, each.candidates[rows])
                 position = grasp_positions(own, plan, each.tasks.centre[rows])
                 sequence, start, length = np.array(each.tasks.task[rows]).T
                 parts.append(Plans(sequence, start, length, plan.manipulations, position, plan.loss, plan.expected))

@@ -14,6 +14,7 @@ from clothkit.planning.conditional import Conditional
 from clothkit.planning.objective import Distance
 from clothkit.planning.optimisers.random_shooting import RandomShootingConfig
 from clothkit.planning.planner import Planner
+from clothkit.planning.plans import pose
 from clothkit.planning.search import evaluated
 from clothkit.planning.types import Observation
 from tests import toy_dataset
@@ -65,7 +66,7 @@ def test_a_plan_has_the_loss_that_its_search_found() -> None:
     tasks = tasks_of_dataset(toy_dataset.dataset(3), [Task(sequence, 0, LENGTH) for sequence in range(3)], "test")
     memory = agent.begin(planner, tasks.goal, np.full(3, LENGTH), tasks.cloths.cloth)
     state, candidates = agent.perceive(planner, Observation(meshes=tasks.start), memory)
-    problems = agent.pose(planner, state, candidates, memory, LENGTH)
+    problems = pose(planner, state, candidates, memory, LENGTH)
     found = planner.search(problems, keys(), length=LENGTH)
     plans = np.asarray(found.plan)
     offered = (planner, state, tasks.goal, plans, tasks.cloths.cloth, candidates)

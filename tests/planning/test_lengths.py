@@ -19,6 +19,7 @@ from clothkit.planning.error_map import ErrorMap
 from clothkit.planning.lengths import LengthConfig, chosen_lengths
 from clothkit.planning.optimisers.random_shooting import RandomShootingConfig
 from clothkit.planning.planner import Planner
+from clothkit.planning.plans import pose
 from clothkit.planning.types import Found, Memory, Observation, Plan, Problem
 from tests.planning import toy
 
@@ -223,7 +224,7 @@ def test_a_longer_plan_than_what_was_left_begins_with_what_was_left() -> None:
         _, memory = decided(planner, start[None], goal, ALWAYS)
     assert memory.left.tolist() == [2]
     memory = memory._replace(rest=np.where(np.arange(3)[:, None] < 1, memory.rest, np.nan))
-    problems = agent.pose(planner, start[None], np.zeros((1, 12, 2), np.float32), memory, 2)
+    problems = pose(planner, start[None], np.zeros((1, 12, 2), np.float32), memory, 2)
     carried = np.asarray(problems.carried[0])
     np.testing.assert_array_equal(carried[0], FOLDS[1])
     assert is_null(carried[1])

@@ -1,5 +1,7 @@
 """How unsure a perception is, against the formulas by hand."""
 
+import dataclasses
+
 import jax
 import numpy as np
 import pytest
@@ -11,6 +13,8 @@ from clothkit.estimation.refine import RefineConfig
 from clothkit.models.net import Net
 from clothkit.models.settings import Start
 from clothkit.models.vtm import VtMConfig, hypotheses, initial
+from clothkit.planning.agent import begin, perceive, stds_of
+from clothkit.planning.agent import sigma_of as sigma_of_state
 from clothkit.planning.perception import Estimation, Expected, sigma_of
 from clothkit.planning.types import Observation
 from tests.planning import toy
@@ -59,3 +63,33 @@ def test_doubt_is_that_of_the_hypothesis_that_the_state_was_refined_from() -> No
         assert sigma_of(perception, observation, state, None, cloth) == pytest.approx(sigma(stds[number]), rel=1e-4)
         told = perception.probabilistic(observation, state, None, cloth)
         assert np.asarray(told.std[0]) == pytest.approx(stds[number], rel=1e-4)
+
+
+def test_each_cloth_of_a_batch_has_its_own_doubt() -> None:
+    """Of a first decision, a cloth that lies as it lay, and a predicted one, only the last was predicted."""
+    config = VtMConfig(hidden=4)
+    net = Net(config, initial(config, key=jax.random.key(0)))
+    planner = dataclasses.replace(toy.planner("main"), perception=Estimation(net, RefineConfig(prior=2.0), batch=1))
+    seen = np.zeros((3, 32, 32, 16), bool)
+    seen[:, 8:24, 8:24, 0] = True
+    observation = Observation(voxels=seen)
+    memory = begin(planner, np.stack([toy.bent()] * 3), np.array([1, 1, 1]))
+    memory = memory._replace(
+        planned=np.array([False, True, True]),
+        still=np.array([False, True, False]),
+        state=np.stack([toy.bent()] * 3),
+        expected=np.stack([toy.bent()] * 3),
+        unsure=np.full_like(memory.unsure, 0.01),
+    )
+    state, _ = perceive(planner, observation, memory)
+    np.testing.assert_array_equal(state[1], toy.bent())
+    stds = stds_of(planner, observation, state, memory)
+    assert stds is not None
+    for row, expected in enumerate((None, None, Expected(memory.expected[2:], memory.unsure[2:]))):
+        one = (Observation(voxels=seen[row : row + 1]), state[row : row + 1], expected, memory.cloth[row : row + 1])
+        np.testing.assert_allclose(stds[row], planner.perception.probabilistic(*one).std[0], rtol=1e-5)
+        assert sigma_of_state(state, stds)[row] == pytest.approx(sigma(stds[row]), rel=1e-4)
+    assert sigma(stds[2]) < sigma(stds[0])
+    known = toy.planner("b1")
+    assert stds_of(known, observation, state, memory) is None
+    assert sigma_of_state(state, None).tolist() == [0, 0, 0]

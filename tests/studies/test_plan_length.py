@@ -13,10 +13,11 @@ import pytest
 
 from clothkit.params import load_params
 from clothkit.planning import objective as objectives
-from clothkit.planning.agent import begin, perceive, pose
+from clothkit.planning.agent import begin, perceive
 from clothkit.planning.batches import take
 from clothkit.planning.error_map import ErrorMap
 from clothkit.planning.optimisers.random_shooting import RandomShootingConfig
+from clothkit.planning.plans import pose
 from clothkit.planning.types import UNKNOWN, Found, Observation
 from clothkit.report.layout import PLAN_LENGTH, PLAN_WAYS
 from tests.episodes.test_sessions import MANIPULATIONS, dataset

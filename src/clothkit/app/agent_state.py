@@ -24,10 +24,11 @@ from clothkit.app.reach import reached
 from clothkit.manipulation.vector import is_null
 from clothkit.planning import agent
 from clothkit.planning.lengths import LengthConfig
-from clothkit.planning.perception import Expected, KnownMeshes, Unsure
+from clothkit.planning.perception import KnownMeshes
 from clothkit.planning.planner import Planner
+from clothkit.planning.plans import expectation
 from clothkit.planning.reach import Limits
-from clothkit.planning.types import UNKNOWN, Memory, Observation, Plan, States
+from clothkit.planning.types import UNKNOWN, Memory, Observation, Plan
 from clothkit.runtime.errors import InputError
 
 
@@ -103,21 +104,10 @@ def observe(now: AgentState, source: Input) -> AgentState:
     """
     observation = observation_of(now.planner, source, now.settings.data, now.settings)
     states, candidates = agent.perceive(now.planner, observation, now.memory)
-    sigma = float(agent.unsure(now.planner, observation, states, now.memory)[0])
-    std = _std_of(now.planner, observation, states, now.memory)
+    stds = agent.stds_of(now.planner, observation, states, now.memory)
+    sigma, std = float(agent.sigma_of(states, stds)[0]), None if stds is None else stds[0]
     perceived = Perceived(source, observation, states[0], candidates[0], sigma, std)
     return dataclasses.replace(now, perceived=perceived, planned=None)
-
-
-def _std_of(
-    planner: Planner, observation: Observation, states: States, memory: Memory
-) -> Float[np.ndarray, "u v 3"] | None:
-    """The standard deviations of an estimated state; None if the planner does not estimate states."""
-    if not isinstance(planner.perception, Unsure):
-        return None
-    moved = memory.planned[0] and not memory.still[0]
-    expected = Expected(memory.expected, memory.unsure) if moved else None
-    return np.asarray(planner.perception.probabilistic(observation, states, expected, memory.cloth).std[0])
 
 
 def plan(now: AgentState, *, seed: int, limits: Limits = Limits()) -> AgentState:  # noqa: B008
@@ -207,7 +197,7 @@ def advanced(now: AgentState, *, executed: bool) -> AgentState:
         common=planned.common,
         relative=planned.relative,
         traces=planned.traces,
-        predicted=agent.expectation(planned.means[:, 0], None if planned.stds is None else planned.stds[:, 0])
+        predicted=expectation(planned.means[:, 0], None if planned.stds is None else planned.stds[:, 0])
         if executed
         else None,
         left=0 if now.over else int(now.memory.left[0]) - 1,

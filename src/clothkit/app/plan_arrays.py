@@ -9,8 +9,9 @@ from jaxtyping import Float
 from clothkit.app.plan_file import Plan
 from clothkit.app.plan_parts import MeshState, Placed
 from clothkit.app.planner import State, Traces, memory_after
-from clothkit.planning.agent import expectation, initial_traces
+from clothkit.planning.agent import initial_traces
 from clothkit.planning.planner import Planner
+from clothkit.planning.plans import expectation
 from clothkit.planning.types import Memory
 from clothkit.runtime.errors import InputError
 

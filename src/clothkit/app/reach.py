@@ -24,8 +24,8 @@ from clothkit.manipulation.geometry import to_cartesian
 from clothkit.manipulation.vector import is_null
 from clothkit.observation.pose import Pose
 from clothkit.observation.waypoints import MotionConfig, ReachConfig, symmetries
-from clothkit.planning.agent import conclude, pose
 from clothkit.planning.planner import Planner
+from clothkit.planning.plans import conclude, pose
 from clothkit.planning.reach import (
     WEIGHT,
     Ball,

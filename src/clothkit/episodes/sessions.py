@@ -14,11 +14,12 @@ from clothkit.episodes.record import Sessions, Step, Tasks, record, sizes_of
 from clothkit.episodes.sensors import Sensor, exact_sensor
 from clothkit.estimation.refine import refine
 from clothkit.manipulation.vector import is_null, is_single
-from clothkit.planning.agent import Keys, begin, decide
+from clothkit.planning.agent import begin, decide
 from clothkit.planning.batches import in_batches, take
 from clothkit.planning.error_map import ErrorMap
 from clothkit.planning.lengths import LengthConfig
 from clothkit.planning.planner import Planner
+from clothkit.planning.plans import Keys
 from clothkit.planning.types import Memory, Meshes, Observation, Plan
 from clothkit.runtime.errors import InputError
 from clothkit.simulation.cloths import Cloths

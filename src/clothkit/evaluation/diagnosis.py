@@ -19,10 +19,10 @@ from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.episodes.record import Sessions, Stretch, Tasks
 from clothkit.episodes.sessions import search_keys
 from clothkit.models.forward import ForwardModel
-from clothkit.planning.agent import Keys
 from clothkit.planning.batches import in_batches
 from clothkit.planning.objective import Objective, evaluate, fix
 from clothkit.planning.planner import Planner
+from clothkit.planning.plans import Keys
 from clothkit.planning.predict import padded
 from clothkit.planning.representation import Representation
 from clothkit.planning.search import posed_objective

@@ -15,9 +15,9 @@ import jax
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from clothkit.planning.agent import conclude, pose
 from clothkit.planning.optimisers.gradient import GradientConfig
 from clothkit.planning.planner import Planner
+from clothkit.planning.plans import conclude, pose
 from clothkit.planning.types import Memory, Plan
 
 STRAINS_PER_BATCH = 16
