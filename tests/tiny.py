@@ -170,6 +170,7 @@ def attempts(accepted: int = 10) -> Attempts:
         reason=np.array([""] * accepted + ["height"]),
         reached=np.full(count, 4),
         start=np.full(count, "flat"),
+        goal=np.full(count, ""),
         sides=np.full((count, 2), 0.4),
         material=np.tile(np.array([getattr(Material(), name) for name in DRAWN], np.float32), (count, 1)),
         states=states,
