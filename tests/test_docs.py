@@ -136,8 +136,12 @@ def test_readme_is_short_and_its_figures_are_the_report_s() -> None:
         assert words.format(*(f"{-value:.3f}" for value in rows["difference"])) in " ".join(text.split())
     assert (rows["p"] < 0.001).all()
     without = study.loc[("main", "b3")].set_index("column").loc[columns, "p"]
-    assert f"(p {without.iloc[0]:.2f}, {without.iloc[1]:.2f}, < 0.001)" in " ".join(text.split())
+    assert f"(p {without.iloc[0]:.2f}, {without.iloc[1]:.3f}, < 0.001)" in " ".join(text.split())
     assert without.iloc[2] < 0.001
+    one_net = study.loc[("main", "b2")].set_index("column").loc[columns]
+    by = ", ".join(f"{-value:.3f}" for value in one_net["difference"])
+    assert f"of one net, by {by} (p {one_net['p'].iloc[0]:.2f}, < 0.001 twice)" in " ".join(text.split())
+    assert (one_net["p"].iloc[1:] < 0.001).all()
     pairs = pd.read_csv(ROOT / "reports/laptop/tables/planning_comparisons.csv")
     pairs = pairs[(pairs["split"] == "test") & (pairs["measure"] == "error") & (pairs["system"] == "main")]
     with_one_net = pairs[(pairs["against"] == "b2") & (pairs["column"] == "3/all")].iloc[0]
