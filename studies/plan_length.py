@@ -53,7 +53,7 @@ from clothkit.planning.agent import begin
 from clothkit.planning.error_map import ErrorMap
 from clothkit.planning.lengths import LengthConfig, chosen_lengths, nearest_labelling
 from clothkit.planning.objective import Weights
-from clothkit.planning.perception import sigma_of
+from clothkit.planning.perception import sigma_of, stds_of
 from clothkit.planning.planner import Planner, artifacts, assemble
 from clothkit.planning.systems import SYSTEMS
 from clothkit.planning.trust import PLACE, Signs, load, trusted
@@ -116,7 +116,8 @@ def trusted_errors(
     if trust is None:
         return unknown
     observation, _ = exact_sensor(planner.perception)(tasks.start, None)
-    sigma = sigma_of(planner.perception, observation, sessions.estimate[:, 0], None, sessions.cloth)
+    states = sessions.estimate[:, 0]
+    sigma = sigma_of(states, stds_of(planner.perception, observation, states, None, sessions.cloth))
     model_error = sessions.terms[:, 0, -1] if planner.settings.uncertainty.measure == "expected" else unknown
     return trusted(trust, Signs(sessions.expected[:, 0], model_error, sigma), length).error
 

@@ -24,7 +24,7 @@ from clothkit.app.reach import reached
 from clothkit.manipulation.vector import is_null
 from clothkit.planning import agent
 from clothkit.planning.lengths import LengthConfig
-from clothkit.planning.perception import KnownMeshes
+from clothkit.planning.perception import KnownMeshes, sigma_of
 from clothkit.planning.planner import Planner
 from clothkit.planning.plans import expectation
 from clothkit.planning.reach import Limits
@@ -104,8 +104,8 @@ def observe(now: AgentState, source: Input) -> AgentState:
     """
     observation = observation_of(now.planner, source, now.settings.data, now.settings)
     states, candidates = agent.perceive(now.planner, observation, now.memory)
-    stds = agent.stds_of(now.planner, observation, states, now.memory)
-    sigma, std = float(agent.sigma_of(states, stds)[0]), None if stds is None else stds[0]
+    stds = agent.doubt(now.planner, observation, states, now.memory)
+    sigma, std = float(sigma_of(states, stds)[0]), None if stds is None else stds[0]
     perceived = Perceived(source, observation, states[0], candidates[0], sigma, std)
     return dataclasses.replace(now, perceived=perceived, planned=None)
 

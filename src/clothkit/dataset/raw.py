@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 
 from clothkit.dataset.store import STATES, STEPS
 from clothkit.dataset.tables import Column, Complete, Table, check, read, read_groups
+from clothkit.manipulation.named_folds import GOALS
 from clothkit.runtime.errors import InputError
 from clothkit.simulation.settings import DRAWN, STARTS
 
@@ -100,7 +101,7 @@ CLOTHS = Table(
         "side_u": Column("numbers", _SIDES[0], _SIDES[1]),
         "side_v": Column("numbers", _SIDES[0], _SIDES[1]),
         **dict.fromkeys(DRAWN, _PROPERTY),
-        "goal": Column("text", missing=True, optional=True),
+        "goal": Column("text", among=tuple(GOALS), missing=True, optional=True),
     },
     keys=("sequence",),
 )

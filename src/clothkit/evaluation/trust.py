@@ -17,7 +17,7 @@ from clothkit.episodes.sessions import Execute, search_keys
 from clothkit.evaluation.errors import errors
 from clothkit.evaluation.settings import CalibrateConfig
 from clothkit.planning import trust
-from clothkit.planning.agent import begin, decide
+from clothkit.planning.agent import begin, decide, doubt
 from clothkit.planning.error_map import ErrorMap, fit, fitted_to_others
 from clothkit.planning.perception import sigma_of
 from clothkit.planning.planner import Planner
@@ -74,7 +74,7 @@ def _planned(dataset: Dataset, chosen: list[Task], planner: Planner, execute: Ex
     memory = begin(planner, goals, length, tasks.cloths.cloth)
     keys = search_keys(tasks, np.arange(len(chosen)), 0, planner.settings.seed)
     plan, _ = decide(planner, observation, memory, key=keys)
-    sigma = sigma_of(planner.perception, observation, plan.state, None, memory.cloth)
+    sigma = sigma_of(plan.state, doubt(planner, observation, plan.state, memory))
     signs = trust.signs_of(plan, sigma, planner.settings.uncertainty.measure)
     # A plan of which nothing is expected is not executed.
     manipulations = np.where(plan.useless[:, None, None], np.nan, plan.manipulations)

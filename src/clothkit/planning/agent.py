@@ -1,7 +1,7 @@
 """The agent: observation and memory in, plan and new memory out (section 5.1, design 6.10 and 6.11).
 
 `decide` makes the same decision for episodes, the command line and the viewer. Its parts are public for those that need
-one of them: `perceive`, `stds_of` and `remember` here, `pose` and `conclude` in `planning.plans`.
+one of them: `perceive`, `doubt` and `remember` here, `pose` and `conclude` in `planning.plans`.
 """
 
 from collections.abc import Iterator
@@ -12,14 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from clothkit.cloth.mesh import ProbabilisticMesh, mean_sigma
 from clothkit.cloth.topology import PAPERS_CLOTH
 from clothkit.dataset.store import STEPS
 from clothkit.planning.batches import take
 from clothkit.planning.choosing import chosen_plans
 from clothkit.planning.error_map import ErrorMap
 from clothkit.planning.lengths import LengthConfig
-from clothkit.planning.perception import Expected, Unsure
+from clothkit.planning.perception import Expected, sigma_of, stds_of
 from clothkit.planning.planner import Planner
 from clothkit.planning.plans import Keys, conclude, expectation, joined, padded, pose, searched
 from clothkit.planning.types import UNKNOWN, Memory, Meshes, Observation, Plan, States, Traces
@@ -87,7 +86,7 @@ def decide(
         plan = _planned(planner, state, candidates, memory, key)
     else:
         if sigma is None and trust is not None:
-            sigma = sigma_of(state, stds_of(planner, observation, state, memory))
+            sigma = sigma_of(state, doubt(planner, observation, state, memory))
         plan = chosen_plans(planner, state, candidates, memory, key, length, trust, sigma)
     return plan, remember(planner, memory, plan, executed=~plan.null)
 
@@ -134,26 +133,19 @@ def perceive(
     return state, candidates
 
 
-def stds_of(planner: Planner, observation: Observation, state: States, memory: Memory) -> Meshes | None:
+def doubt(planner: Planner, observation: Observation, state: States, memory: Memory) -> Meshes | None:
     """The standard deviations of the states that `perceive` gave [normalised]; None if the perception tells none.
 
     Where a state was predicted, they are those that are left when the prediction counts, too.
     """
-    perception = planner.perception
-    if not isinstance(perception, Unsure):
-        return None
     stds = np.empty_like(state)
     for rows, expected in _expectations(memory):
         seen, cloth = take(observation, rows), memory.cloth[rows]
-        stds[rows] = perception.probabilistic(seen, state[rows], expected, cloth).std
+        own = stds_of(planner.perception, seen, state[rows], expected, cloth)
+        if own is None:
+            return None
+        stds[rows] = own
     return stds
-
-
-def sigma_of(state: States, stds: Meshes | None) -> Float[np.ndarray, " task"]:
-    """How unsure the perception is of states, by their standard deviations [cloth length]; 0 without any."""
-    if stds is None:
-        return np.zeros(len(state), np.float32)
-    return np.asarray(mean_sigma(ProbabilisticMesh(state, stds)))
 
 
 def _expectations(memory: Memory) -> Iterator[tuple[Int[np.ndarray, " rows"], Expected | None]]:

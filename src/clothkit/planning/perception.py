@@ -60,21 +60,31 @@ class Unsure(Protocol):
         ...
 
 
-def sigma_of(
+def stds_of(
     perception: Perception,
     observation: Observation,
     states: States,
     expected: Expected | None,
     cloth: Float[np.ndarray, "task 3"],
-) -> Float[np.ndarray, " task"]:
-    """How unsure a perception is of the states that it took an observation for [cloth length].
+) -> Meshes | None:
+    """The standard deviations of the states that a perception took an observation for, in their labels [normalised].
 
-    This is the root of the mean predicted variance of a vertex; 0 if the perception does not tell, or takes what it
-    observes. `expected` are the predictions that it took into account, if any.
+    None if the perception does not tell, or takes what it observes. `expected` are the predictions that it took into
+    account, if any.
     """
     if not isinstance(perception, Unsure):
-        return np.zeros(len(cloth), np.float32)
-    return np.asarray(mean_sigma(perception.probabilistic(observation, states, expected, cloth)))
+        return None
+    return np.asarray(perception.probabilistic(observation, states, expected, cloth).std)
+
+
+def sigma_of(states: States, stds: Meshes | None) -> Float[np.ndarray, " task"]:
+    """How unsure a perception is of states with these standard deviations [cloth length]; 0 without any.
+
+    This is the root of the mean predicted variance of a vertex.
+    """
+    if stds is None:
+        return np.zeros(len(states), np.float32)
+    return np.asarray(mean_sigma(ProbabilisticMesh(states, stds)))
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ The next two are those of openings and of the folds of named goals.
 """
 
 REACHED = (0.82, 0.98)
-"""By which share of a fold's way the hands move: cloth that is let go slides on, by 0.05 to 0.15 of it."""
+"""By which share of a fold's way the hands move: cloth that is let go slides on."""
 
 ASTRAY = 0.02
 """Standard deviation of grasps and displacements of the folds of named goals [cloth length]."""
