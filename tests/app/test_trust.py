@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clothkit.app.describe import warning_of
+from clothkit.app.advice import warning_of
 from clothkit.app.inputs import load_settings
 from clothkit.app.plan import summary
 from clothkit.app.plan_file import UNLIKELY, WORSE, plan_of
@@ -77,9 +77,8 @@ def test_it_is_told_in_millimetres() -> None:
 
 
 def test_a_plan_whose_like_made_things_worse_is_warned_of() -> None:
-    told = {"improves": True, "outcome_error_m": 0.2, "error_no_action_m": 0.1}
-    assert warning_of(told) == WORSE
-    assert warning_of({**told, "improves": False}) == UNLIKELY
-    assert warning_of({**told, "outcome_error_m": 0.1}) is None
-    assert warning_of({**told, "outcome_error_m": None}) is None
-    assert warning_of({**told, "error_no_action_m": None}) is None
+    assert warning_of(True, 0.2, 0.1) == WORSE
+    assert warning_of(False, 0.2, 0.1) == UNLIKELY
+    assert warning_of(True, 0.1, 0.1) is None
+    assert warning_of(True, None, 0.1) is None
+    assert warning_of(True, 0.2, None) is None

@@ -70,6 +70,18 @@ class Signs(NamedTuple):
     """The name of a named goal."""
 
 
+def warning_of(improves: bool, outcome: float | None, no_action: float | None) -> str | None:
+    """Return what speaks against a plan; None: nothing.
+
+    `improves` says whether the nets expect its outcome to be nearer to the goal than the cloth lies now, `outcome` how
+    far plans with such an expectation ended from their goals, and `no_action` how far the cloth lies now, in one unit;
+    None: not known.
+    """
+    if not improves:
+        return UNLIKELY
+    return WORSE if outcome is not None and no_action is not None and outcome > no_action else None
+
+
 def told_of(signs: Signs) -> list[str]:
     """Return where the estimate is poor, if it is, and the advice, a sentence each."""
     poor = [unsure_in_words(signs.unsure)] if signs.unsure is not None and signs.unsure.share else []

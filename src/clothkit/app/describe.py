@@ -6,8 +6,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from clothkit.app import plan_file
-from clothkit.app.advice import Signs, is_flat, told_of
+from clothkit.app.advice import Signs, is_flat, told_of, warning_of
 from clothkit.app.agreement import EstimateAgreement
 from clothkit.app.inputs import Input, Settings
 from clothkit.app.plan_file import Plan, plan_of, rounded
@@ -118,7 +117,7 @@ def describe(planner: Planner, planned: Planned, paths: list[HandPaths], request
     poses = poses_of(planned, pose)
     expectation = expected(planner, planned, request)
     unsure = unsure_of(request.state, planned.state, request.std, pose)
-    warning = warning_of(expectation)
+    warning = warning_of(expectation["improves"], expectation["outcome_error_m"], expectation["error_no_action_m"])
     signs = Signs(
         *request.agreements,
         unsure,
@@ -186,14 +185,6 @@ def _region(region: Region) -> dict[str, Any]:
 def _finite(values: Any) -> list[float]:
     """Coordinates as JSON can hold them: a box may be open to a side."""
     return [float(value) for value in np.clip(np.asarray(values, float), -_FAR, _FAR)]
-
-
-def warning_of(expectation: dict[str, Any]) -> str | None:
-    """Return what speaks against a plan, from the fields of `plan_parts.Expectation`; None: nothing."""
-    if not expectation["improves"]:
-        return plan_file.UNLIKELY
-    outcome, no_action = expectation["outcome_error_m"], expectation["error_no_action_m"]
-    return plan_file.WORSE if outcome is not None and no_action is not None and outcome > no_action else None
 
 
 def notices(request: PlanRequest) -> list[str]:

@@ -14,13 +14,12 @@ import numpy as np
 from jaxtyping import Float
 
 from clothkit.app import agent_state
-from clothkit.app.advice import Signs, is_flat, told_of
+from clothkit.app.advice import Signs, is_flat, told_of, warning_of
 from clothkit.app.agent_state import AgentState
 from clothkit.app.agreement import compare_goal, compare_state
 from clothkit.app.describe import unsure_of
 from clothkit.app.inputs import Input, Settings
 from clothkit.app.lengths import AUTO, check_can_choose
-from clothkit.app.plan_file import UNLIKELY, WORSE
 from clothkit.app.planner import Planned, estimate_mesh, load_vtm, mesh_of, trusted_of
 from clothkit.app.reach import limits_of
 from clothkit.app.viewer.search_progress import OnProgress, Progress, search_in_batches
@@ -124,10 +123,10 @@ def notices_of(live: Live) -> list[str]:
     signs = Signs(*agreements, unsure_of(perceived.source, perceived.state, perceived.std, pose))
     if planned is not None:
         told = trusted_of(planned, agent.settings, system)
-        worse = told is not None and float(told.error[0]) > planned.expected_no_action
+        outcome = None if told is None else float(told.error[0])
         signs = signs._replace(
             trust=None if told is None else float(told.trust[0]),
-            warning=(WORSE if worse else None) if planned.improves else UNLIKELY,
+            warning=warning_of(planned.improves, outcome, planned.expected_no_action),
             away=None if system.voxels else planned.expected_no_action,
             steps=len(planned.plan),
             flat=is_flat(perceived.state, perceived.source.cloth),

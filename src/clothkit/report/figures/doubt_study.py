@@ -93,7 +93,8 @@ def _rules(table: pd.DataFrame) -> list[bool]:
 
 
 def _title(axis: Axes, fold: bool, column: str) -> None:
-    """Name the plan length and the rule of a chart of errors from 0."""
+    """Name the plan length and the rule of a chart of errors from 0, with room for a star above the highest point."""
+    axis.margins(y=0.12)
     axis.set_ylim(bottom=0)
     axis.grid(visible=False, axis="x")
     many = "1 manipulation" if column[0] == "1" else f"{column[0]} manipulations"
