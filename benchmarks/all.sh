@@ -22,7 +22,8 @@ part benchmarks/simulation.py blocks --count 32 --csv "$rows"
 if [ $# -gt 0 ]; then
   part benchmarks/likeness.py "$1" --csv "$rows"
 fi
-part benchmarks/million.py --csv "$rows"
+part benchmarks/million.py 4000 8000 --csv "$rows"
+part benchmarks/million.py 4000 8000 --dask 2 --csv "$rows"
 part benchmarks/training.py --scale laptop --csv "$rows"
 part benchmarks/planning.py main b2 --scale laptop --rounds 1 --csv "$rows"
 part benchmarks/training.py --scale paper --steps 4 --rounds 2 --csv "$paper"

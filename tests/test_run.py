@@ -129,6 +129,18 @@ def test_another_lock_is_installed_into_the_environment_that_is_there(tmp_path: 
     assert ended.stderr.startswith(f"run: {root}/requirements-rocm.lock: not found; LOCK names a lock in {root}")
 
 
+def test_calls_at_once_set_up_one_after_the_other(tmp_path: Path, elsewhere: Path) -> None:
+    root = checkout(tmp_path / "kit")
+    # What a call that was killed left behind is in nobody's way.
+    ended = subprocess.Popen(["true"])
+    ended.wait()
+    (root / ".setup").symlink_to(str(ended.pid))
+    calls = [subprocess.Popen([root / "run", "true"], cwd=elsewhere) for _ in range(3)]
+    assert [one.wait(60) for one in calls] == [0, 0, 0]
+    assert uv_calls(root) == ["venv", "pip sync", "pip install"]
+    assert not (root / ".setup").is_symlink()
+
+
 @pytest.mark.parametrize("damage", ["can't be moved", "its Python is gone", "half made"])
 def test_an_environment_that_cannot_serve_is_made_anew(tmp_path: Path, elsewhere: Path, damage: str) -> None:
     root = checkout(tmp_path / "kit")
@@ -151,7 +163,7 @@ def test_without_a_supported_python_it_says_so(tmp_path: Path, elsewhere: Path) 
     root = checkout(tmp_path / "kit")
     programs = tmp_path / "programs"
     programs.mkdir()
-    for name in ("sh", "dirname", "readlink", "grep", "cmp", "cp", "rm"):
+    for name in ("sh", "dirname", "readlink", "grep", "cmp", "cp", "rm", "ln", "sleep"):
         (programs / name).symlink_to(str(shutil.which(name)))
     (programs / "python3").write_text("#!/bin/sh\nexit 1\n")
     (programs / "python3").chmod(0o755)
