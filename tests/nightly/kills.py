@@ -125,9 +125,9 @@ def outs(checkout: Checkout) -> dict[str, str]:
 
 
 def new_checkout(folder: Path, old: Checkout | None = None) -> Checkout:
-    """A checkout in which nothing has run, with the compiled programs of an old one, which is deleted."""
+    """A checkout in which nothing has run, with the sources and compiled programs of an old one, which is deleted."""
     folder.mkdir(parents=True)
-    made = Checkout(folder)
+    made = Checkout(folder) if old is None else Checkout(folder, old.folder)
     if old is not None:
         compiled = old.folder / ".work/compiled"
         if compiled.exists():
@@ -149,8 +149,8 @@ def mended(checkout: Checkout, said: list[str]) -> str | None:
 class Broken:
     """The chain that is killed, again and again."""
 
-    def __init__(self, folder: Path, targets: list[str], wanted: dict[str, str], usual: dict[str, Span]) -> None:
-        self.folder, self.targets, self.wanted, self.usual = folder, targets, wanted, usual
+    def __init__(self, checkout: Checkout, targets: list[str], wanted: dict[str, str], usual: dict[str, Span]) -> None:
+        self.checkout, self.targets, self.wanted, self.usual = checkout, targets, wanted, usual
         self.rounds = 0
         """Chains that have come to their end."""
         self.differing: set[str] = set()
@@ -160,7 +160,6 @@ class Broken:
         self.mended: Counter[str] = Counter()
         """Files of DVC's own that kills had damaged."""
         self.just_mended = False
-        self.checkout = new_checkout(folder / "broken_0")
 
     def start(self, rng: random.Random) -> None:
         """Run, and kill it if it has not ended after a time that is drawn."""
@@ -183,7 +182,7 @@ class Broken:
         finally:
             run.kill()
         if self.came_to_its_end(run):
-            self.checkout = new_checkout(self.folder / f"broken_{self.rounds}", self.checkout)
+            self.checkout = new_checkout(self.checkout.folder.with_name(f"broken_{self.rounds}"), self.checkout)
 
     def end(self) -> None:
         """Leave the chain alone until it has come to its end."""
@@ -233,11 +232,12 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary:
         folder = asked.folder or Path(temporary)
         started = time.monotonic()
-        unbroken = new_checkout(folder / "unbroken")
+        # Both at once, so that they have the same sources even if someone edits these meanwhile.
+        unbroken, first = new_checkout(folder / "unbroken"), new_checkout(folder / "broken_0")
         run = whole(unbroken, asked.targets)
         alone = time.monotonic() - started
         print(f"unbroken: {alone:.0f} s", flush=True)
-        broken = Broken(folder, asked.targets, outs(unbroken), spans(unbroken, run, time.monotonic()))
+        broken = Broken(first, asked.targets, outs(unbroken), spans(unbroken, run, time.monotonic()))
         while broken.kills.total() < asked.kills:
             broken.start(rng)
         broken.end()

@@ -34,7 +34,7 @@ def repro(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
         class Toy:
             """A checkout."""
 
-            def __init__(self, folder: Path) -> None:
+            def __init__(self, folder: Path, sources: Path = Path()) -> None:
                 self.folder = folder
 
             def start(self, *command: str) -> "subprocess.Popen[str]":

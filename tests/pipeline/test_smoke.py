@@ -23,12 +23,12 @@ LONG_STAGES = ("simulate", "train_pemd@0", "train_vtm", "plan@main")
 
 
 class Checkout:
-    """A copy of the sources, with a git repository and params at smoke scale of its own."""
+    """A copy of the sources in a folder, with a git repository and params at smoke scale of its own."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, sources: Path = ROOT) -> None:
         self.folder = folder
         for name in ("src", "stages", "dvc.yaml", "params.yaml", ".dvcignore"):
-            source = ROOT / name
+            source = sources / name
             if source.is_dir():
                 shutil.copytree(source, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
             else:
