@@ -70,6 +70,14 @@ def test_a_single_candidate_leaves_one_hand() -> None:
     assert (plans[:, 0, :4] == -1).all()
 
 
+def test_the_share_of_one_handed_manipulations() -> None:
+    for share in (0.0, 0.7, 1.0):
+        plans = np.asarray(random_plans(4000, 2, CANDIDATES, FLAT, one_handed=share, key=jax.random.key(4)))
+        single = (plans[..., :2] == plans[..., 2:4]).all(-1)
+        # In first manipulations, hands that lie on different sides of m are drawn again.
+        np.testing.assert_allclose(single.mean(0), share, atol=0.03 if 0 < share < 1 else 0)
+
+
 def test_snapping_takes_the_nearest_candidate_in_xy() -> None:
     # The cloth folded over u = 0: the far corner lies on the near one.
     mesh = SQUARE.flat().copy()

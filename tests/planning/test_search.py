@@ -13,7 +13,7 @@ from clothkit.cloth.silhouette import pixel_centres
 from clothkit.cloth.symmetry import equal_labellings, equivalents, relabel, relabel_manipulation
 from clothkit.cloth.topology import SQUARE
 from clothkit.manipulation.geometry import release_points, to_cartesian
-from clothkit.manipulation.vector import is_null
+from clothkit.manipulation.vector import is_null, is_single
 from clothkit.planning.initial import EXTENT, FOLD_POINT, RASTER
 from clothkit.planning.mesh_representation import MESH
 from clothkit.planning.objective import Fixed, Likelihood, Objective, Range, Weights, evaluate, objective_of
@@ -240,6 +240,22 @@ def test_one_hand_stays_one_hand_and_first_grasps_stay_candidates() -> None:
         assert np.abs(plan[:, :4]).max() <= 1
         apart = np.abs(plan[1, :2] - plan[1, 2:4]).max()
         assert apart == 0 or apart > 1e-3
+
+
+def test_without_one_handed_manipulations_each_hand_has_a_candidate_of_its_own() -> None:
+    mesh = toy.bent()
+    goal = np.asarray(toy.dragged(jnp.asarray(mesh), BEST))
+    # One hand would do, and both hands of what is left of a plan have the same nearest candidate.
+    carried = np.asarray(BEST + jnp.array([0.1, 0, 0, 0.1, 0, 0]))[None]
+    asked = problem(mesh, goal, carried=carried, relative=np.int32(0), later=np.bool_(True))
+    assert is_single(first(find(asked)).plan[0])
+    two = dataclasses.replace(toy.SEARCH, one_handed=0.0)
+    found = first(find(asked, size=two))
+    assert not is_single(found.plan[0])
+    assert np.isfinite(found.loss)
+    # Where there is a single point to grasp, one hand grasps it.
+    alone = find(asked._replace(candidates=padded(CORNERS[:1])), size=two)
+    np.testing.assert_allclose(first(alone).plan[0], BEST, atol=0.05)
 
 
 def test_screened_strains_start_where_the_loss_is_least() -> None:

@@ -86,7 +86,7 @@ def planned(problems: list[Problem], planner: Planner, execute: Execute, sensor:
     nulls, expected = np.zeros(len(problems), np.int64), np.full(len(problems), np.nan, np.float32)
     for first in range(0, int(lengths.max()), STEPS):
         rows = np.flatnonzero(lengths > first)
-        tasks = _tasks([problems[row] for row in rows], meshes[rows], first)
+        tasks = tasks_of_problems([problems[row] for row in rows], meshes[rows], first)
         sessions = run_sessions(tasks, planner, execute, sensor=sensor, refined=False)
         last = (np.arange(len(rows)), sessions.length)
         meshes[rows] = sessions.state[last]
@@ -97,7 +97,7 @@ def planned(problems: list[Problem], planner: Planner, execute: Execute, sensor:
     return Outcomes(meshes, nulls, expected)
 
 
-def _tasks(problems: list[Problem], meshes: Float[np.ndarray, "problem u v 3"], first: int) -> Tasks:
+def tasks_of_problems(problems: list[Problem], meshes: Float[np.ndarray, "problem u v 3"], first: int) -> Tasks:
     """The tasks of sessions that begin with manipulation `first`, with the cloths as they lie then."""
     states, centres = zip(*(centred(mesh) for mesh in meshes), strict=True)
     names = list(GOALS)

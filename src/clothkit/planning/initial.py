@@ -35,17 +35,18 @@ def random_plans(
     *,
     covered: Covered | None = None,
     edge: float = 0.0,
+    one_handed: float = SINGLE_SHARE,
     key: PRNGKeyArray,
 ) -> Float[Array, "strains n 6"]:
     """Random plans whose first grasp points are drawn from the candidates, whose positions are `xy` [normalised].
 
     The two hands of a first manipulation lie on the same side of the line m, unless all 16 draws failed. If the mask
     `covered` is given, q of the first manipulation lies on the cloth. `edge` is the share of later grasp points on the
-    cloth's edge.
+    cloth's edge, `one_handed` that of one-handed manipulations; with a single candidate, all first ones are.
     """
     key_first, key_later = jax.random.split(key)
-    first = _first_manipulations(strains, candidates, xy, covered, key=key_first)
-    later = random_manipulations((strains, steps - 1), edge=edge, key=key_later)
+    first = _first_manipulations(strains, candidates, xy, covered, one_handed, key=key_first)
+    later = random_manipulations((strains, steps - 1), edge=edge, one_handed=one_handed, key=key_later)
     return jnp.concatenate([first[:, None], later], axis=1)
 
 
@@ -54,11 +55,12 @@ def _first_manipulations(
     candidates: Candidates,
     xy: Float[Array, "candidates 2"],
     covered: Covered | None,
+    one_handed: float,
     *,
     key: PRNGKeyArray,
 ) -> Float[Array, "strains 6"]:
     key_hands, key_grasps, key_displacement = jax.random.split(key, 3)
-    single = (jax.random.uniform(key_hands, (strains, 1)) < SINGLE_SHARE) | (candidates.present < 2)
+    single = (jax.random.uniform(key_hands, (strains, 1)) < one_handed) | (candidates.present < 2)
     chance = jax.random.uniform(key_grasps, (2, strains, FIRST_STEP_DRAWS))
     one = jnp.floor(chance[0] * candidates.present).astype(jnp.int32)
     other = jnp.floor(chance[1] * (candidates.present - 1)).astype(jnp.int32)

@@ -15,8 +15,9 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, Shaped
 
 from clothkit.cloth.symmetry import relabel_manipulation_batch
 from clothkit.cloth.topology import SQUARE
+from clothkit.manipulation.draws import SINGLE_SHARE
 from clothkit.manipulation.geometry import release_points
-from clothkit.manipulation.vector import is_null
+from clothkit.manipulation.vector import is_null, is_single
 from clothkit.models.forward import ForwardModel, predict
 from clothkit.planning import objective as objectives
 from clothkit.planning.initial import folds, random_plans, snap
@@ -44,6 +45,9 @@ class SearchConfig:
     edge: Annotated[float, Ge(0), Le(1)] = 0.0
     """Share of later grasp points of random plans that lie on the cloth's edge, half of them at its corners. A camera
     sees a cloth's outline, where hands grasp, and most of an outline is edge. For meshes only."""
+    one_handed: Annotated[float, Ge(0), Le(1)] = SINGLE_SHARE
+    """Share of one-handed manipulations in random plans. With 0, all plans are two-handed, but where there is a single
+    point to grasp."""
 
 
 @partial(jax.jit, static_argnames=("model", "representation", "settings", "length", "evaluation"))
@@ -86,7 +90,7 @@ def search(
             )
             return Evaluation(found.loss, (common, found.relative), found.terms)
 
-        space = space_of(representation, problem, length, fold=settings.fold, edge=settings.edge)
+        space = space_of(representation, problem, length, settings)
         initial = carried_plans(representation, problem)
         found = optimise(evaluate, space, settings.optimiser, initial=initial, key=key)
         common, relative = found.labels
@@ -146,13 +150,12 @@ def evaluated(
     return jax.vmap(one)(problems, jnp.asarray(plan), jnp.asarray(relative, jnp.int32), keys)
 
 
-def space_of(representation: Representation, problem: Problem, length: int, *, fold: bool, edge: float = 0.0) -> Space:
+def space_of(representation: Representation, problem: Problem, length: int, settings: SearchConfig) -> Space:
     """The plans among which to search for one problem, in the labels of its state.
 
     A plan's labels are the index of the common equivalent in which it is evaluated, and that of the goal's relabelling
     (design 6.10). Random plans get random common equivalents in the first search of a session, and in turn in later
-    ones. With `fold`, first manipulations must satisfy the fold restriction of the training data. `edge` is the share
-    of later grasp points of random plans on the cloth's edge.
+    ones. With `settings.fold`, first manipulations must satisfy the fold restriction of the training data.
     """
     xy = representation.points(problem.state, jnp.asarray(problem.candidates.grasps))
 
@@ -161,22 +164,33 @@ def space_of(representation: Representation, problem: Problem, length: int, *, f
         rows = count * draws
         drawn = jax.random.randint(key_common, (rows,), 0, representation.labels)
         common = jnp.where(problem.later, jnp.arange(rows) // draws % representation.labels, drawn)
-        covered = problem.covered if fold else None
-        plan = random_plans(rows, length, problem.candidates, xy, covered=covered, edge=edge, key=key_plan)
+        plan = random_plans(
+            rows,
+            length,
+            problem.candidates,
+            xy,
+            covered=problem.covered if settings.fold else None,
+            edge=settings.edge,
+            one_handed=settings.one_handed,
+            key=key_plan,
+        )
         return Plans(plan, (common, jnp.full(rows, problem.relative)))
 
     def valid(plans: Plans) -> Bool[Array, " plans"]:
         """Mask of the plans whose first manipulation is like those in the training data, or null.
 
         In others, the hands lie on different sides of the line m or, with `fold`, q lies off the cloth. The nets were
-        not trained on these, so their predictions are not trusted.
+        not trained on these, so their predictions are not trusted. Without one-handed manipulations, both hands need a
+        point of their own, too, which candidates near those of a carried plan may not leave them.
         """
         first = plans.plan[:, 0]
         grasps = representation.points(problem.state, first[:, :4].reshape(-1, 2, 2))
         like_data = jnp.asarray(release_points(grasps, first[:, 4:]).same_side) | is_null(first)
-        if fold:
+        if settings.fold:
             assert problem.covered is not None, "a search with `fold` is told what the cloth covers"
             like_data &= folds(problem.covered, grasps, first)
+        if settings.one_handed == 0:
+            like_data &= ~is_single(first) | (problem.candidates.present < 2)
         return like_data
 
     def variants(plans: Plans) -> Plans:
