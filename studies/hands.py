@@ -4,7 +4,7 @@ System b1 knows true meshes. Its searches draw random plans in which a share of 
 (`plan.search.one_handed`): the default, a third, or none (--shares). All else is equal. It plans and executes
 
 goals    named goals (--goals, default half, quarter) of CLOTHS cloths that lie flat (default: 8; those of stage
-         evaluate_goals, which takes the first of them)
+         evaluate_goals, which takes the first of them, or, with --seed, others)
 tasks    all tasks of the first --sequences validation sequences (default: all) in --data/meshes.zarr, if it is there
 
 A row per share and problem goes to reports/<scale>/studies/hands.csv: error of the outcome and of no action [cloth
@@ -15,10 +15,12 @@ are those in --nets (default: the prebuilt ones).
 
 import argparse
 import dataclasses
+import tempfile
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from towel import params_of
 
 from clothkit.app.prebuilt import PREBUILT, user_folder
 from clothkit.dataset import store
@@ -32,13 +34,12 @@ from clothkit.goals.problems import problems
 from clothkit.goals.store import WORK
 from clothkit.manipulation.draws import SINGLE_SHARE
 from clothkit.manipulation.vector import is_single
-from clothkit.params import Params, load_params
+from clothkit.params import Params
 from clothkit.planning.objective import Weights
 from clothkit.planning.planner import Planner, assemble
 from clothkit.planning.systems import SYSTEMS
 from clothkit.prebuilt.files import unpacked
 from clothkit.prebuilt.manifest import MANIFEST
-from clothkit.prebuilt.manifest import read as read_manifest
 from clothkit.runtime.errors import InputError
 from clothkit.simulation.executor import end_workers, make_simulator
 
@@ -64,12 +65,16 @@ def rows_of(sessions: Sessions, goal: list[str], **named: object) -> pd.DataFram
     )
 
 
-def planned_goals(planner: Planner, execute: Execute, params: Params, goals: list[str], cloths: int) -> pd.DataFrame:
+def planned_goals(planner: Planner, execute: Execute, params: Params, asked: argparse.Namespace) -> pd.DataFrame:
     """Return the rows of named goals, of cloths that lie flat."""
     if (settings := params.stages.evaluate_goals) is None:
         raise InputError(f"params.yaml: scale {params.scale} leaves evaluate_goals out")
-    settings = dataclasses.replace(settings, goals=tuple(goals), starts=("flat",), repeats=cloths)
-    found = problems(settings, params.stages.simulate, work=Path(".work/studies/hands"), goals=WORK)
+    seed = settings.seed if asked.seed is None else asked.seed
+    settings = dataclasses.replace(
+        settings, goals=tuple(asked.goals), starts=("flat",), repeats=asked.cloths, seed=seed
+    )
+    with tempfile.TemporaryDirectory() as work:
+        found = problems(settings, params.stages.simulate, work=Path(work), goals=WORK)
     tasks = tasks_of_problems(found, np.stack([problem.mesh for problem in found]), 0)
     table = rows_of(run_sessions(tasks, for_any_labels(planner), execute, refined=False), [p.name for p in found])
     return table.assign(kind="goals", sequence=[problem.repeat for problem in found])
@@ -107,26 +112,19 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(found)
 
 
-def nets_in(data: Path) -> tuple[Path, Params]:
-    """Return the folder of the nets, unpacked, and the params of the scale at which they were trained."""
-    params = load_params(Path("params.yaml"))
-    if not (data / MANIFEST).exists():
-        return data, params
-    scale = read_manifest(data).scale
-    return unpacked(data, keep=user_folder()), params.model_copy(update={"scale": scale})
-
-
 def main() -> None:
     """Run the study and print the summary."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("cloths", type=int, nargs="?", default=8)
     parser.add_argument("--goals", nargs="+", default=["half", "quarter"])
+    parser.add_argument("--seed", type=int, help="of the cloths (default: evaluate_goals.seed)")
     parser.add_argument("--sequences", type=int)
     parser.add_argument("--shares", type=float, nargs="+", default=[SINGLE_SHARE, 0.0])
     parser.add_argument("--nets", type=Path, default=PREBUILT / "household", help="a folder of nets")
     parser.add_argument("--data", type=Path, default=Path("data"), help="where meshes.zarr is")
     asked = parser.parse_args()
-    folder, params = nets_in(asked.nets)
+    folder = unpacked(asked.nets, keep=user_folder()) if (asked.nets / MANIFEST).exists() else asked.nets
+    params = params_of(folder)
     stages = params.stages
     simulator = make_simulator(stages.simulate)
     tables = []
@@ -135,7 +133,7 @@ def main() -> None:
         weights = Weights(params.alpha, params.beta, params.gamma)
         planner = assemble(SYSTEMS["b1"], folder, weights, plan, stages.simulate.candidates, params.ensemble.members)
         for table in (
-            planned_goals(planner, simulator, params, asked.goals, asked.cloths),
+            planned_goals(planner, simulator, params, asked),
             planned_tasks(planner, simulator, asked.data, asked.sequences),
         ):
             tables.append(table.assign(share=share))

@@ -60,8 +60,8 @@ def test_each_share_is_searched_with(study: ModuleType, tmp_path: Path, monkeypa
     tiny.write_nets(tmp_path / "data")
     asked: list[Any] = []
 
-    def goals(planner: Planner, execute: Any, params: Params, names: list[str], cloths: int) -> pd.DataFrame:
-        asked.append((planner.settings.search.one_handed, params.scale, names, cloths))
+    def goals(planner: Planner, execute: Any, params: Params, told: Any) -> pd.DataFrame:
+        asked.append((planner.settings.search.one_handed, params.scale, told.goals, told.cloths))
         return table(0.5, "goals")
 
     monkeypatch.setattr(study, "planned_goals", goals)
