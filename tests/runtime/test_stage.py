@@ -13,7 +13,7 @@ import jax
 import pytest
 
 import clothkit.runtime.stage
-from clothkit.runtime.cache import ensure_jax_cache, writable
+from clothkit.runtime.cache import drop_unfinished, ensure_jax_cache, writable
 from clothkit.runtime.errors import InputError
 from clothkit.runtime.stage import WORK, Stage, is_left_out, stage
 from tests.killed import name_of, write
@@ -151,6 +151,26 @@ def test_a_cache_that_can_not_be_written_is_replaced_with_a_notice(
         assert "JAX's compiled programs" in capsys.readouterr().err
     finally:
         jax.config.update("jax_compilation_cache_dir", given)
+
+
+def test_half_written_programs_are_deleted(tmp_path: Path) -> None:
+    for name in ("whole-cache", "whole-atime", "torn-cache"):
+        (tmp_path / name).write_bytes(b"")
+    drop_unfinished(tmp_path)
+    assert {path.name for path in tmp_path.glob("*-*")} == {"whole-cache", "whole-atime"}
+
+
+def test_jax_writes_no_program_without_a_time_of_use(tmp_path: Path) -> None:
+    """What `drop_unfinished` takes for half written; JAX does not promise the names of its files."""
+    code = (
+        "import sys; from pathlib import Path; import jax; from clothkit.runtime.cache import ensure_jax_cache\n"
+        "ensure_jax_cache(Path(sys.argv[1])); jax.jit(lambda x: x + 1)(1.0)"
+    )
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("JAX_")}
+    subprocess.run([sys.executable, "-c", code, str(tmp_path)], env=environment, check=True)
+    programs = {path.name.removesuffix("-cache") for path in tmp_path.glob("*-cache")}
+    assert programs
+    assert programs == {path.name.removesuffix("-atime") for path in tmp_path.glob("*-atime")}
 
 
 @pytest.mark.parametrize("platform", ["cuda", "nonsense"])

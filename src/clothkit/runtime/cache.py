@@ -7,6 +7,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+import filelock
 import jax
 
 COMPILED_BYTES = 2**30
@@ -38,13 +39,26 @@ def writable(folder: Path, programs: str) -> Path | None:
     return instead
 
 
+def drop_unfinished(folder: Path) -> None:
+    """Delete compiled programs in `folder` that a killed process left half written.
+
+    JAX writes a program to `KEY-cache` and then the time of its last use to `KEY-atime`, both under a lock. It would
+    never replace a half-written program, but warn of it at every start.
+    """
+    with filelock.FileLock(folder / ".lockfile"):
+        for program in folder.glob("*-cache"):
+            if not program.with_name(program.name.removesuffix("cache") + "atime").exists():
+                program.unlink()
+
+
 def ensure_jax_cache(default: Path) -> None:
     """Let JAX keep compiled programs in its configured folder, which is `default` if none is configured.
 
-    A folder that can't be written is replaced by a temporary one, or by none. URLs are not checked.
+    A folder that can't be written is replaced by a temporary one, or by none. URLs are not checked. Half-written
+    programs in `default` are deleted.
     """
     folder = jax.config.values.get("jax_compilation_cache_dir")
-    if folder is None:
+    if own := folder is None:
         folder = str(default)
         jax.config.update("jax_compilation_cache_dir", folder)
         jax.config.update("jax_compilation_cache_max_size", COMPILED_BYTES)
@@ -52,3 +66,5 @@ def ensure_jax_cache(default: Path) -> None:
     if folder and "://" not in folder:
         chosen = writable(Path(folder), "JAX's compiled programs")
         jax.config.update("jax_compilation_cache_dir", None if chosen is None else str(chosen))
+        if own and chosen is not None:
+            drop_unfinished(chosen)
