@@ -9,8 +9,8 @@ tasks    all tasks of the first --sequences validation sequences (default: all) 
 
 A row per share and problem goes to reports/<scale>/studies/hands.csv: error of the outcome and of no action [cloth
 length], and how many manipulations were executed with one hand. Means with 95 % bootstrap intervals, and paired
-differences to the first share with p of a sign-flip test over cloths or sequences, go to hands_summary.csv. The nets
-are those in --nets (default: the prebuilt ones).
+differences to the first share with p of a sign-flip test over cloths or sequences, go to hands_summary.csv. With
+--seed, both have it in their names. The nets are those in --nets (default: the prebuilt ones).
 """
 
 import argparse
@@ -142,8 +142,9 @@ def main() -> None:
     table = table[["share", "kind", *(name for name in table if name not in ("share", "kind"))]]
     out = Path("reports") / params.scale / "studies"
     out.mkdir(parents=True, exist_ok=True)
+    of = "" if asked.seed is None else f"_seed_{asked.seed}"
     for name, content in (("hands", table), ("hands_summary", summary(table))):
-        content.to_csv(out / f"{name}.csv", index=False, float_format="%.5g", lineterminator="\n")
+        content.to_csv(out / f"{name}{of}.csv", index=False, float_format="%.5g", lineterminator="\n")
     print(summary(table).round(4).to_string(index=False))
 
 

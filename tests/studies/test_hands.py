@@ -65,11 +65,13 @@ def test_each_share_is_searched_with(study: ModuleType, tmp_path: Path, monkeypa
         return table(0.5, "goals")
 
     monkeypatch.setattr(study, "planned_goals", goals)
-    monkeypatch.setattr(sys, "argv", ["hands", "3", "--nets", "data", "--goals", "half", "--shares", "0.5", "0"])
+    monkeypatch.setattr(
+        sys, "argv", ["hands", "3", "--nets", "data", "--goals", "half", "--shares", "0.5", "0", "--seed", "7"]
+    )
     study.main()
     assert asked == [(0.5, "smoke", ["half"], 3), (0.0, "smoke", ["half"], 3)]
-    assert pd.read_csv("reports/smoke/studies/hands.csv")["share"].unique().tolist() == [0.5, 0]
-    assert len(pd.read_csv("reports/smoke/studies/hands_summary.csv")) == 4
+    assert pd.read_csv("reports/smoke/studies/hands_seed_7.csv")["share"].unique().tolist() == [0.5, 0]
+    assert len(pd.read_csv("reports/smoke/studies/hands_summary_seed_7.csv")) == 4
 
 
 def test_a_row_has_what_was_executed(study: ModuleType) -> None:
