@@ -9,9 +9,11 @@ from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
+import filelock
 import jax
 import pytest
 
+import clothkit.runtime.cache
 import clothkit.runtime.stage
 from clothkit.runtime.cache import drop_unfinished, ensure_jax_cache, writable
 from clothkit.runtime.errors import InputError
@@ -158,6 +160,16 @@ def test_half_written_programs_are_deleted(tmp_path: Path) -> None:
         (tmp_path / name).write_bytes(b"")
     drop_unfinished(tmp_path)
     assert {path.name for path in tmp_path.glob("*-*")} == {"whole-cache", "whole-atime"}
+
+
+def test_half_written_programs_stay_where_another_process_writes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(clothkit.runtime.cache, "LOCK_SECONDS", 0.1)
+    (tmp_path / "torn-cache").write_bytes(b"")
+    with filelock.FileLock(tmp_path / ".lockfile"):
+        drop_unfinished(tmp_path)
+    assert (tmp_path / "torn-cache").exists()
 
 
 def test_jax_writes_no_program_without_a_time_of_use(tmp_path: Path) -> None:

@@ -18,6 +18,10 @@ LEAST_SECONDS = 0.0
 and together they are a sixth of its start."""
 
 
+LOCK_SECONDS = 10.0
+"""How long to wait for the lock of a cache of compiled programs; as long as JAX."""
+
+
 def writable(folder: Path, programs: str) -> Path | None:
     """Return `folder`, created if it is missing, or a new temporary folder if `folder` can't be written.
 
@@ -42,10 +46,12 @@ def writable(folder: Path, programs: str) -> Path | None:
 def drop_unfinished(folder: Path) -> None:
     """Delete compiled programs in `folder` that a killed process left half written.
 
-    JAX writes a program to `KEY-cache` and then the time of its last use to `KEY-atime`, both under a lock. It would
-    never replace a half-written program, but warn of it at every start.
+    JAX writes a program to `KEY-cache` and then the time of its last use to `KEY-atime`, both under a lock. It
+    would never replace a half-written program, but warn of it at every start. Where the lock can't be had, nothing is
+    deleted.
     """
-    with filelock.FileLock(folder / ".lockfile"):
+    # A file system without locks raises NotImplementedError, and filelock.Timeout is an OSError.
+    with contextlib.suppress(OSError, NotImplementedError), filelock.FileLock(folder / ".lockfile", LOCK_SECONDS):
         for program in folder.glob("*-cache"):
             if not program.with_name(program.name.removesuffix("cache") + "atime").exists():
                 program.unlink()
