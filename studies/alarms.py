@@ -1,41 +1,59 @@
 """Is what the nets do not know noticed?  python studies/alarms.py [STATES] [options]
 
 Shows scenes to the net as points from above, estimates them as `clothkit estimate` does, and counts the alarms that
-data/nets/alarms.npz raises (stage set_alarms). STATES test states (default: 60) are each shown in every scene:
+the nets' alarms.npz raises (stage set_alarms). STATES test states (default: 60) are each shown in every scene:
 
 known               the state as it is: every alarm is a false one
+known, CONDITION    the same as exact voxels, and before each depth camera of the param set_alarms.conditions
 T-shirt             instead of the cloth, a T-shirt of its size, flat or folded once
 two cloths          beside and partly on the cloth another state
 hand                a hand and its arm reach in, 3 to 8 cm above the table, over the cloth or beside it
-thicker             all heights times 3, of a cloth whose thickness is told as it was
-thicker, told       all heights times 3, of a cloth whose thickness is told as what it is
+thicker             all heights times 3, of a cloth whose thickness is told as it was; only cloths that become thicker
+                    than any that the nets know
+thicker, told       the same, of cloths whose thickness is told as what it is
 
 A row per scene and state goes to reports/<scale>/studies/alarms.csv: agreement of silhouettes and of heights,
 strangeness, whether the cloth is known, and whether an alarm is raised. The shares of alarms, with 95 % Wilson
 intervals, are printed and go to alarms_summary.csv. The nets and data are those in `--data` (default: data). With
-`--pictures FILE`, voxels and estimates of the first states are drawn.
+`--seed N`, the states are of sequences that are simulated for this with that seed, so that no choice has seen them;
+then no data are needed, prebuilt nets will do (`--data prebuilt/household`), and the files have the seed in their
+names. With `--pictures FILE`, voxels and estimates of the first states are drawn.
 """
 
 import argparse
-from collections.abc import Callable
+import dataclasses
+import tempfile
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import jax
 import matplotlib
 import numpy as np
 import pandas as pd
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
+from towel import params_of
 
+from clothkit.app.prebuilt import user_folder
 from clothkit.cloth import voxels
 from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.dataset import store
+from clothkit.dataset.regularise import RegulariseConfig, regularise
 from clothkit.dataset.store import STATES, Dataset
 from clothkit.estimation.alarms import Alarms, load, signs
 from clothkit.estimation.estimate import estimate
+from clothkit.evaluation.camera import NO_CAMERA, observe
 from clothkit.models import store as nets
+from clothkit.models.net import Net
 from clothkit.observation.coverage import centre
-from clothkit.params import load_params
+from clothkit.params import Params
 from clothkit.planning.batches import in_batches
+from clothkit.prebuilt.files import unpacked
+from clothkit.prebuilt.manifest import MANIFEST
+from clothkit.runtime.errors import InputError
+from clothkit.runtime.stage import Stage
+from clothkit.simulation.generation import generate
+from clothkit.simulation.settings import SimulateConfig
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -47,6 +65,7 @@ THICKER = 3.0
 METRE = CLOTH_LENGTH / 0.4
 """Normalised units a metre, for a cloth of 0.4 m."""
 BATCH = 20
+WORK = Path(".work/studies/alarms")
 
 
 def grid(low: float, high: float) -> Float[np.ndarray, "points 2"]:
@@ -99,6 +118,15 @@ def hand(mesh: Points, rng: np.random.Generator) -> Points:
 Scene = Callable[[int, np.random.Generator], tuple[Points, Float[np.ndarray, "3"]]]
 
 
+class Shown(NamedTuple):
+    """What the net sees of a scene, once per state, what it is told of the cloths, and its estimates."""
+
+    state: Int[np.ndarray, " shown"]
+    voxels: Bool[np.ndarray, "shown x y z"]
+    cloth: Float[np.ndarray, "shown 3"]
+    mesh: Float[np.ndarray, "shown u v 3"]
+
+
 def scenes(truth: Float[np.ndarray, "states u v 3"], cloth: Float[np.ndarray, "states 3"]) -> dict[str, Scene]:
     """Return, per scene, the function from a state's number to points and what is told of the cloth."""
 
@@ -130,6 +158,22 @@ def chosen(dataset: Dataset, count: int) -> tuple[Float[np.ndarray, "states u v 
     test = dataset.of_split("test")
     row, state = np.nonzero((np.arange(STATES) <= test.length[:, None]) & (np.arange(STATES) > 0))
     return test.vertices[row, state][:count], test.cloth[row][:count]
+
+
+def simulated(settings: SimulateConfig, states: int, seed: int) -> Dataset:
+    """Return a dataset whose test split has that many states, of sequences that are simulated with a seed.
+
+    Finished blocks of sequences are kept under WORK, and an interrupted call goes on from them.
+    """
+    longest = STATES - 1
+    splits = RegulariseConfig(train=1, validation=1, test=-(-states // longest))
+    sequences = splits.train + splits.validation + splits.test
+    asked = dataclasses.replace(settings, sequences=sequences, seed=seed)
+    work = Stage.pieces(WORK, asked.decisive)
+    work.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as folder:
+        print(generate(Path(folder) / "raw", asked, work=work, attributes={}))
+        return regularise(Path(folder) / "raw", splits)
 
 
 def wilson(hits: int, count: int) -> tuple[float, float]:
@@ -169,43 +213,73 @@ def draw(path: Path, shown: dict[str, tuple[np.ndarray, np.ndarray]], count: int
     figure.savefig(path, dpi=100)
 
 
+def shown_scenes(
+    net: Net,
+    params: Params,
+    alarms: Alarms,
+    truth: Float[np.ndarray, "states u v 3"],
+    cloths: Float[np.ndarray, "states 3"],
+) -> Iterator[tuple[str, Shown]]:
+    """Yield each scene's name, and the scene as the net sees it."""
+    stages = params.stages
+    every = np.arange(len(truth))
+
+    def estimated(occupied: np.ndarray, cloth: np.ndarray) -> jax.Array:
+        return estimate(net, occupied, stages.plan.refine, cloth=cloth).mesh
+
+    beyond = ~alarms.knows(cloths * [1, 1, THICKER])
+    for number, (scene, show) in enumerate(scenes(truth, cloths).items()):
+        states = every[beyond] if scene.startswith("thicker") else every
+        given = [show(i, np.random.default_rng([number, i])) for i in states.tolist()]
+        if given:
+            occupied = np.stack([seen(points, net.config.viewport) for points, _ in given])
+            told = np.stack([cloth for _, cloth in given]).astype(np.float32)
+            yield scene, Shown(states, occupied, told, in_batches(estimated, BATCH, occupied, told))
+    for condition in (NO_CAMERA, *stages.set_alarms.conditions):
+        found = observe(truth, cloths, net, condition, stages.evaluate_camera, stages.plan.refine, stored=[])
+        there = np.flatnonzero(found.voxels.any((1, 2, 3)))
+        yield f"known, {condition.name}", Shown(there, found.voxels[there], cloths[there], found.mesh[there])
+
+
 def main() -> None:
     """Run the study, and write and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("states", type=int, nargs="?", default=60)
     parser.add_argument("--data", type=Path, default=Path("data"))
+    parser.add_argument("--seed", type=int)
     parser.add_argument("--pictures", type=Path)
     asked = parser.parse_args()
-    params = load_params(Path("params.yaml"))
-    net = nets.load(asked.data / "nets/vtm", "vtm")
-    alarms = load(asked.data / "nets/alarms.npz", units=net.config.hidden)
-    truth, cloths = chosen(store.load(asked.data / "meshes.zarr"), asked.states)
-    refine, rows, shown = params.stages.plan.refine, [], {}
-
-    def estimated(occupied: np.ndarray, cloth: np.ndarray) -> jax.Array:
-        return estimate(net, occupied, refine, cloth=cloth).mesh
-
-    for number, (scene, show) in enumerate(scenes(truth, cloths).items()):
-        given = [show(i, np.random.default_rng([number, i])) for i in range(len(truth))]
-        occupied = np.stack([seen(points, net.config.viewport) for points, _ in given])
-        told = np.stack([cloth for _, cloth in given]).astype(np.float32)
-        mesh = in_batches(estimated, BATCH, occupied, told)
-        found = signs(net, alarms.support, occupied, mesh, told)
-        known = alarms.knows(told)
-        columns = {"scene": scene, "state": np.arange(len(truth)), "silhouette": found.agreement.silhouette}
+    data = unpacked(asked.data, keep=user_folder()) if (asked.data / MANIFEST).exists() else asked.data
+    params = params_of(data)
+    net = nets.load(data / "nets/vtm", "vtm")
+    alarms = load(data / "nets/alarms.npz", units=net.config.hidden)
+    if asked.seed is None:
+        dataset = store.load(data / "meshes.zarr")
+    else:
+        dataset = simulated(params.stages.simulate, asked.states, asked.seed)
+    truth, cloths = chosen(dataset, asked.states)
+    rows, pictures = [], {}
+    for scene, shown in shown_scenes(net, params, alarms, truth, cloths):
+        found = signs(net, alarms.support, shown.voxels, shown.mesh, shown.cloth)
+        known = alarms.knows(shown.cloth)
+        columns = {"scene": scene, "state": shown.state, "silhouette": found.agreement.silhouette}
         columns |= {"heights": found.agreement.heights, "strangeness": found.strangeness, "known_cloth": known}
         rows.append(pd.DataFrame(columns | {"alarm": alarms.raised(found) | ~known}))
-        shown[scene] = (occupied, mesh)
+        pictures[scene] = (shown.voxels, shown.mesh)
     folder = Path("reports") / params.scale / "studies"
     folder.mkdir(parents=True, exist_ok=True)
     table = pd.concat(rows, ignore_index=True)
     shares = summary(table, alarms)
-    table.round(4).to_csv(folder / "alarms.csv", index=False, lineterminator="\n")
-    shares.round(3).to_csv(folder / "alarms_summary.csv", index=False, lineterminator="\n")
+    of = "" if asked.seed is None else f"_seed_{asked.seed}"
+    table.round(4).to_csv(folder / f"alarms{of}.csv", index=False, lineterminator="\n")
+    shares.round(3).to_csv(folder / f"alarms_summary{of}.csv", index=False, lineterminator="\n")
     print(shares.round(2).to_string(index=False))
     if asked.pictures:
-        draw(asked.pictures, shown)
+        draw(asked.pictures, pictures)
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except InputError as error:
+        raise SystemExit(f"alarms: {error}") from error
