@@ -54,6 +54,8 @@ ABSURD: list[tuple[str, str, object, str]] = [
     ("b1", "side_m", 1e-6, "side_m: input should be greater than or equal to 0.01, found 1e-06"),
     ("b1", "side_m", 1e6, "side_m: input should be less than or equal to 10"),
     ("b1", "side_m", 0.5, "metres_per_normalised: expected side_m / 1.4, 0.357143, found 0.285714"),
+    ("b1", "sides_m", (0.5, 0.3), "sides_m: expected side_m, 0.4, and a shorter side, found 0.5 0.3"),
+    ("b1", "sides_m", (0.4, 0.5), "sides_m: expected side_m, 0.4, and a shorter side, found 0.4 0.5"),
     ("b1", "metres_per_normalised", 0.3, "metres_per_normalised: expected side_m / 1.4"),
     ("b1", "metres_per_normalised", 1e-300, "metres_per_normalised: expected side_m / 1.4"),
     ("b1", "table.axes", [[0, 0, 0]] * 3, "table.axes: expected unit vectors at right angles"),

@@ -38,14 +38,20 @@ def test_a_half_fold_in_metres_away_from_the_origin(here: Path, files: Path, fra
     assert too_many.stderr.strip() == "simulate: --steps: plan.json has 1, found 2"
 
 
-def test_a_rectangle_is_simulated_as_one(here: Path) -> None:
-    options = observation_options(AppConfig(), side=None, sides=(0.4, 0.24))
+def test_a_thick_rectangle_is_simulated_as_one(here: Path) -> None:
+    sides, thickness = (0.5, 0.3), 0.005
+    options = observation_options(AppConfig(), side=None, sides=sides)
     write_mesh(here / "towel.obj", options.topology.flat().astype(float) * options.scale + [*AT, 0])
-    write(here / "plan.json", content(vectors=(HALF,), topology=options.topology) | {"sides_m": [0.4, 0.24]})
-    succeed("simulate", "--state", "towel.obj", "--plan", "plan.json", "--out", "mesh.obj")
+    plan = content(side=sides[0], vectors=(HALF,), topology=options.topology)
+    write(here / "plan.json", plan | {"sides_m": list(sides)})
+    measured = ("--sides", *sides, "--thickness", thickness)
+    succeed("simulate", "--state", "towel.obj", "--plan", "plan.json", *measured, "--out", "mesh.obj")
     outcome = trimesh.load_mesh(here / "mesh.obj", process=False).vertices
-    assert np.ptp(outcome[:, 1]) == pytest.approx(0.24, abs=0.01)
-    assert np.ptp(outcome[:, 0]) < 0.3
+    assert np.ptp(outcome[:, 1]) == pytest.approx(0.3, abs=0.01)
+    assert np.ptp(outcome[:, 0]) < 0.375
+    # A quarter of the way up lies the lower layer, three quarters the upper one: as far apart as the towel is thick.
+    lower, upper = np.quantile(outcome[:, 2], [0.25, 0.75])
+    assert upper - lower == pytest.approx(thickness, rel=0.15)
 
 
 def test_the_cloth_is_as_thick_as_the_grid_allows_and_a_notice_says_so() -> None:

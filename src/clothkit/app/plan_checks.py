@@ -108,6 +108,9 @@ def _check_frame(plan: "clothkit.app.plan_file.Plan") -> None:
             f"metres_per_normalised: expected side_m / {CLOTH_LENGTH}, {scale:.6g}, found "
             f"{plan.metres_per_normalised:.6g}"
         )
+    longer, shorter = plan.sides_m or (plan.side_m, plan.side_m)
+    if longer < shorter or abs(longer / plan.side_m - 1) > ROUNDING:
+        raise ValueError(f"sides_m: expected side_m, {plan.side_m:g}, and a shorter side, found {longer:g} {shorter:g}")
     if plan.table_in_camera is not None and (plan.frame != "table" or plan.state.kind != "points"):
         raise ValueError("table_in_camera: expected null, unless frame is table and the state's file holds points")
     own = np.abs(np.array(plan.table.axes) - np.eye(3)).max() <= ROUNDING and not np.any(plan.table.origin_m)
