@@ -51,6 +51,55 @@ def test_interval_and_share_hold_for_other_rows() -> None:
         assert (error[chosen] <= limit).mean() == pytest.approx(share[chosen].mean(), abs=0.04)
 
 
+def test_an_interval_is_as_wide_as_errors_of_that_expectation_scatter() -> None:
+    """Errors that are expected to be small scatter by a factor of e, large ones by a tenth of it."""
+
+    def scattered(seed: int, count: int = 6000) -> tuple[np.ndarray, np.ndarray]:
+        rng = np.random.default_rng(seed)
+        sign = np.exp(rng.uniform(np.log(0.01), np.log(0.3), count))
+        wide = np.interp(np.log(sign), np.log([0.01, 0.3]), [1.0, 0.1])
+        return sign, sign * np.exp(wide * rng.standard_normal(count))
+
+    sign, error = scattered(0)
+    found = fit({"a": sign}, (1e-3,), np.zeros(len(sign), int), error)
+    sign, error = scattered(1)
+    expected = np.asarray(found([sign], 0))
+    low, high = found.interval(expected)
+    share = found.share_below(0.05, expected)
+    for lower, upper in ((0.01, 0.03), (0.03, 0.1), (0.1, 0.3)):
+        chosen = (lower < sign) & (sign < upper)
+        inside = ((low <= error) & (error <= high))[chosen].mean()
+        assert inside == pytest.approx(0.8, abs=0.08)
+        assert share[chosen].mean() == pytest.approx((error[chosen] <= 0.05).mean(), abs=0.04)
+    # One interval for all would hold 0.64 of the small ones and 0.97 of the large ones.
+    ratio = np.quantile(error / expected, [0.1, 0.9])
+    for lower, upper, holds in ((0.01, 0.03, 0.64), (0.1, 0.3, 0.97)):
+        inside = ((ratio[0] <= error / expected) & (error / expected <= ratio[1]))[(lower < sign) & (sign < upper)]
+        assert inside.mean() == pytest.approx(holds, abs=0.05)
+
+
+def test_the_interval_of_few_rows_holds_a_further_one() -> None:
+    """A further one of n + 1 alike ones is as likely in any of the n + 1 gaps: the interval is not too narrow."""
+    inside = []
+    for seed in range(300):
+        error = np.random.default_rng(seed).lognormal(0, 0.5, 31)
+        found = fit({"a": np.ones(30)}, (1e-3,), np.zeros(30, int), error[:30])
+        low, high = found.interval(np.asarray(found([np.ones(1)], 0)))
+        inside.append(low[0] <= error[30] <= high[0])
+    assert np.mean(inside) == pytest.approx(0.8, abs=0.05)
+
+
+def test_a_file_with_one_list_of_ratios_is_read(tmp_path: Path) -> None:
+    found, path = fitted(rows(0, 20)), tmp_path / "map.json"
+    save(path, found, {})
+    stored = json.loads(path.read_text())
+    assert len(stored["ratios"]) == 1
+    del stored["levels"]
+    path.write_text(json.dumps({**stored, "ratios": stored["ratios"][0]}))
+    for expected in (0.01, 0.3):
+        np.testing.assert_allclose(load(path, ("a", "b", "c")).interval(expected), found.interval(expected))
+
+
 def test_an_error_never_falls_where_a_sign_grows() -> None:
     rng = np.random.default_rng(2)
     signs = {name: rng.uniform(0.01, 0.3, 200) for name in "abc"}
@@ -101,6 +150,9 @@ def test_a_map_of_some_signs_is_told_from_one_of_others(tmp_path: Path) -> None:
         ({"least": [0.0, 1.0, 1.0]}, "a least value above 0"),
         ({"offset": []}, "lists of finite numbers"),
         ({"ratios": ["x"]}, "could not read it"),
+        ({"ratios": [[1.0], [2.0]]}, "levels above 0 that rise, and a list of ratios for each"),
+        ({"levels": [0.2, 0.1, 0.3]}, "levels above 0 that rise"),
+        ({"levels": [0.0, 0.1, 0.3]}, "levels above 0 that rise"),
         ({"offset": None}, "lists of finite numbers|could not read it"),
     ],
 )

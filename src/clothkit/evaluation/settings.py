@@ -54,4 +54,4 @@ class CalibrateConfig:
     """Settings of the calibrate stage."""
 
     sequences: Annotated[int, Gt(0)] = 10
-    """Validation sequences for all tasks of which is planned."""
+    """So many of the last validation sequences are planned for, all tasks of each. The first ones are probed."""

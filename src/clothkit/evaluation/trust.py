@@ -42,11 +42,12 @@ class Planned(NamedTuple):
 def execute_planned(
     dataset: Dataset, settings: CalibrateConfig, planner: Planner, execute: Execute, *, work: Path
 ) -> Planned:
-    """Plan for all tasks of the first validation sequences, and execute the plans without a look in between.
+    """Plan for all tasks of the last validation sequences, and execute the plans without a look in between.
 
+    The first ones are probed (`probes`), and the map of errors that plans are made with is fitted to that.
     `work` stores finished parts, from which an interrupted run resumes.
     """
-    chosen = dataset.indices("validation")[: settings.sequences].tolist()
+    chosen = dataset.indices("validation")[-settings.sequences :].tolist()
     together = planner.settings.together
     parts = [
         [task for sequence in chosen[i : i + together] for task in tasks_of(sequence, int(dataset.length[sequence]))]

@@ -2,7 +2,8 @@
 
 log e = offset_step + slope . log(signs), with slopes that are not negative: the error grows as a power of each sign. It
 is fitted by least squares in logarithms, and its mean is made that of the data by one factor (Duan, "Smearing
-estimate", 1983), since a mean in logarithms is a median of errors.
+estimate", 1983), since a mean in logarithms is a median of errors. Around what is expected, errors scatter by factors
+that depend on it: quantiles of these are those of the executed manipulations of about that expectation.
 """
 
 import json
@@ -28,7 +29,15 @@ LEAST = 1e-3
 RIDGE = 1e-4
 """Weight of squared slopes beside the mean square that is fitted, so that a sign that is always the same has none."""
 
-_NUMBERS = ("least", "offset", "slope", "ratios")
+LEVELS = 3
+"""So many levels of expected errors have quantiles of their own, if there are rows enough."""
+
+ROWS = 30
+"""Least number of rows of a level."""
+
+_NUMBERS = ("least", "offset", "slope", "levels", "ratios")
+_ONE_LEVEL = (1.0,)
+"""Levels of files of older versions, which have one list of quantiles."""
 
 
 @jax.tree_util.register_dataclass
@@ -43,8 +52,10 @@ class ErrorMap:
     offset: Float[Array | np.ndarray, " steps"]
     """By the number of manipulations, less one."""
     slope: Float[Array | np.ndarray, " signs"]
-    ratios: Float[Array | np.ndarray, " quantiles"]
-    """Quantiles 0, 1 / n .. 1 of true errors, relative to the expected ones."""
+    levels: Float[Array | np.ndarray, " levels"]
+    """Expected errors at which quantiles are known, rising [cloth length]."""
+    ratios: Float[Array | np.ndarray, "levels quantiles"]
+    """Quantiles 0, 1 / n .. 1 of true errors, relative to the expected ones. Between levels they are interpolated."""
 
     def __call__(self, signs: Sequence[Values], step: int | Int[Array | np.ndarray, "..."]) -> Float[Array, "*batch"]:
         """Return the expected error after step + 1 manipulations [cloth length]."""
@@ -53,16 +64,27 @@ class ErrorMap:
 
     def interval(self, expected: Values, share: float = 0.8) -> tuple[np.ndarray, np.ndarray]:
         """Return the bounds between which that share of the errors lies, for errors that are expected."""
-        low, high = np.interp([(1 - share) / 2, (1 + share) / 2], self._shares, self.ratios)
-        return np.asarray(expected * low), np.asarray(expected * high)
+        ratios, wanted = self._ratios_at(expected), [(1 - share) / 2, (1 + share) / 2]
+        low, high = np.apply_along_axis(lambda own: np.interp(wanted, self._shares, own), -1, ratios).T
+        return np.asarray(expected * low.T), np.asarray(expected * high.T)
 
     def share_below(self, limit: float, expected: Values) -> np.ndarray:
         """Return the share of the errors that are at most `limit`, for errors that are expected."""
-        return np.asarray(np.interp(limit / np.asarray(expected), self.ratios, self._shares, left=0.0, right=1.0))
+        wanted = (limit / np.asarray(expected))[..., None]
+        both = np.concatenate([wanted, self._ratios_at(expected)], axis=-1)
+        return np.apply_along_axis(lambda own: np.interp(own[0], own[1:], self._shares, left=0.0, right=1.0), -1, both)
+
+    def _ratios_at(self, expected: Values) -> Float[np.ndarray, "*batch quantiles"]:
+        """The quantiles for errors that are expected; beyond the levels, those of the nearest one."""
+        levels, ratios = np.asarray(self.levels), np.asarray(self.ratios)
+        place = np.interp(np.log(np.asarray(expected)), np.log(levels), np.arange(len(levels)))
+        below = np.minimum(place.astype(int), max(len(levels) - 2, 0))
+        part = (place - below)[..., None]
+        return (1 - part) * ratios[below] + part * ratios[np.minimum(below + 1, len(levels) - 1)]
 
     @property
     def _shares(self) -> Float[np.ndarray, " quantiles"]:
-        return np.linspace(0, 1, len(self.ratios))
+        return np.linspace(0, 1, np.shape(self.ratios)[-1])
 
 
 def fit(
@@ -88,8 +110,22 @@ def fit(
     found = lsq_linear(*sides, bounds, method="bvls").x
     ratio = true / np.exp(columns @ found)
     mean = ratio.mean()
-    spread = np.quantile(ratio / mean, np.linspace(0, 1, quantiles + 1))
-    return ErrorMap(tuple(signs), np.array(least, float), found[:steps] + np.log(mean), found[steps:], spread)
+    spread = _spread(true / ratio * mean, ratio / mean, np.linspace(0, 1, quantiles + 1))
+    return ErrorMap(tuple(signs), np.array(least, float), found[:steps] + np.log(mean), found[steps:], *spread)
+
+
+def _spread(
+    expected: Float[np.ndarray, " rows"], ratio: Float[np.ndarray, " rows"], shares: Float[np.ndarray, " quantiles"]
+) -> tuple[Float[np.ndarray, " levels"], Float[np.ndarray, "levels quantiles"]]:
+    """Return levels of expected errors, each of as many rows, and the quantiles of their rows' ratios."""
+    rows = np.argsort(expected, kind="stable")
+    for count in range(max(1, min(LEVELS, len(rows) // ROWS)), 0, -1):
+        parts = np.array_split(rows, count)
+        levels = np.exp([np.log(expected[part]).mean() for part in parts])
+        if (np.diff(levels) > 0).all():
+            break
+    # Of few rows, the quantiles between which a further one lies with the wanted probability are a little wider.
+    return levels, np.stack([np.quantile(ratio[part], shares, method="weibull") for part in parts])
 
 
 FOLDS = 5
@@ -145,12 +181,21 @@ def load(path: Path, signs: tuple[str, ...], *, some: bool = False) -> ErrorMap:
     wanted = f"JSON with {', '.join(('signs', *_NUMBERS))}"
     stored = read_json(path, expected=f"{wanted}; run the stage that writes it (dvc repro)")
     try:
+        stored = {"levels": _ONE_LEVEL, **stored}
         named, numbers = tuple(stored["signs"]), {name: np.array(stored[name], float) for name in _NUMBERS}
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(f"{path}: expected {wanted}, could not read it ({error})") from error
     if named != (tuple(name for name in signs if name in named) if some else signs):
         raise InputError(f"{path}: expected a map of {', '.join(signs)}, found one of {', '.join(map(str, named))}")
-    lists = all(values.ndim == 1 and len(values) and np.isfinite(values).all() for values in numbers.values())
+    numbers["ratios"] = np.atleast_2d(numbers["ratios"])
+    dimensions = {name: 1 + (name == "ratios") for name in _NUMBERS}
+    lists = all(
+        values.ndim == dimensions[name] and values.size and np.isfinite(values).all()
+        for name, values in numbers.items()
+    )
     if not lists or {len(numbers["least"]), len(numbers["slope"])} != {len(named)} or (numbers["least"] <= 0).any():
         raise InputError(f"{path}: expected lists of finite numbers, a slope and a least value above 0 for each sign")
+    levels = numbers["levels"]
+    if len(levels) != len(numbers["ratios"]) or (levels <= 0).any() or (np.diff(levels) <= 0).any():
+        raise InputError(f"{path}: expected levels above 0 that rise, and a list of ratios for each")
     return ErrorMap(named, **numbers)
