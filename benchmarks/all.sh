@@ -25,7 +25,7 @@ fi
 part benchmarks/million.py 4000 8000 --csv "$rows"
 part benchmarks/million.py 4000 8000 --dask 2 --csv "$rows"
 part benchmarks/training.py --scale laptop --csv "$rows"
-part benchmarks/planning.py main b2 --scale laptop --rounds 1 --csv "$rows"
+part benchmarks/planning.py main b3 b2 --scale laptop --rounds 1 --csv "$rows"
 part benchmarks/training.py --scale paper --steps 4 --rounds 2 --csv "$paper"
 part benchmarks/paper_hours.py "$paper" --simulation "$rows/simulation_steps.csv" --csv "$paper"
 exit "$failed"

@@ -58,7 +58,7 @@ AGAINST: tuple[str, Measure, float] = ("main", "paper", 0.0)
 """System, measure and alpha that the others are compared with, each under its own rule."""
 
 EQ15 = 0.01
-"""Weight of eq. (15)'s term, the best of those that were tried (`plan.uncertainty.u_weight`)."""
+"""Weight of eq. (15)'s term, a value of ours that no rows single out (`plan.uncertainty.u_weight`)."""
 
 TOGETHER = 10
 """Sequences after which rows are written."""

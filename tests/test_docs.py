@@ -6,6 +6,7 @@ installed. Sources and the reference are taken from the tree when the site is bu
 """
 
 import importlib.util
+import json
 import re
 import sys
 from collections.abc import Iterator
@@ -147,6 +148,19 @@ def test_readme_is_short_and_its_figures_are_the_report_s() -> None:
     with_one_net = pairs[(pairs["against"] == "b2") & (pairs["column"] == "3/all")].iloc[0]
     assert with_one_net["difference"] < 0
     assert f"p {with_one_net['p']:.3f})" in text
+
+
+def test_what_is_said_of_the_bound_on_the_distance_is_the_study_s() -> None:
+    text = (ROOT / "docs/how-it-works.md").read_text()
+    rows = pd.read_csv(ROOT / "reports/laptop/studies/doubt_test.csv")
+    own = rows[(rows["system"] == "main") & (rows["measure"] == "expected") & (rows["alpha"] == 1) & ~rows["fold"]]
+    for length, some in own.groupby("length"):
+        kept = f"{(some['error'] <= some['loss']).mean():.0%}".replace("%", " %")
+        figures = f"{some['loss'].mean():#.3g} | {some['error'].mean():#.3g} | {kept}"
+        assert f"| {length} | {len(some)} | {figures} |" in text
+    powers = json.loads((ROOT / "prebuilt/household/normalisation/expected_error.json").read_text())["slope"]
+    told = "{:.2f}, {:.2f} and {:.2f}".format(*powers)
+    assert f"(the ready-made nets' are {told})" in " ".join(text.split())
 
 
 def test_the_reference_tells_what_every_module_is_for() -> None:

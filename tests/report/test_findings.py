@@ -99,7 +99,8 @@ def test_whether_the_papers_claim_is_confirmed_is_told_first() -> None:
         "0.01. [A study](studies/doubt_test_comparisons.csv) executed plans for test sequences to their end without a "
         "look in between. Mean error of *main* beside *b3* (without the uncertainty term; 100 test sequences): 0.00100 "
         "larger (p 0.5) in one-step plans, 0.00900 smaller (p 0.037) in two-step plans, 0.0418 smaller (p 0.0001) in "
-        "three-step plans. With *b2* (one net, without it) *main* was not compared: the study has no such rows. So the "
+        "three-step plans. With *b2* (one net, without it) *main* was not compared: the study has no such rows. "
+        "Plans with the paper's own measure of doubt, eq. (15), are not among them. So the "
         "claim is confirmed against *b3* for three-step plans, not confirmed against *b3* for two-step plans, not "
         "tested against *b2*.\n"
     )
@@ -107,6 +108,9 @@ def test_whether_the_papers_claim_is_confirmed_is_told_first() -> None:
     worse = pd.concat([compared("b3", s2_all=(0.03, 0.0001), s3_all=(0.03, 0.0001)), compared("b2", sequences=9)])
     told = findings(own, worse)[0]
     assert told.endswith(
-        "only 9 sequences were planned for with both. So the claim is not confirmed against *b3* for two-step plans "
-        "and three-step plans, not tested against *b2*.\n"
+        "only 9 sequences were planned for with both. Plans with the paper's own measure of doubt, eq. (15), are not "
+        "among them. So the claim is not confirmed against *b3* for two-step plans and three-step plans, not tested "
+        "against *b2*.\n"
     )
+    with_own = pd.concat([study, compared("eq13").assign(system="eq15")])
+    assert "are not among them" not in findings(own, with_own)[0]

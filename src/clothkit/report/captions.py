@@ -199,6 +199,7 @@ DOUBT_TABLE = (
 TRUST_PICTURED = (
     "Expected against real errors, in lengths of the cloth's side: at the left those of the probes' predictions, at "
     "the right the distances of plans' outcomes from their goals, of validation plans that were executed to their end. "
+    "Probes are of the first validation sequences, plans of the last ones. "
     "Each is expected by a map that was fitted to the other sequences. The band is the interval that is told, in the "
     "median."
 )
@@ -293,9 +294,11 @@ REACH_TABLE = (
 )
 DOUBT_TEST = (
     "Test plans by what the search minimises, executed to their end: mean errors of outcomes with 95 % intervals over "
-    "sequences, by number of manipulations and by the rule for first manipulations. Rings are plans without doubt, "
-    "numbers below are the weight alpha of the doubt; a star marks a paired difference to eq. (13) without doubt, "
-    "which is the dotted line, with p < 0.01. [Means and differences](studies/doubt_test_summary.csv)."
+    "sequences, by number of manipulations and, where both were tried, by the rule for first manipulations. Rings are "
+    "plans without doubt, numbers below are the weight alpha of the doubt; a star marks a paired difference, to either "
+    "side, to eq. (13) without doubt, which is the dotted line, with p < 0.01. A search failure, a plan with a larger "
+    "loss than the recorded manipulations, is counted under each objective's own loss. "
+    "[Means and differences](studies/doubt_test_summary.csv)."
 )
 DOUBT_AMOUNT = (
     "What doubt is worth with nets that were trained on less data, and with more nets: mean errors of the outcomes of "
