@@ -147,7 +147,9 @@ def in_force(system: System, ensemble: Ensemble, plan: PlanConfig, alpha: float,
         if not system.voxels:
             width = support_model.width_of(ensemble.model, ensemble.best_net.params, SQUARE.flat())
             shown = np.random.default_rng(0).normal(size=(4, width)).astype(np.float32)
-            error = ErrorMap(SIGNS, np.array(LEAST), np.zeros(STEPS), np.full(len(SIGNS), 0.5), np.ones(2))
+            error = ErrorMap(
+                SIGNS, np.array(LEAST), np.zeros(STEPS), np.full(len(SIGNS), 0.5), np.ones(1), np.ones((1, 2))
+            )
             for place in (SUPPORT, EXPECTED_ERROR):
                 (data / place).parent.mkdir(parents=True)
             support_model.save(

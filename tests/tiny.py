@@ -79,12 +79,12 @@ def write_nets(folder: Path, members: Sequence[int] = MEMBERS, *, viewport: View
     (folder / "normalisation").mkdir()
     for kind in ("mesh", "voxel"):
         normalisation.save(folder / f"normalisation/{kind}.json", toy.normalisation(len(members)), {})
-    slope, ratios = np.array([0.9, 0.0, 0.3]), np.linspace(0.5, 2, 21)
-    found = ErrorMap(model_error.SIGNS, np.array(model_error.LEAST), np.zeros(3), slope, ratios)
+    slope, scatter = np.array([0.9, 0.0, 0.3]), (np.ones(1), np.linspace(0.5, 2, 21)[None])
+    found = ErrorMap(model_error.SIGNS, np.array(model_error.LEAST), np.zeros(3), slope, *scatter)
     error_map.save(folder / EXPECTED_ERROR, found, {})
     # A map that needs nothing of a planner's measure of uncertainty.
     told, slope = trust.names_of("paper"), np.array([0.9, 0.3])
-    trusted = ErrorMap(told, np.array(trust.least_of(told)), np.zeros(3), slope, ratios)
+    trusted = ErrorMap(told, np.array(trust.least_of(told)), np.zeros(3), slope, *scatter)
     error_map.save(folder / trust.PLACE, trusted, {})
     shown = np.random.default_rng(0).normal(size=(8, small.latent + 6)).astype(np.float32)
     support = support_model.initial(SupportModelConfig(hidden=(4,)), shown, jax.random.key(3))

@@ -40,7 +40,9 @@ POSE = Pose(AXES, ORIGIN, CENTRE, SCALE)
 PLAN = np.array([[-1, -1, 1, -1, 0.1, 0.7], [1, 1, 1, 1, -0.6, -0.4]], np.float32)
 SHIFTS = np.array([[0.2, -0.1], [-0.05, 0.4]])
 PAIRS = ((0, 1), (0, 2), (1, 2))
-TRUST = ErrorMap(trust.Signs._fields, np.full(3, 0.002), np.zeros(3), np.ones(3) / 3, np.linspace(0.5, 1.5, 21))
+TRUST = ErrorMap(
+    trust.Signs._fields, np.full(3, 0.002), np.zeros(3), np.ones(3) / 3, np.ones(1), np.linspace(0.5, 1.5, 21)[None]
+)
 
 
 def settings_with(known: ErrorMap | None) -> Settings:

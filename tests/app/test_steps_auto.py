@@ -99,7 +99,7 @@ def test_numbers_without_a_plan_are_left_out() -> None:
 
 def test_nothing_is_done_where_such_plans_made_things_worse(goals: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # Such plans ended nine cloth lengths from their goals, whatever was expected of them.
-    bad = ErrorMap(("expected",), np.ones(1), np.log(np.full(3, 9.0)), np.zeros(1), np.ones(3))
+    bad = ErrorMap(("expected",), np.ones(1), np.log(np.full(3, 9.0)), np.zeros(1), np.ones(1), np.ones((1, 3)))
     monkeypatch.setattr(Settings, "trust_in", lambda *_: bad)
     with finding({n: FOLDS[:n] for n in (1, 2, 3)}):
         said = succeed("plan", "--state", "goal_0.obj", "--goal", "goal_2.obj", "--steps", "auto")

@@ -19,7 +19,8 @@ from tests.app.plans import content
 
 RATIOS = np.linspace(0.5, 1.5, 21)
 MAP = ErrorMap(
-    trust.Signs._fields, np.full(3, 0.002), np.log([1.0, 2.0, 3.0]), np.array([0.5, 0.5, 0.0]), RATIOS
+    trust.Signs._fields, np.full(3, 0.002), np.log([1.0, 2.0, 3.0]), np.array([0.5, 0.5, 0.0]),
+    np.ones(1), RATIOS[None],
 )  # fmt: skip
 PLANNED = Planned(
     np.zeros((2, 2, 3)), np.zeros((2, 6)), 0, 0, np.zeros((1, 2, 2, 2, 3)), None, np.zeros((2, 2)), None, (),

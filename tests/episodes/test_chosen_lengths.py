@@ -51,7 +51,7 @@ def test_a_session_ends_when_nothing_more_is_worth_it() -> None:
 
 def test_a_session_ends_where_such_plans_made_things_worse() -> None:
     given = tasks(Task(0, 0, 1), Task(0, 0, 2))
-    worse = ErrorMap(("expected",), np.ones(1), np.log(np.full(3, 9.0)), np.zeros(1), np.ones(3))
+    worse = ErrorMap(("expected",), np.ones(1), np.log(np.full(3, 9.0)), np.zeros(1), np.ones(1), np.ones((1, 3)))
     with finding({n: MANIPULATIONS[:n] for n in (1, 2, 3)}):
         sessions = run_sessions(given, toy.planner("b1"), toy.execute, length=LengthConfig(), trust=worse)
         free = run_sessions(given, toy.planner("b1"), toy.execute, length=LengthConfig())

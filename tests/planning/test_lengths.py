@@ -171,7 +171,9 @@ def test_null_manipulations_do_not_count() -> None:
 
 def came_to(sign: str, factor: float) -> ErrorMap:
     """A map by which plans ended `factor` times the sign from their goals; plans of three twice as far."""
-    return ErrorMap((sign,), np.full(1, 1e-9), np.log(factor * np.array([1, 1, 2])), np.ones(1), np.ones(3))
+    return ErrorMap(
+        (sign,), np.full(1, 1e-9), np.log(factor * np.array([1, 1, 2])), np.ones(1), np.ones(1), np.ones((1, 3))
+    )
 
 
 def test_nothing_is_done_where_such_plans_ended_farther_than_the_cloth_lies() -> None:

@@ -48,7 +48,7 @@ def test_a_single_net_has_its_sigma_alone() -> None:
 
 def test_gradients_are_finite_where_nets_agree_and_meshes_coincide() -> None:
     mean, std = jnp.zeros((1, 4, 4, 3)), jnp.full((1, 4, 4, 3), 0.01)
-    found = ErrorMap(SIGNS, np.array(LEAST), np.zeros(1), np.array([0.7, 0.3, 0.2]), np.ones(3))
+    found = ErrorMap(SIGNS, np.array(LEAST), np.zeros(1), np.array([0.7, 0.3, 0.2]), np.ones(1), np.ones((1, 3)))
 
     def value(mean: jax.Array) -> jax.Array:
         measures = measure([ProbabilisticMesh(mean, std), ProbabilisticMesh(jnp.zeros_like(mean), std)])

@@ -33,7 +33,9 @@ PLANS = np.array(
     ],
     np.float32,
 )
-MAP = ErrorMap(SIGNS, np.array(LEAST), np.array([0.1, 0.2, 0.3]), np.array([0.9, 0.4, 0.3]), np.ones(3))
+MAP = ErrorMap(
+    SIGNS, np.array(LEAST), np.array([0.1, 0.2, 0.3]), np.array([0.9, 0.4, 0.3]), np.ones(1), np.ones((1, 3))
+)
 
 
 @pytest.fixture(scope="module")

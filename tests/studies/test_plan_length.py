@@ -57,7 +57,9 @@ def test_rows_of_sessions_in_the_toy_world(study: ModuleType) -> None:
 
 def test_what_such_plans_came_to(study: ModuleType) -> None:
     """By a map that plans of n manipulations end 0.05 n from their goals, whatever is expected of them."""
-    trust = ErrorMap(("expected", "sigma"), np.ones(2), np.log(0.05 * np.arange(1, 4)), np.zeros(2), np.ones(3))
+    trust = ErrorMap(
+        ("expected", "sigma"), np.ones(2), np.log(0.05 * np.arange(1, 4)), np.zeros(2), np.ones(1), np.ones((1, 3))
+    )
     with finding({n: MANIPULATIONS[:n] for n in (1, 2, 3)}):
         for steps in ("1", "3"):
             found = study.run(toy.planner("b1"), dataset(1), [0], "test", steps, toy.execute, 0.01, trust)

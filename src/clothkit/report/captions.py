@@ -199,7 +199,6 @@ DOUBT_TABLE = (
 TRUST_PICTURED = (
     "Expected against real errors, in lengths of the cloth's side: at the left those of the probes' predictions, at "
     "the right the distances of plans' outcomes from their goals, of validation plans that were executed to their end. "
-    "Probes are of the first validation sequences, plans of the last ones. "
     "Each is expected by a map that was fitted to the other sequences. The band is the interval that is told, in the "
     "median."
 )
