@@ -48,6 +48,7 @@ from clothkit.cloth.topology import CLOTH_LENGTH, SQUARE, rectangle
 from clothkit.dataset.store import Dataset, load
 from clothkit.estimation.agreement import agreement
 from clothkit.estimation.estimate import estimate
+from clothkit.estimation.refine import RefineConfig
 from clothkit.models import store
 from clothkit.models.net import Net
 from clothkit.observation.cloud import Observation, observe_cloud
@@ -162,10 +163,10 @@ def observed(picture: Picture, settings: CloudConfig) -> Observation:
     return observe_cloud(everything, cloth_side=max(picture.sides), settings=settings, table=LEVEL, name=picture.name)
 
 
-def estimated(picture: Picture, observation: Observation, net: Net, refine: object) -> Float[np.ndarray, "u v 3"]:
+def estimated(picture: Picture, observation: Observation, net: Net, refine: RefineConfig) -> Float[np.ndarray, "u v 3"]:
     """Return the refined estimate, normalised and centred."""
     measures = np.array([*picture.sides, picture.thickness], np.float32) * (CLOTH_LENGTH / max(picture.sides))
-    return np.asarray(estimate(net, observation.voxels[None], refine, cloth=measures[None]).mesh[0])  # type: ignore[arg-type]
+    return np.asarray(estimate(net, observation.voxels[None], refine, cloth=measures[None]).mesh[0])
 
 
 def row_of(picture: Picture, observation: Observation, mesh: Float[np.ndarray, "u v 3"], net: Net) -> dict:
