@@ -38,6 +38,9 @@ MAP = ErrorMap(
 )
 
 
+SURPRISING = UncertaintyConfig(measure="support")
+
+
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a support model and a map of errors."""
@@ -62,6 +65,29 @@ def test_the_papers_measure_adds_nothing_and_without_alpha_nothing_is_doubted(da
     assert isinstance(chosen("expected", data, alpha=0)[0], Distance)
     assert isinstance(chosen("conditional", data)[1]["uncertainty"], Conditional)
     assert isinstance(chosen("support", data)[1]["uncertainty"], Surprise)
+
+
+class OneNet(toy.Nets):
+    """The toy's first net alone."""
+
+    @property
+    def params(self) -> tuple[Any, ...]:
+        return super().params[:1]
+
+
+def test_one_net_alone_is_doubted_for_what_was_never_recorded(data: Path) -> None:
+    """It has none to differ from: by the support of its data alone."""
+    for measure in uncertainty_terms.MEASURES:
+        _, terms = terms_of(UncertaintyConfig(measure=measure), 1.0, OneNet(), data)
+        assert bool(terms) == (measure == "support")
+    objective = (
+        toy.planner("b2")
+        .objective(2)
+        .with_term("uncertainty", terms_of(SURPRISING, 1.0, OneNet(), data)[1]["uncertainty"])
+    )
+    support = support_model.load(data / SUPPORT, width=3078)
+    expected = surprises(support, outcomes()[0][0]).mean(0)
+    np.testing.assert_allclose(evaluated(objective).terms["uncertainty"], expected, rtol=2e-3)
 
 
 def test_what_is_missing_is_told(tmp_path: Path) -> None:
