@@ -14,11 +14,12 @@ from tests import toy_dataset
 from tests.planning import toy
 
 SEQUENCES = 2
+"""So many are planned for; there is one more, which comes first."""
 
 
 @pytest.fixture(scope="module")
 def dataset() -> Dataset:
-    found = toy_dataset.dataset(SEQUENCES)
+    found = toy_dataset.dataset(SEQUENCES + 1)
     found.split[:] = SPLITS.index("validation")
     return found
 
@@ -32,6 +33,7 @@ def test_plans_are_executed_to_their_end_and_a_killed_run_goes_on(dataset: Datas
 
     found = execute_planned(dataset, CalibrateConfig(sequences=SEQUENCES), planner, execute, work=tmp_path)
     assert len(found.sequence) == 6 * SEQUENCES
+    assert set(found.sequence) == {1, 2}
     assert set(zip(found.start, found.length, strict=True)) == {(0, 1), (1, 1), (2, 1), (0, 2), (1, 2), (0, 3)}
     # The toy's nets know their world to 3 %: plans end near their goals, and as near as they expect.
     done = found.error < 0.5 * found.error_no_action

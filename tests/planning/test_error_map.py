@@ -89,6 +89,18 @@ def test_the_interval_of_few_rows_holds_a_further_one() -> None:
     assert np.mean(inside) == pytest.approx(0.8, abs=0.05)
 
 
+def test_what_is_not_known_stays_so_and_no_rows_are_none() -> None:
+    found = fitted(rows(0))
+    assert len(found.levels) > 1
+    expected = np.array([0.02, np.nan, 0.3])
+    for given in (expected, expected[:0], 0.02):
+        for told in (*found.interval(given), found.share_below(0.05, given)):
+            assert told.shape == np.shape(given)
+            np.testing.assert_array_equal(np.isnan(told), np.isnan(given))
+    # Alone, a row is told what it is told among others.
+    np.testing.assert_array_equal(found.interval(expected)[1][2], found.interval(0.3)[1])
+
+
 def test_a_file_with_one_list_of_ratios_is_read(tmp_path: Path) -> None:
     found, path = fitted(rows(0, 20)), tmp_path / "map.json"
     save(path, found, {})

@@ -40,6 +40,10 @@ _ONE_LEVEL = (1.0,)
 """Levels of files of older versions, which have one list of quantiles."""
 
 
+_interpolated = np.vectorize(np.interp, otypes=[float], signature="(),(points),(points)->()")
+"""np.interp at a place of each row."""
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class ErrorMap:
@@ -64,20 +68,19 @@ class ErrorMap:
 
     def interval(self, expected: Values, share: float = 0.8) -> tuple[np.ndarray, np.ndarray]:
         """Return the bounds between which that share of the errors lies, for errors that are expected."""
-        ratios, wanted = self._ratios_at(expected), [(1 - share) / 2, (1 + share) / 2]
-        low, high = np.apply_along_axis(lambda own: np.interp(wanted, self._shares, own), -1, ratios).T
-        return np.asarray(expected * low.T), np.asarray(expected * high.T)
+        ratios = self._ratios_at(expected)
+        low, high = (_interpolated(end, self._shares, ratios) for end in ((1 - share) / 2, (1 + share) / 2))
+        return np.asarray(expected * low), np.asarray(expected * high)
 
     def share_below(self, limit: float, expected: Values) -> np.ndarray:
         """Return the share of the errors that are at most `limit`, for errors that are expected."""
-        wanted = (limit / np.asarray(expected))[..., None]
-        both = np.concatenate([wanted, self._ratios_at(expected)], axis=-1)
-        return np.apply_along_axis(lambda own: np.interp(own[0], own[1:], self._shares, left=0.0, right=1.0), -1, both)
+        return np.asarray(_interpolated(limit / np.asarray(expected), self._ratios_at(expected), self._shares))
 
     def _ratios_at(self, expected: Values) -> Float[np.ndarray, "*batch quantiles"]:
         """The quantiles for errors that are expected; beyond the levels, those of the nearest one."""
         levels, ratios = np.asarray(self.levels), np.asarray(self.ratios)
-        place = np.interp(np.log(np.asarray(expected)), np.log(levels), np.arange(len(levels)))
+        # Of what is not known (NaN), no more is known by any level.
+        place = np.nan_to_num(np.interp(np.log(np.asarray(expected)), np.log(levels), np.arange(len(levels))))
         below = np.minimum(place.astype(int), max(len(levels) - 2, 0))
         part = (place - below)[..., None]
         return (1 - part) * ratios[below] + part * ratios[np.minimum(below + 1, len(levels) - 1)]

@@ -52,7 +52,7 @@ CLAIMED = {
 }
 """What *main* shall be better than, by pair of the study, and what that is."""
 
-OWN = ("eq15", "eq13")
+EQ15 = ("eq15", "eq13")
 """The pair of the study that tells of eq. (15)."""
 
 LENGTHS = {"1/all": "one-step plans", "2/all": "two-step plans", "3/all": "three-step plans"}
@@ -116,7 +116,7 @@ def _claim(study: pd.DataFrame) -> str:
             if columns := [LENGTHS[column] for column, found in met.items() if found == wanted]:
                 verdicts.append(f"{word} against {short} for {' and '.join(columns)}")
     own = (
-        "" if len(_pair(study, OWN)) else " Plans with the paper's own measure of doubt, eq. (15), are not among them."
+        "" if len(_pair(study, EQ15)) else " Plans with the paper's own measure of doubt, eq. (15), are not among them."
     )
     return (
         "The paper claims that a planner plans better if it knows what it does not know. Here that counts as confirmed "
