@@ -32,9 +32,8 @@ import matplotlib
 import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float, Int
-from towel import params_of
+from towel import params_of, unpacked_nets
 
-from clothkit.app.prebuilt import user_folder
 from clothkit.cloth import voxels
 from clothkit.cloth.topology import CLOTH_LENGTH
 from clothkit.dataset import store
@@ -48,8 +47,6 @@ from clothkit.models.net import Net
 from clothkit.observation.coverage import centre
 from clothkit.params import Params
 from clothkit.planning.batches import in_batches
-from clothkit.prebuilt.files import unpacked
-from clothkit.prebuilt.manifest import MANIFEST
 from clothkit.runtime.errors import InputError
 from clothkit.runtime.stage import Stage
 from clothkit.simulation.generation import generate
@@ -249,7 +246,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int)
     parser.add_argument("--pictures", type=Path)
     asked = parser.parse_args()
-    data = unpacked(asked.data, keep=user_folder()) if (asked.data / MANIFEST).exists() else asked.data
+    data = unpacked_nets(asked.data)
     params = params_of(data)
     net = nets.load(data / "nets/vtm", "vtm")
     alarms = load(data / "nets/alarms.npz", units=net.config.hidden)

@@ -20,9 +20,9 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from towel import params_of
+from towel import params_of, unpacked_nets
 
-from clothkit.app.prebuilt import PREBUILT, user_folder
+from clothkit.app.prebuilt import PREBUILT
 from clothkit.dataset import store
 from clothkit.dataset.tasks import tasks_of
 from clothkit.episodes.record import Sessions, tasks_of_dataset
@@ -38,8 +38,6 @@ from clothkit.params import Params
 from clothkit.planning.objective import Weights
 from clothkit.planning.planner import Planner, assemble
 from clothkit.planning.systems import SYSTEMS
-from clothkit.prebuilt.files import unpacked
-from clothkit.prebuilt.manifest import MANIFEST
 from clothkit.runtime.errors import InputError
 from clothkit.simulation.executor import end_workers, make_simulator
 
@@ -123,7 +121,7 @@ def main() -> None:
     parser.add_argument("--nets", type=Path, default=PREBUILT / "household", help="a folder of nets")
     parser.add_argument("--data", type=Path, default=Path("data"), help="where meshes.zarr is")
     asked = parser.parse_args()
-    folder = unpacked(asked.nets, keep=user_folder()) if (asked.nets / MANIFEST).exists() else asked.nets
+    folder = unpacked_nets(asked.nets)
     params = params_of(folder)
     stages = params.stages
     simulator = make_simulator(stages.simulate)

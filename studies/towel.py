@@ -23,6 +23,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
+from clothkit.app.prebuilt import user_folder
 from clothkit.cloth.silhouette import centred, iou, silhouette
 from clothkit.cloth.topology import CLOTH_LENGTH, Topology, rectangle
 from clothkit.dataset.store import SPLITS, Dataset
@@ -38,6 +39,8 @@ from clothkit.params import Params, load_params
 from clothkit.planning.objective import Weights
 from clothkit.planning.planner import Planner, assemble
 from clothkit.planning.systems import SYSTEMS
+from clothkit.prebuilt.files import unpacked
+from clothkit.prebuilt.manifest import MANIFEST
 from clothkit.runtime.errors import InputError
 from clothkit.simulation.cloths import Cloths
 from clothkit.simulation.executor import end_workers, execute, make_simulator
@@ -158,6 +161,11 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
             row |= {measure: values.mean(), f"{measure}_low": low, f"{measure}_high": high}
         found.append(row)
     return pd.DataFrame(found)
+
+
+def unpacked_nets(folder: Path) -> Path:
+    """Return a folder of nets, unpacked where they are prebuilt ones."""
+    return unpacked(folder, keep=user_folder()) if (folder / MANIFEST).exists() else folder
 
 
 def params_of(data: Path) -> Params:

@@ -11,6 +11,7 @@ import pytest
 
 from clothkit.cloth.topology import PAPERS_CLOTH, SQUARE
 from clothkit.estimation.refine import RefineConfig
+from clothkit.params import load_params
 from tests import tiny
 
 COUNT = 2
@@ -49,6 +50,18 @@ def test_alarms_are_counted_by_scene(monkeypatch: pytest.MonkeyPatch, workplace:
     assert Path("scenes.png").stat().st_size > 10_000
     # Wilson (1927), 1 of 10, as R's prop.test(1, 10, correct = FALSE) gives it.
     assert module.wilson(1, 10) == pytest.approx((0.0179, 0.4042), abs=1e-4)
+
+
+def test_states_that_are_simulated_for_the_study_are_other_ones_by_seed(
+    monkeypatch: pytest.MonkeyPatch, workplace: Path
+) -> None:
+    monkeypatch.syspath_prepend(tiny.ROOT / "studies")
+    monkeypatch.chdir(workplace)
+    module, settings = import_module("alarms"), load_params(Path("params.yaml")).stages.simulate
+    first, again, other = (module.chosen(module.simulated(settings, 2, seed), 2)[0] for seed in (1, 1, 2))
+    assert first.shape == (2, *SQUARE.shape, 3)
+    np.testing.assert_array_equal(first, again)
+    assert np.abs(first - other).max() > 0.01
 
 
 def test_a_t_shirt_is_one_layer_on_another(monkeypatch: pytest.MonkeyPatch) -> None:
